@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera import remarks
@@ -17,7 +18,7 @@ from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.plane_fit import (
     PlaneFit,
     choose_plane,
-    correct_plane,
+    fit_plane,
     fit_planes,
     plane_rotation,
 )
@@ -67,10 +68,8 @@ class OnGel:
     """All models compared."""
     pose: PoseInGel | None
     """The one that is used; None without a calibrated lens."""
-    pose_in_air: PoseInGel | None
-    """With straight sight lines."""
-    pose_refracted: PoseInGel | None
-    """Through the media, where they were given."""
+    poses: tuple[PoseInGel, ...]
+    """All that were fitted: with straight sight lines, then through the media if they are given."""
     scale_range: tuple[float, float]
     """Least and largest scale under the board, relative to its middle."""
     remarks: tuple[Remark, ...]
@@ -130,19 +129,17 @@ def fit_on_gel(
             f"the lens are {intrinsics.size_px[0]}x{intrinsics.size_px[1]} px; use one size"
         )
     center = center_px or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    models: list[PlaneModel] = [
-        BentHomography(size, unit, radial, free)
-        for radial, free in ((0, False), (1, False), (2, False), (2, True))
-    ]
-    poses: list[PlaneModel] = []
+    models: list[PlaneModel] = [BentHomography(size, unit, bent) for bent in (False, True)]
+    cameras: list[CameraPose] = []
     if intrinsics is not None:
         lens = intrinsics.chosen.fit
-        for layers in (None, media) if media is not None else (None,):
-            poses.append(CameraPose(lens.lens, lens.parameters, lens.covariance, size, layers))
-    fits = fit_planes(views, [*poses[::-1], *models])
+        cameras = [
+            CameraPose(lens.lens, lens.parameters, lens.covariance, size, layers)
+            for layers in ((None, media) if media is not None else (None,))
+        ]
+    fits = fit_planes(views, [*cameras[::-1], *models])
     chosen, near = choose_plane(fits)
-    chosen = correct_plane(chosen, views, pitch)
-    frame = gel_frame(chosen, center, half_mm=pitch, near=[chosen, *near[1:]])
+    frame = gel_frame(chosen, center, half_mm=pitch, near=near)
     frame = _with_detector_error(frame, chosen, views, center, pitch)
     scale = frame.mm_per_px_x.value, frame.mm_per_px_y.value
     if tactile_px is None:
@@ -150,17 +147,15 @@ def fit_on_gel(
     else:
         grid = PixelGrid(*tactile_px, *scale)
     by_model = {fit.model.name: fit for fit in fits}
-    found = {
-        model.media is not None: _pose(by_model[model.name], center, pitch, model)
-        for model in poses
-        if isinstance(model, CameraPose) and model.name in by_model
-    }
-    in_air, refracted = found.get(False), found.get(True)
-    used = refracted or in_air
-    straight = False
-    if refracted is not None and in_air is not None and media_if_better:
-        straight = choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit
-        used = in_air if straight else refracted
+    poses = [
+        _pose(by_model[model.name], center, pitch, model)
+        for model in cameras
+        if model.name in by_model
+    ]
+    used = poses[-1] if poses else None
+    if media_if_better and len(poses) == 2:
+        in_air, refracted = poses
+        used = in_air if choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit else refracted
     spread = scale_range(chosen, views, pitch)
     said = _remarks(chosen, fits, frame, spread, pitch, views, center)
     return OnGel(
@@ -171,8 +166,7 @@ def fit_on_gel(
         tuple(views),
         tuple(fits),
         used,
-        in_air,
-        refracted,
+        tuple(poses),
         spread,
         tuple(said),
     )
@@ -199,8 +193,7 @@ def _with_detector_error(
             replace(view, uv_px=view.others_uv_px[k]) if k < len(view.others_uv_px) else view
             for view in views
         ]
-        (again,) = fit_planes(others, [fit.model])
-        seen = gel_frame(correct_plane(again, others, pitch), center, half_mm=pitch)
+        seen = gel_frame(fit_plane(others, fit.model), center, half_mm=pitch)
         off = np.maximum(off, np.abs(own - [seen.mm_per_px_x.value, seen.mm_per_px_y.value]))
     x, y = (
         Estimate(scale.value, float(np.hypot(scale.sigma, by)), scale.unit)
@@ -224,12 +217,7 @@ def _pose(
         flat = plane_rotation(frame.angle_rad).T @ in_board[:2]
         return np.array([*flat, in_board[2]])
 
-    by_theta = np.zeros((3, 6))
-    for k in range(6):
-        theta = np.array(fit.theta)
-        step = 1e-6 * max(abs(theta[k]), 1.0)
-        theta[k] += step
-        by_theta[:, k] = (position(theta) - position(fit.theta)) / step
+    by_theta = np.asarray(approx_fprime(fit.theta[:6], position, 1e-6))
     sigma = np.sqrt(np.diag(by_theta @ fit.covariance[:6, :6] @ by_theta.T))
     camera_from_board = Rotation.from_rotvec(fit.theta[:3])
     board_from_gel = Rotation.from_rotvec([0.0, 0.0, frame.angle_rad])

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.camera.pictures import (
-    draw_distortion,
     draw_on_gel,
     draw_rectified,
     draw_residuals,
@@ -38,11 +37,6 @@ def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:
                 partial(draw_residuals, result.intrinsics),
                 "Seen minus projected points. A pattern that repeats from view to view is a lens "
                 "that the model does not reach; random arrows are noise of the detection.",
-            ),
-            Picture(
-                "distortion",
-                partial(draw_distortion, result.intrinsics),
-                "Displacement against a pinhole camera of the same focal length.",
             ),
         ]
     if result.on_gel is not None:
@@ -91,10 +85,9 @@ def _summary(result: CameraCalibration) -> str:
         found = result.intrinsics
         parts.append(
             f"A {found.lens.name} lens was chosen from {len(found.views)} views of a board; views "
-            f"that the fit did not see are {found.chosen.heldout_all_px:.3f} px off (root mean "
-            f"square over all, {len(found.outliers)} outliers too; "
-            f"{found.chosen.heldout_robust_px:.3f} px robust), {found.chosen.heldout_half_px:.3f} "
-            "px when only half of such a board places it."
+            f"that the fit did not see are {found.chosen.heldout_px:.3f} px off (root mean square "
+            f"over all, {len(found.outliers)} outliers too; "
+            f"{found.chosen.heldout_robust_px:.3f} px robust)."
         )
     if result.on_gel is not None:
         frame = result.on_gel.frame
@@ -102,8 +95,8 @@ def _summary(result: CameraCalibration) -> str:
             f"On the gel, a pixel is {frame.mm_per_px_x} wide and {frame.mm_per_px_y} high; points "
             f"of the board that were left out are {result.on_gel.fit.heldout_px:.3f} px off."
         )
-        pose, air = result.on_gel.pose_refracted, result.on_gel.pose_in_air
-        if pose is not None and air is not None:
+        if len(result.on_gel.poses) == 2:
+            air, pose = result.on_gel.poses
             rise = np.subtract(pose.position_mm, air.position_mm)
             parts.append(
                 f"Refraction in window and gel puts the camera {np.linalg.norm(rise):.2f} mm from "
@@ -130,15 +123,7 @@ def _lens_tables(result: CameraCalibration) -> list[Table]:
         ),
         Table(
             "Lenses compared [px]",
-            (
-                "lens",
-                "fit",
-                "held out",
-                "robust",
-                "held out, half of a board",
-                "worse by [px²]",
-                "± [px²]",
-            ),
+            ("lens", "fit", "held out", "robust", "worse by [px²]", "± [px²]"),
             [
                 (
                     score.lens.name + (" (chosen)" if score is found.chosen else ""),
@@ -149,8 +134,7 @@ def _lens_tables(result: CameraCalibration) -> list[Table]:
                 for score in found.scores
             ],
             f"{found.folds}-fold over views, all of them scored, also those that no fit takes "
-            "(robust: by the median error). Of a held-out view only the pose is "
-            "fitted: to all its points, or to one half of them with the error taken on the other. "
+            "(robust: by the median error). Of a held-out view only the pose is fitted. "
             "The simplest lens within one standard error of the best is chosen.",
         ),
     ]
@@ -167,19 +151,16 @@ def _gel_tables(result: CameraCalibration) -> list[Table]:
         ("least scale under the board", found.scale_range[0], "", "of its middle"),
         ("largest scale under the board", found.scale_range[1], "", "of its middle"),
     ]
-    for name, pose in (
-        (" with straight sight lines", found.pose_in_air),
-        (" with refraction", found.pose_refracted),
-    ):
-        if pose is not None:
-            name += " (used)" if pose is found.pose else ""
-            rows += [
-                (f"camera {axis}{name}", value, sigma, "mm")
-                for axis, value, sigma in zip(
-                    "xyz", pose.position_mm, pose.position_sigma_mm, strict=True
-                )
-            ]
-            rows.append((f"tilt{name}", pose.tilt_deg, "", "deg"))
+    for pose in found.poses:
+        name = " with refraction" if pose.refracted else " with straight sight lines"
+        name += " (used)" if pose is found.pose else ""
+        rows += [
+            (f"camera {axis}{name}", value, sigma, "mm")
+            for axis, value, sigma in zip(
+                "xyz", pose.position_mm, pose.position_sigma_mm, strict=True
+            )
+        ]
+        rows.append((f"tilt{name}", pose.tilt_deg, "", "deg"))
     return [
         Table("Gel", ("quantity", "value", "standard deviation", "unit"), rows),
         Table(

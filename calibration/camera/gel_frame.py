@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.plane_fit import CROSS, PlaneFit, plane_rotation
+from taccel_lab.calibration.camera.plane_fit import PlaneFit, plane_rotation
 from taccel_lab.calibration.result import Estimate
 
 _STEP = 1e-6
@@ -54,10 +54,6 @@ def gel_frame(
     origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm)
     covariance = _model_covariance(fit, center, half_mm)
     own = np.diag(covariance).copy()
-    turn = plane_rotation(angle)
-    spline = _spline_variance(fit, origin, half_mm)
-    extra = np.diag(turn.T @ np.diag(spline) @ turn)
-    covariance += np.diag(extra * scale**4)
     systematic = np.zeros(2)
     for other in near:
         if other.model == fit.model:
@@ -109,16 +105,6 @@ def _scale_at(
     turn = (u @ vt).T
     angle = float(np.arctan2(turn[1, 0], turn[0, 0]))
     return origin, angle, 1.0 / np.diag(stretch), float(2 * stretch[0, 1] / np.trace(stretch))
-
-
-def _spline_variance(fit: PlaneFit, origin: np.ndarray, half_mm: float) -> np.ndarray:
-    """Variance of px/mm along x and y by what the correction makes of noise, shape [2]."""
-    if fit.correction is None:
-        return np.zeros(2)
-    weights = fit.correction.weights(origin + half_mm * CROSS)
-    along = np.stack([weights[0] - weights[1], weights[2] - weights[3]]) / (2 * half_mm)
-    noise = fit.correction.heldout_px**2 / 2
-    return noise * np.sum(along**2, axis=1)
 
 
 def scale_range(fit: PlaneFit, views: Sequence[BoardView], half_mm: float) -> tuple[float, float]:

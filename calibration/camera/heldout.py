@@ -5,9 +5,7 @@ The views are dealt into k parts by their place in the manifest, before any imag
 one part, everything is done anew from the rest alone: views that do not fit are left out, a start
 is looked for, the lens is fitted. Of a held-out view only the pose of the board is fitted, and
 all of its points count, however far off they are: an outlier among the views that are fitted is
-none among those that are predicted. Two protocols: ``all`` fits that pose to all points of the view
-and scores all of them, as is usual; ``half`` fits it to every other point and scores the others,
-and the other way round, which no pose can flatter.
+none among those that are predicted.
 """
 
 from __future__ import annotations
@@ -38,16 +36,14 @@ class LensScore:
     lens: Lens
     fit: BundleFit
     """To all views that are no outliers."""
-    heldout_all_px: float
-    """Root mean square error of all points of all views, outliers too, ``all`` protocol."""
-    heldout_half_px: float
-    """The same by the ``half`` protocol."""
+    heldout_px: float
+    """Root mean square error of all points of all views, outliers too."""
     heldout_robust_px: float
-    """The root mean square that normal errors with the same median would have, ``all`` protocol:
-    what it would be without outliers."""
+    """The root mean square that normal errors with the same median would have: what it would be
+    without outliers."""
     view_mse: np.ndarray
-    """Mean square held-out error of each view, ``half`` protocol, shape [view]: of those that are
-    fitted in the end."""
+    """Mean square held-out error of each view, shape [view]: of those that are fitted in the
+    end."""
     fold_parameters: np.ndarray
     """Of the fits without each part, shape [fold, p]."""
     excess: float = 0.0
@@ -59,9 +55,8 @@ class LensScore:
         """Root mean square errors: of the fit, and of views that it did not see."""
         return {
             "fit_rms_px": self.fit.rms_px,
-            "heldout_rms_px": self.heldout_all_px,
+            "heldout_rms_px": self.heldout_px,
             "heldout_robust_rms_px": self.heldout_robust_px,
-            "heldout_half_board_rms_px": self.heldout_half_px,
         }
 
     @property
@@ -101,8 +96,7 @@ def score_lenses(
     parts = fold_of_views(views, folds)
     names = np.unique(parts)
     lenses = [fit.lens for fit in fitted.fits]
-    everything = [[np.zeros((0, 2))] * len(views) for _ in lenses]
-    halves = [[np.zeros((0, 2))] * len(views) for _ in lenses]
+    left = [[np.zeros((0, 2))] * len(views) for _ in lenses]
     parameters: list[list[np.ndarray]] = [[] for _ in lenses]
     for done, name in enumerate(names):
         progress("fitting the lens", done + 1, len(names) + 1)
@@ -112,18 +106,17 @@ def score_lenses(
         for k, fit in enumerate(train.fits):
             parameters[k].append(fit.parameters)
             for i in np.flatnonzero(parts == name).tolist():
-                everything[k][i], halves[k][i] = _heldout(views[i], fit.lens, fit.parameters)
+                left[k][i] = _heldout(views[i], fit.lens, fit.parameters)
     progress("fitting the lens", len(names) + 1, len(names) + 1)
     used = {id(view) for view in fitted.views}
     return [
         LensScore(
             fit.lens,
             fit,
-            rms(np.concatenate(everything[k])),
-            rms(np.concatenate(halves[k])),
-            float(np.sqrt(2)) * robust_scale(np.concatenate(everything[k])),
+            rms(np.concatenate(left[k])),
+            float(np.sqrt(2)) * robust_scale(np.concatenate(left[k])),
             np.array([
-                rms(r) ** 2 for r, view in zip(halves[k], views, strict=True) if id(view) in used
+                rms(r) ** 2 for r, view in zip(left[k], views, strict=True) if id(view) in used
             ]),
             np.stack(parameters[k]),
         )
@@ -145,28 +138,12 @@ def compare_lenses(scores: Sequence[LensScore]) -> list[LensScore]:
     return compared
 
 
-def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of a held-out view by both protocols, each [n, 2]."""
-    board = view.board_mm()
+def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
+    """Residuals of a held-out view [px], shape [n, 2]."""
     try:
         start = initial_pose(view, lens, parameters)
     except InputError:
         # No pose explains such points: they are as far off as they lie from their own middle.
-        nothing = view.uv_px - view.uv_px.mean(axis=0)
-        return nothing, nothing
-    fitted = fit_pose(view, lens, parameters, start, robust=False)
-    full = view.uv_px - lens.project(board, parameters, fitted)
-    even = view.index.sum(axis=1) % 2 == 0
-    half = np.empty_like(full)
-    for part in (even, ~even):
-        if part.sum() < 4 or not _plane(view.index[part]):
-            half[~part] = full[~part]
-            continue
-        pose_of_part = fit_pose(view.take(part), lens, parameters, fitted, robust=False)
-        half[~part] = (view.uv_px - lens.project(board, parameters, pose_of_part))[~part]
-    return full, half
-
-
-def _plane(index: np.ndarray) -> bool:
-    centred = index - index.mean(axis=0)
-    return bool(np.linalg.matrix_rank(centred) == 2)
+        return view.uv_px - view.uv_px.mean(axis=0)
+    pose = fit_pose(view, lens, parameters, start, robust=False)
+    return view.uv_px - lens.project(view.board_mm(), parameters, pose)

@@ -2,7 +2,7 @@
 """Intrinsics and distortion of a camera from views of a board; the lens is chosen by prediction.
 
 Every lens is fitted to all views, and k times without one part of them, which scores it
-(``heldout``). The simplest lens whose error on half boards is within one standard error of the best
+(``heldout``). The simplest lens whose held-out error is within one standard error of the best
 one's, over the views that are no outliers, is chosen.
 """
 
@@ -18,7 +18,7 @@ from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
-from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
+from taccel_lab.calibration.camera.lens import LENSES, Lens
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
@@ -70,10 +70,17 @@ class Intrinsics:
 
 
 def require_choices(models: Sequence[str], folds: int) -> list[Lens]:
-    """The lenses of these names; InputError for an unknown one, or fewer than two folds."""
+    """The lenses of these names, the simplest first; InputError for an unknown one, or fewer than
+    two folds."""
     if folds < 2:
         raise InputError(f"folds must be at least 2, got {folds}")
-    return chosen_lenses(list(models))
+    unknown = [name for name in models if name not in LENSES]
+    if unknown or not models:
+        raise InputError(
+            f"unknown lens model {', '.join(map(repr, unknown)) or 'none'}; allowed: "
+            f"{', '.join(LENSES)}"
+        )
+    return [lens for name, lens in LENSES.items() if name in models]
 
 
 def calibrate_intrinsics(

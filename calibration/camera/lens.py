@@ -11,7 +11,6 @@ import numpy as np
 
 from taccel_lab.calibration.camera.options import LensName
 from taccel_lab.camera.camera_model import CameraModel
-from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import DesignedCamera
 
 
@@ -116,14 +115,3 @@ LENSES: dict[str, Lens] = {
     "rational": Lens("rational", 8, 8),
 }
 """By name, the simplest first: the order of preference among models that predict alike."""
-
-
-def chosen_lenses(names: tuple[str, ...] | list[str]) -> list[Lens]:
-    """Lenses of these names, the simplest first; InputError for an unknown name."""
-    unknown = [name for name in names if name not in LENSES]
-    if unknown or not names:
-        raise InputError(
-            f"unknown lens model {', '.join(map(repr, unknown)) or 'none'}; allowed: "
-            f"{', '.join(LENSES)}"
-        )
-    return [lens for name, lens in LENSES.items() if name in names]

@@ -50,7 +50,7 @@ def draw_views(found: Intrinsics) -> Figure:
     right.yaxis.set_major_formatter(_plain_number)
     right.yaxis.set_minor_formatter(_plain_number)
     right.grid(True, axis="y")
-    right.set_title(f"chosen: {found.lens.name} (half of each held-out board)")
+    right.set_title(f"chosen: {found.lens.name}")
     return figure
 
 
@@ -67,31 +67,6 @@ def draw_residuals(found: Intrinsics) -> Figure:
     )  # fmt: skip
     frame_image(axes, found.size_px)
     axes.set_title(f"seen minus projected, {scale:g} times enlarged; {rms(residuals):.2f} px rms")
-    return figure
-
-
-@in_report_style
-def draw_distortion(found: Intrinsics) -> Figure:
-    """How far the lens moves the pixels of an ideal pinhole camera."""
-    from matplotlib.ticker import MaxNLocator
-
-    figure, axes = new_figure(6.5, 5.0)
-    width, height = found.size_px
-    u, v = np.meshgrid(np.linspace(0, width - 1, 61), np.linspace(0, height - 1, 46))
-    uv = np.column_stack([u.ravel(), v.ravel()])
-    rays = found.lens.directions(found.parameters, found.size_px, uv)
-    fx, fy, cx, cy = found.parameters[:4]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ideal = rays[:, :2] / rays[:, 2:] * (fx, fy) + (cx, cy)
-    moved = np.ma.masked_invalid(np.linalg.norm(uv - ideal, axis=1).reshape(u.shape))
-    # Towards 90 degrees off the axis a pinhole camera's image runs off to infinity.
-    top = float(np.percentile(moved.compressed(), 75)) if moved.count() else 1.0
-    levels = MaxNLocator(12).tick_values(0.0, max(top, 1e-6))
-    image = axes.contourf(u, v, moved, levels=levels, cmap="viridis", extend="max")
-    figure.colorbar(image, ax=axes, label="displacement by distortion [px]", shrink=0.75)
-    axes.plot(cx, cy, "+", ms=12, color=ORANGE, mew=2)
-    frame_image(axes, found.size_px)
-    axes.set_title(f"{found.lens.name} lens; cross: principal point")
     return figure
 
 

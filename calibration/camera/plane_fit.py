@@ -11,16 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.plane_models import PlaneModel
 from taccel_lab.calibration.camera.robust import fit_robustly, rms
-from taccel_lab.calibration.camera.spline_correction import Correction, fit_correction
 from taccel_lab.errors import InputError
 
 FOLDS = 5
 _EXACT_PX = 1e-7
-_TOLERANCE = 1e-14
+_TOLERANCE = 1e-11
 _HELDOUT_TOLERANCE = 1e-8
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
@@ -39,9 +39,7 @@ class PlaneFit:
     """Seen minus fitted [px] of each view, [n, 2]."""
     heldout_px: float = np.nan
     point_mse: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """Held-out square error of each point without the correction, shape [all points]."""
-    correction: Correction | None = None
-    """What the model leaves and is smooth; added to what it says."""
+    """Held-out square error of each point, shape [all points]."""
 
     @property
     def rms_px(self) -> float:
@@ -50,9 +48,7 @@ class PlaneFit:
 
     def project(self, xy_mm: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
         """Pixels of points in the first board's coordinates, [n, 2] -> [n, 2]."""
-        xy = np.asarray(xy_mm, dtype=np.float64)
-        uv = self.model.project(self.theta if theta is None else theta, xy)
-        return uv if self.correction is None else uv + self.correction(xy)
+        return self.model.project(self.theta if theta is None else theta, np.asarray(xy_mm))
 
     def plane_points(self, views: Sequence[BoardView]) -> np.ndarray:
         """Points of all views on the plane [mm], shape [all points, 2]."""
@@ -62,21 +58,15 @@ class PlaneFit:
         ])  # fmt: skip
 
     def locate(self, uv_px: np.ndarray, theta: np.ndarray | None = None) -> np.ndarray:
-        """Point of the plane [2] that is seen at a pixel [2], by Newton's method.
+        """Point of the plane [2] that is seen at a pixel [2].
 
         Raises:
             InputError: The model does not reach that pixel.
         """
-        xy = np.zeros(2)
-        for _ in range(60):
-            off = np.asarray(uv_px) - self.project(xy[None], theta)[0]
-            step = np.linalg.pinv(np.nan_to_num(self.jacobian(xy, theta))) @ off
-            xy = xy + step
-            if np.linalg.norm(step) < 1e-12 * (1 + np.linalg.norm(xy)):
-                return xy
-        if not np.linalg.norm(off) <= 1e-6:
+        found = root(lambda xy: self.project(xy[None], theta)[0] - uv_px, np.zeros(2), tol=1e-13)
+        if not np.linalg.norm(found.fun) <= 1e-6:
             raise InputError(f"the fitted plane is not seen at pixel {tuple(uv_px)}")
-        return xy
+        return found.x
 
     def jacobian(
         self, xy_mm: np.ndarray, theta: np.ndarray | None = None, half_mm: float = 1e-4
@@ -97,11 +87,15 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list
     for model in models:
         if 2 * points < model.count + 3 * (len(views) - 1) + 8:
             continue
-        fit = _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
-        fits.append(_with_heldout(views, fit))
+        fits.append(_with_heldout(views, fit_plane(views, model)))
     if not fits:
         raise InputError(f"{points} points of the board are too few to fit the plane of the gel")
     return fits
+
+
+def fit_plane(views: Sequence[BoardView], model: PlaneModel) -> PlaneFit:
+    """One model by all points, not cross-validated."""
+    return _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
 
 
 def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
@@ -115,37 +109,6 @@ def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
         if difference.mean() <= margin:
             near.append(fit)
     return near[0], near
-
-
-def correct_plane(fit: PlaneFit, views: Sequence[BoardView], unit_mm: float) -> PlaneFit:
-    """The fit with a spline over what it leaves, where that predicts left-out points better.
-
-    Points that are left out have a part neither in the model nor in the spline.
-    """
-    points = fit.plane_points(views)
-    correction = fit_correction(points, np.concatenate(fit.residuals), unit_mm)
-    if correction is None:
-        return fit
-    folds, squares = _folds(views), [np.zeros(len(view.index)) for view in views]
-    for k in range(FOLDS):
-        held = _fit(views, fit.model, [fold != k for fold in folds], fit)
-        left, fold = np.concatenate(held.residuals), np.concatenate(folds)
-        where = held.plane_points(views)
-        found = fit_correction(where[fold != k], left[fold != k], unit_mm)
-        if found is not None:
-            left = left - found(where)
-        for square, part, own in zip(squares, _split(left, views), folds, strict=True):
-            square[own == k] = np.sum(part[own == k] ** 2, axis=1)
-    heldout_px = float(np.sqrt(np.concatenate(squares).mean()))
-    if heldout_px >= fit.heldout_px:
-        return fit
-    residuals = np.concatenate(fit.residuals) - correction(points)
-    return replace(
-        fit,
-        correction=correction,
-        residuals=tuple(_split(residuals, views)),
-        heldout_px=heldout_px,
-    )
 
 
 def moved(xy_mm: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -184,25 +147,9 @@ def _fit(
             for view, board, motion in zip(views, boards, motions, strict=True)
         ]
 
-    def slopes(x: np.ndarray) -> np.ndarray:
-        motions = np.vstack([np.zeros(3), x[count:].reshape(-1, 3)])
-        found = []
-        for i, (board, motion, mask) in enumerate(zip(boards, motions, used, strict=True)):
-            by_theta, by_xy = model.slopes(x[:count], moved(board[mask], motion))
-            by_all = np.zeros((len(by_xy), 2, len(x)))
-            by_all[:, :, :count] = by_theta
-            if i:
-                at = count + 3 * (i - 1)
-                turning = board[mask] @ plane_rotation(float(motion[0]) + np.pi / 2).T
-                by_all[:, :, at] = np.einsum("nij,nj->ni", by_xy, turning)
-                by_all[:, :, at + 1 : at + 3] = by_xy
-            found.append(-by_all)
-        return np.concatenate(found)
-
     fitted = fit_robustly(
         lambda x: np.concatenate([r[m] for r, m in zip(residuals(x), used, strict=True)]),
         start,
-        jacobian=slopes,
         prior=lambda x: model.prior(x[:count]),
         tolerance=_TOLERANCE if whole is None else _HELDOUT_TOLERANCE,
     )
@@ -240,19 +187,9 @@ def _similarity(xy: np.ndarray, uv: np.ndarray) -> tuple[complex, complex]:
     return complex(solution[0]), complex(solution[1])
 
 
-def _folds(views: Sequence[BoardView]) -> list[np.ndarray]:
-    """Fold of each point of each view: (column + 2 row) modulo 5."""
-    return [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
-
-
-def _split(values: np.ndarray, views: Sequence[BoardView]) -> list[np.ndarray]:
-    """Values of all points [all points, ..] by view."""
-    return np.split(values, np.cumsum([len(view.index) for view in views])[:-1])
-
-
 def _with_heldout(views: Sequence[BoardView], fit: PlaneFit) -> PlaneFit:
-    """Cross-validate over the points."""
-    folds = _folds(views)
+    """Cross-validate over the points, in parts by (column + 2 row) modulo 5."""
+    folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
     squares = [np.zeros(len(view.index)) for view in views]
     for k in range(FOLDS):
         held = _fit(views, fit.model, [fold != k for fold in folds], fit)

@@ -20,8 +20,6 @@ from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 
 _LEAST_DISTANCE_MM = 0.1
-_STEP = 1e-7
-"""Of differences, relative above 1."""
 
 
 class PlaneModel(Protocol):
@@ -41,42 +39,32 @@ class PlaneModel(Protocol):
         """Pixels of points on the plane, [n, 2] -> [n, 2]."""
         ...
 
-    def slopes(self, theta: np.ndarray, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the pixels by the parameters, [n, 2, count], and by the point [px/mm],
-        [n, 2, 2]."""
-        ...
-
     def prior(self, theta: np.ndarray) -> np.ndarray:
-        """What is known of the parameters already, as standardised residuals [m], linear in
-        them."""
+        """What is known of the parameters already, as standardised residuals [m]."""
         ...
 
 
 @dataclass(frozen=True)
 class BentHomography:
-    """Homography, then ``p' = c + (p - c)(1 + k1 r^2 + k2 r^4 + ..)`` about the image's middle.
+    """Homography, then ``p' = c + (p - c)(1 + k1 r^2 + k2 r^4)`` about a free middle c.
 
-    Image coordinates are counted from the middle in half diagonals, so that k is the displacement
-    of a corner as a share of its distance.
+    Image coordinates are counted from the image's middle in half diagonals, so that k is the
+    displacement of a corner as a share of its distance.
     """
 
     size_px: tuple[int, int]
     unit_mm: float
     """Length that the plane's coordinates are divided by, for conditioning."""
-    radial: int = 0
-    """Terms of the distortion."""
-    free_center: bool = False
-    """The middle of the distortion is fitted too."""
+    bent: bool
+    """Without, k1 and k2 are 0."""
 
     @property
     def name(self) -> str:
-        if not self.radial:
-            return "homography"
-        return f"homography + {self.radial} radial" + (" about a free middle" * self.free_center)
+        return "homography" + " + 2 radial about a free middle" * self.bent
 
     @property
     def count(self) -> int:
-        return 8 + self.radial + 2 * self.free_center
+        return 12 if self.bent else 8
 
     @property
     def _middle_px(self) -> np.ndarray:
@@ -100,45 +88,17 @@ class BentHomography:
         plane = np.column_stack([np.asarray(xy_mm) / self.unit_mm, np.ones(len(xy_mm))])
         image = plane @ matrix.T
         image = image[:, :2] / image[:, 2:]
-        if self.radial:
-            middle = theta[-2:] if self.free_center else np.zeros(2)
+        if self.bent:
+            k1, k2, *middle = theta[8:]
             away = image - middle
-            r2 = np.sum(away**2, axis=1)
-            factor = np.ones(len(image))
-            for k in range(self.radial):
-                factor += theta[8 + k] * r2 ** (k + 1)
-            image = middle + away * factor[:, None]
+            r2 = np.sum(away**2, axis=1, keepdims=True)
+            image = middle + away * (1 + k1 * r2 + k2 * r2**2)
         return image * self._half_diagonal_px + self._middle_px
-
-    def slopes(self, theta: np.ndarray, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        matrix = np.append(theta[:8], 1.0).reshape(3, 3)
-        plane = np.column_stack([np.asarray(xy_mm) / self.unit_mm, np.ones(len(xy_mm))])
-        image = plane @ matrix.T
-        over = 1.0 / image[:, 2]
-        image = image[:, :2] * over[:, None]
-        by_theta = np.zeros((len(plane), 2, self.count))
-        by_theta[:, 0, :3] = by_theta[:, 1, 3:6] = plane * over[:, None]
-        by_theta[:, :, 6:8] = -image[..., None] * (plane[:, None, :2] * over[:, None, None])
-        by_xy = (matrix[:2, :2] - image[..., None] * matrix[2, :2]) * over[:, None, None]
-        if self.radial:
-            middle = theta[-2:] if self.free_center else np.zeros(2)
-            away = image - middle
-            powers = np.sum(away**2, axis=1)[:, None] ** np.arange(self.radial + 1)
-            k, order = theta[8 : 8 + self.radial], np.arange(1, self.radial + 1)
-            steeper = 2 * powers[:, :-1] @ (k * order)
-            bent = (1 + powers[:, 1:] @ k)[:, None, None] * np.eye(2)
-            bent += steeper[:, None, None] * away[:, :, None] * away[:, None, :]
-            by_theta, by_xy = bent @ by_theta, bent @ by_xy
-            by_theta[:, :, 8 : 8 + self.radial] = away[..., None] * powers[:, None, 1:]
-            if self.free_center:
-                by_theta[:, :, -2:] = np.eye(2) - bent
-        scale = self._half_diagonal_px
-        return by_theta * scale, by_xy * scale / self.unit_mm
 
     def prior(self, theta: np.ndarray) -> np.ndarray:
         # Keeps a free middle inside the image where nothing else does: it is at the middle to
         # within a quarter of the half diagonal.
-        return theta[-2:] / 0.25 if self.free_center else np.zeros(0)
+        return theta[10:] / 0.25
 
 
 @dataclass(frozen=True)
@@ -181,21 +141,6 @@ class CameraPose:
         if seen is None:
             return np.full((len(xy_mm), 2), np.nan)  # The search stepped behind the gel.
         return self.lens.project(seen, theta[6:], np.zeros(6))
-
-    def slopes(self, theta: np.ndarray, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        points = np.column_stack([xy_mm, np.zeros(len(xy_mm))])
-        seen = None if self.media is None else self._seen(theta, xy_mm)
-        if seen is None:
-            _, by_lens, by_pose = self.lens.project_with_jacobian(points, theta[6:], theta[:6])
-            along = cv2.Rodrigues(theta[:3])[0][:, :2]
-            return np.concatenate([by_pose, by_lens], axis=2), by_pose[:, :, 3:] @ along
-        uv, by_lens, _ = self.lens.project_with_jacobian(seen, theta[6:], np.zeros(6))
-        # Through media the pose and the point by differences.
-        steps = np.diag(_STEP * np.maximum(1.0, np.abs(theta)))[:6]
-        by_pose = [(self.project(theta + step, xy_mm) - uv) / step.max() for step in steps]
-        by_xy = [(self.project(theta, xy_mm + step) - uv) / _STEP for step in _STEP * np.eye(2)]
-        by_theta = np.concatenate([np.stack(by_pose, axis=2), by_lens], axis=2)
-        return by_theta, np.stack(by_xy, axis=2)
 
     def _seen(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray | None:
         """Directions [n, 3] in the camera's frame in which points are seen through the media; None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.camera.board_on_gel import DISTORTED, OnGel
+from taccel_lab.calibration.camera.board_on_gel import DISTORTED, OnGel, PoseInGel
 from taccel_lab.calibration.camera.find_boards import Detections
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
@@ -223,28 +223,24 @@ def _on_gel_figures(found: OnGel) -> dict[str, Any]:
         "points_on_board": [view.expected for view in found.views],
         "fit_rms_px": found.fit.rms_px,
         "heldout_rms_px": found.fit.heldout_px,
-        "spline": None if found.fit.correction is None else found.fit.correction.smoothing,
         "scale_range": list(found.scale_range),
         "models": {
             fit.model.name: {"fit_rms_px": fit.rms_px, "heldout_rms_px": fit.heldout_px}
             for fit in found.fits
         },
     }
-    for name, pose in (
-        ("pose", found.pose),
-        ("pose_in_air", found.pose_in_air),
-        ("pose_refracted", found.pose_refracted),
-    ):
-        if pose is not None:
-            figures[name] = {
-                "position_mm": list(pose.position_mm),
-                "position_sigma_mm": list(pose.position_sigma_mm),
-                "rotation_xyzw": list(pose.rotation),
-                "tilt_deg": pose.tilt_deg,
-                "refracted": pose.refracted,
-                "heldout_rms_px": pose.fit.heldout_px,
-            }
-    if found.pose_refracted is not None and found.pose_in_air is not None:
-        moved = np.subtract(found.pose_refracted.position_mm, found.pose_in_air.position_mm)
-        figures["refraction_moves_camera_mm"] = [float(v) for v in moved]
+    if found.pose is not None:
+        figures["pose"] = _pose_figures(found.pose)
+        figures["poses"] = [_pose_figures(pose) for pose in found.poses]
     return figures
+
+
+def _pose_figures(pose: PoseInGel) -> dict[str, Any]:
+    return {
+        "position_mm": list(pose.position_mm),
+        "position_sigma_mm": list(pose.position_sigma_mm),
+        "rotation_xyzw": list(pose.rotation),
+        "tilt_deg": pose.tilt_deg,
+        "refracted": pose.refracted,
+        "heldout_rms_px": pose.fit.heldout_px,
+    }

@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which point of a board is which, among points of which many may be none of it.
 
-The numbering is grown from seeds as for markers. What a board adds is its known number of columns
-and rows: the largest lattice of that size is looked for among strangers that may outnumber it.
+The numbering is grown as for markers. What a board adds is its known number of columns and rows:
+its points are the fullest window of that size, among strangers that may outnumber them.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.lattice import Lattice
 from taccel_lab.calibration.dots.lattice_growth import (
     Growth,
-    grow,
+    largest_growth,
     leave_one_out,
     shortest_basis,
-    symmetric_seeds,
 )
 
-_FULL = 0.8
-"""Share of the points, or of the sites, that a lattice holds which other seeds need not better."""
 _BASES = (
     [[1, 0], [0, 1]],
     [[1, 1], [0, 1]],
@@ -40,21 +36,10 @@ def board_lattice(uv_px: np.ndarray, columns: int, rows: int) -> Lattice | None:
     uv = np.asarray(uv_px, dtype=np.float64)
     if len(uv) < 5:
         return None
-    tree = KDTree(uv)
-    full = _FULL * min(len(uv), columns * rows)
-    best: Lattice | None = None
-    for seed, a, b in symmetric_seeds(uv, tree):
-        if best is not None and best.count >= full and best.numbered[seed]:
-            continue  # the seed belongs to the lattice that is known already
-        grown = grow(uv, tree, seed, a, b)
-        if grown.count < 4 or not grown.spans_the_plane:
-            continue
-        found = _on_board(uv, grown, (columns, rows))
-        if best is None or _score(found) > _score(best):
-            best = found
-        if best is not None and best.count == columns * rows:
-            break
-    return best
+    grown = largest_growth(uv)
+    if grown is None or grown.count < 4 or not grown.spans_the_plane:
+        return None
+    return _on_board(uv, grown, (columns, rows))
 
 
 def oriented(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
@@ -80,10 +65,6 @@ def _slopes(index: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
     """Mean steps to the next column and the next row (u, v), shape [2, 2]."""
     design = np.column_stack([index, np.ones(len(index))])
     return np.linalg.lstsq(design, uv_px, rcond=None)[0][:2]
-
-
-def _score(lattice: Lattice) -> int:
-    return lattice.count - lattice.strangers
 
 
 def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,25 +13,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.lattice_growth import (
     Growth,
-    grow,
+    largest_growth,
     leave_one_out,
-    places_within,
     shortest_basis,
-    symmetric_seeds,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 
-_ENOUGH = 0.9
-"""Share of the points that a numbering explains for the search to end."""
-_FULL = 0.75
-"""Share of its own places that it fills for that; a lattice through cell centres fills half."""
 _LEAST = 6
 """Points that a lattice has at least."""
 _REGULAR = 0.12
@@ -133,19 +126,7 @@ def lattice_index(points: np.ndarray) -> Lattice:
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
-    best: Growth | None = None
-    score = 0.0
-    if len(points) >= _LEAST:
-        tree = KDTree(points)
-        for seed, a, b in symmetric_seeds(points, tree):
-            found = grow(points, tree, seed, a, b)
-            # A stray point amid four others seeds a lattice twice as fine, on which those four
-            # and the stray lie: more points are explained, but half of the places are empty.
-            filled = found.count / places_within(found)
-            if best is None or found.count * filled > score:
-                best, score = found, found.count * filled
-            if found.count >= _ENOUGH * len(points) and filled >= _FULL:
-                break
+    best = largest_growth(points) if len(points) >= _LEAST else None
     if best is None:
         return _nothing(len(points))
     errors = leave_one_out(points, best)

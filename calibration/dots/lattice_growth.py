@@ -15,13 +15,34 @@ _REACH = 2
 _MAX_GAP = 3
 """Empty places that the growth can cross."""
 _SEEDS = 10
+_ENOUGH = 0.9
+"""Share of the points that a numbering explains for the search to end."""
+_FULL = 0.75
+"""Share of its own places that it fills for that; a lattice through cell centres fills half."""
 _SYMMETRIC = 0.25
 """Opposite neighbours are opposite within this share of their distance."""
 _MIN_SINE = 0.45
 _NONE = np.iinfo(np.int64).min
 
 
-def symmetric_seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
+def largest_growth(points: np.ndarray) -> Growth | None:
+    """Of the numberings from several seeds, [point, 2], the one that explains most points and fills
+    its own places best; None where no point has neighbours on opposite sides."""
+    best: Growth | None = None
+    score, tree = 0.0, KDTree(points)
+    for seed, a, b in _symmetric_seeds(points, tree):
+        found = _grow(points, tree, seed, a, b)
+        # A stray point amid four others seeds a lattice twice as fine, on which those four and the
+        # stray lie: more points are explained, but half of the places are empty.
+        filled = found.count / _places_within(found)
+        if best is None or found.count * filled > score:
+            best, score = found, found.count * filled
+        if found.count >= _ENOUGH * len(points) and filled >= _FULL:
+            break
+    return best
+
+
+def _symmetric_seeds(points: np.ndarray, tree: KDTree) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """Points with two pairs of opposite neighbours, the most symmetric first, and their basis."""
     found = []
     near = np.asarray(tree.query(points, k=min(13, len(points)))[1])
@@ -124,7 +145,7 @@ class _Field:
         return mean_point - mean_step @ basis, basis, len(rows)
 
 
-def grow(points: np.ndarray, tree: KDTree, seed: int, a: np.ndarray, b: np.ndarray) -> Growth:
+def _grow(points: np.ndarray, tree: KDTree, seed: int, a: np.ndarray, b: np.ndarray) -> Growth:
     """Number all points that a lattice through ``seed`` with basis ``a``, ``b`` reaches."""
     field = _Field(points, a, b)
     field.at[(0, 0)] = seed
@@ -177,7 +198,7 @@ def _sweep(
     return progress
 
 
-def places_within(growth: Growth) -> int:
+def _places_within(growth: Growth) -> int:
     """Lattice places, numbered or empty, in the convex hull of the numbered ones."""
     index = growth.index[growth.numbered]
     low, high = index.min(axis=0), index.max(axis=0)

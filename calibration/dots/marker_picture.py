@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a picture shows dots at all, and all of them: detection and lattice help each other.
+"""Whether a picture shows dots at all, and which: detection and lattice help each other.
 
 Sizes and signs that blobs have are tried in turn, most dot-like first. Dots are those that form a
-lattice, or, without one, that stand far above everything else of their size. The lattice then says
-where faint dots may be looked for and which blobs are none.
+lattice, which then says which blobs are none.
 """
 
 from __future__ import annotations
@@ -15,26 +14,18 @@ import numpy as np
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
     detect_dots,
-    dots_of,
-    start_parameters,
     strong_blobs,
 )
-from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.dots import DotFlag, Dots
-from taccel_lab.calibration.dots.grey_picture import grey_levels
 from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
 from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
-from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 
 MIN_DOTS = 9
 """Dots of a lattice that a picture has to show."""
 _MIN_CONTRAST = 0.05
-_FREE_DOTS, _FREE_GAP, _FREE_CONTRAST = 12, 1.6, 0.15
-"""Without a lattice: how many dots, how far above the rest, how much contrast."""
-_ONE_SIZE = 0.2
-_FAINT = 0.3
-"""A dot in a gap has at least this share of the usual contrast."""
+_CLEAR_GAP = 1.6
+"""Dots that stand so far above the rest need no look at a part of them first."""
 _TRIED = 4
 _MANY = 300
 """Blobs above which a part of them is looked at first."""
@@ -48,12 +39,12 @@ class MarkerPicture:
 
     dots: Dots
     lattice: Lattice
-    layout_px: LayoutFit | None
-    """The grid in pixels; None where the dots form no lattice."""
+    layout_px: LayoutFit
+    """The grid in pixels."""
 
 
 def find_markers(image: np.ndarray) -> MarkerPicture:
-    """All dots of a picture, in whatever layout.
+    """All dots of a picture, on a square, rectangular or hexagonal lattice.
 
     Args:
         image: RGB or grey levels, shape [height_px, width_px] or [.., 3].
@@ -61,17 +52,16 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
     Raises:
         InputError: The picture shows no dots; says what was found instead.
     """
-    best_count, best = 0, None
+    likeliest: Dots | None = None
     for scale in scale_candidates(image)[:_TRIED]:
         if scale.count < MIN_DOTS or (scale.count > _MANY and not _regular(image, scale)):
             continue
         dots = detect_dots(image, scale)
-        picture = _accept(dots, scale)
+        picture = _accept(dots)
         if picture is not None:
-            return _completed(image, picture)
-        if scale.count > best_count:
-            best_count, best = scale.count, dots
-    raise InputError("no dots found: " + _why_not(best))
+            return picture
+        likeliest = dots if likeliest is None else likeliest
+    raise InputError("no dots found: " + _why_not(likeliest))
 
 
 def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
@@ -85,18 +75,16 @@ def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
         standard deviations [px]. In a hexagonal lattice the second is the distance of the rows.
 
     Raises:
-        InputError: No dots, or dots that form no lattice.
+        InputError: No dots.
     """
     layout = find_markers(image).layout_px
-    if layout is None:
-        raise InputError("the dots in the picture form no lattice, so that they have no pitch")
     return *layout.pitch, max(layout.sigma(PITCH_X), layout.sigma(PITCH_Y))
 
 
 def _regular(image: np.ndarray, scale: DotScale) -> bool:
     """Whether very many blobs look like dots before any is fitted: part of them forms a lattice,
     or they stand far above the rest. Noise makes thousands of blobs of any small size."""
-    if scale.gap >= _FREE_GAP:
+    if scale.gap >= _CLEAR_GAP:
         return True
     blobs = strong_blobs(image, scale)
     middle = np.median(blobs, axis=0)
@@ -104,7 +92,7 @@ def _regular(image: np.ndarray, scale: DotScale) -> bool:
     return lattice_index(blobs[near]).kind != "none"
 
 
-def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
+def _accept(dots: Dots) -> MarkerPicture | None:
     likely = dots.select(np.flatnonzero(~dots.flagged(DotFlag.ODD)))
     if likely.count < MIN_DOTS or np.median(np.abs(likely.contrast)) < _MIN_CONTRAST:
         return None
@@ -112,17 +100,9 @@ def _accept(dots: Dots, scale: DotScale) -> MarkerPicture | None:
     if lattice.kind == "none" and likely.count < dots.count:
         dots = likely
         lattice = lattice_index(dots.uv_px)
-    if lattice.kind != "none" and lattice.numbered.sum() >= MIN_DOTS:
-        return _numbered(dots, lattice)
-    clear = scale.gap >= _FREE_GAP and np.median(np.abs(likely.contrast)) >= _FREE_CONTRAST
-    if likely.count >= _FREE_DOTS and clear and _alike(likely) and _alike(dots):
-        return MarkerPicture(likely, lattice_index(likely.uv_px), None)
-    return None
-
-
-def _alike(dots: Dots) -> bool:
-    """Whether dots have one size: the middle two thirds within 20 % of the median; dirt has not."""
-    return bool(spread_about_median(np.log(dots.radius_px)) < _ONE_SIZE)
+    if lattice.kind == "none" or lattice.count < MIN_DOTS:
+        return None
+    return _numbered(dots, lattice)
 
 
 def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
@@ -150,37 +130,6 @@ def _without_stray_lines(lattice: Lattice, odd: np.ndarray) -> Lattice:
                 break
             keep &= ~np.any(stray, axis=0)
     return renumbered(lattice, keep)[0]
-
-
-def _completed(image: np.ndarray, picture: MarkerPicture) -> MarkerPicture:
-    """Look for faint dots where the lattice has gaps."""
-    if picture.layout_px is None or not picture.layout_px.missing:
-        return picture
-    dots, lattice = picture.dots, picture.lattice
-    places = _local_places(dots, lattice, np.array(picture.layout_px.missing))
-    start = start_parameters(places, float(np.median(dots.radius_px)))
-    fit = fit_dots(grey_levels(image), start, others=dots.uv_px)
-    odd = np.full(fit.count, np.uint8(DotFlag.ODD))
-    found = dots_of(fit, odd, dots.scale, dots.size_px)
-    usual = float(np.median(np.abs(dots.contrast)))
-    radius = float(np.median(dots.radius_px))
-    off = np.hypot(*(found.uv_px - places).T)
-    gap = np.hypot(*(found.uv_px[:, None] - dots.uv_px[None]).T).min(axis=0)
-    good = found.placed & (np.sign(found.contrast) == dots.scale.sign)
-    good &= np.abs(found.contrast) > max(_FAINT * usual, _MIN_CONTRAST)
-    good &= (off < 0.25 * min(picture.layout_px.pitch)) & (gap > radius)
-    good &= np.abs(np.log(found.radius_px / radius)) < np.log(1.6)
-    good &= found.seen > 0.5
-    if not good.any():
-        return picture
-    joined = dots.joined(found.select(np.flatnonzero(good)))
-    numbers = np.array(picture.layout_px.missing)[good]
-    lattice = replace(
-        lattice,
-        row=np.concatenate([lattice.row, numbers[:, 0]]),
-        column=np.concatenate([lattice.column, numbers[:, 1]]),
-    )
-    return _numbered(joined, lattice)
 
 
 def _in_view(dots: Dots, lattice: Lattice) -> np.ndarray:
@@ -221,8 +170,8 @@ def _why_not(dots: Dots | None) -> str:
         )
     contrast = float(np.median(np.abs(dots.contrast)))
     return (
-        f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that stand out most "
-        f"(contrast {100 * contrast:.0f} %) form no lattice and are not far stronger than the "
-        "rest; a sensor without markers has no markers block, and one with markers needs a sharp "
-        "picture at rest"
+        f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that look most like "
+        f"dots (contrast {100 * contrast:.0f} %) form no square, rectangular or hexagonal lattice; "
+        "a sensor without markers has no markers block, and one with markers needs a sharp picture "
+        "at rest"
     )

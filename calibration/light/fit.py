@@ -105,30 +105,8 @@ def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _with_prior(
     levels: np.ndarray, others: np.ndarray, wanted: np.ndarray, weight: np.ndarray, scale: float
 ) -> np.ndarray:
-    """Weighted least squares, drawn weakly to "no change", shape [3, p]."""
-    sigma = PRIOR_SIGMA[: 1 + len(others)]
-    normal, side = normal_equations(levels, others, wanted, weight, scale, sigma)
-    step = np.linalg.solve(normal, side[..., None])[..., 0]
-    step[:, 1] -= step[:, 0] * _mean_levels(levels, weight)
-    step[:, 0] += 1.0
-    return step
-
-
-def _mean_levels(levels: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    total = weight.sum()
-    return levels @ weight / total if total > 0 else np.zeros(len(levels))
-
-
-def normal_equations(
-    levels: np.ndarray,
-    others: np.ndarray,
-    wanted: np.ndarray,
-    weight: np.ndarray,
-    scale: float,
-    prior_sigma: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of each channel, the matrix [3, p, p] and right side [3, p] for gain - 1, offset at the mean
-    level, and gradient.
+    """Gain, offset and gradient of each channel by weighted least squares, drawn weakly to "no
+    change", shape [3, p].
 
     The background has noise of its own, as large as the frame's (half of what is left), which would
     draw the gain to 0. The frame is therefore held against what the background's level is expected
@@ -143,8 +121,8 @@ def normal_equations(
         wanted: Levels of the frame, shape [3, n].
         weight: Of each pixel, 0..1, shape [n].
         scale: Standard deviation of frame minus background [levels].
-        prior_sigma: Prior spread of each unknown, shape [p].
     """
+    sigma = PRIOR_SIGMA[: 1 + len(others)]
     total = float(weight.sum())
     weighed = others * weight
     gram = weighed @ others.T
@@ -158,14 +136,18 @@ def normal_equations(
     expected = explained + share[:, None] * own
     change = wanted - expected
     # The offset is that at the mean level, so that its prior does not fight the gain's.
-    expected -= _mean_levels(levels, weight)[:, None]
-    normal = np.empty((len(levels), len(prior_sigma), len(prior_sigma)))
+    mean = levels @ weight / total if total > 0 else np.zeros(len(levels))
+    expected -= mean[:, None]
+    normal = np.empty((len(levels), len(sigma), len(sigma)))
     normal[:, 0, 0] = np.square(expected) @ weight
     normal[:, 0, 1:] = normal[:, 1:, 0] = expected @ weighed.T
     normal[:, 1:, 1:] = gram
-    normal += np.diag(max(total / PRIOR_SAMPLES, 1.0) * (scale / prior_sigma) ** 2)
+    normal += np.diag(max(total / PRIOR_SAMPLES, 1.0) * (scale / sigma) ** 2)
     side = np.column_stack([(expected * change) @ weight, change @ weighed.T])
-    return normal, side
+    step = np.linalg.solve(normal, side[..., None])[..., 0]
+    step[:, 1] -= step[:, 0] * mean
+    step[:, 0] += 1.0
+    return step
 
 
 def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:

@@ -99,17 +99,25 @@ def background_from_presses(
             f"of: at least {MIN_MEDIAN_FRAMES}. Give background"
         )
     images = [read() for read in frames]
-    start = _median(images, [None] * len(images), [None] * len(images))[0]
-    drifts = [fit_light(image, start, mask) for image in images]
-    # The common light is that of the frames' mean, so that the drifts cancel out.
-    level = start
+    everywhere = [np.ones(images[0].shape[:2], dtype=bool)] * len(images)
+    level, count = median_where_seen(images, everywhere), np.zeros(images[0].shape[:2])
     for _ in range(2):
+        # The common light is that of the frames' mean, so that the drifts cancel out.
+        drifts = [fit_light(image, level, mask) for image in images]
         seen = [
             untouched_pixels(image, level, drift, mask)
             for image, drift in zip(images, drifts, strict=True)
         ]
-        level, count = _median(images, drifts, seen)
-        drifts = [fit_light(image, level, mask) for image in images]
+        # Half precision is a sixteenth of a level, and all presses are in memory at once.
+        steady = [
+            np.clip(drift.remove(image.astype(np.float32)), 0, 255).astype(np.float16)
+            for image, drift in zip(images, drifts, strict=True)
+        ]
+        count = np.sum(seen, axis=0)
+        level = median_where_seen(steady, seen)
+        if not count.all():
+            anyhow = median_where_seen(steady, everywhere)
+            level = np.where(count[..., None] > 0, level, anyhow)
     rarely = np.asarray(count < MIN_SEEN)
     if mask is not None:
         rarely &= mask
@@ -120,26 +128,3 @@ def background_from_presses(
             "spread over the gel"
         )
     return level
-
-
-def _median(
-    images: Sequence[np.ndarray],
-    drifts: Sequence[LightDrift | None],
-    seen: Sequence[np.ndarray | None],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Median of the drift-free images over the frames that see a pixel, and how many do."""
-    steady = [
-        image if drift is None else np.clip(drift.remove(image.astype(np.float32)), 0, 255)
-        for image, drift in zip(images, drifts, strict=True)
-    ]
-    # Half precision is a sixteenth of a level, and all presses are in memory at once.
-    steady = [np.asarray(image, np.float16) for image in steady]
-    always = np.ones(images[0].shape[:2], dtype=bool)
-    shown = [always if where is None else where for where in seen]
-    result = median_where_seen(steady, shown)
-    count = np.sum(shown, axis=0)
-    if not count.all():
-        result = np.where(
-            count[..., None] > 0, result, median_where_seen(steady, [always] * len(steady))
-        )
-    return result, count

@@ -41,8 +41,7 @@ def calibrate_markers(
         base: Profile of the sensor, for what pixels look at.
 
     Raises:
-        InputError: No picture, none at rest, no dots, dots in no lattice, or frames of another
-            size.
+        InputError: No picture, none at rest, no dots on a lattice, or frames of another size.
     """
     markers = folder.markers
     progress("finding the dots", 0, 1)
@@ -52,11 +51,6 @@ def calibrate_markers(
     with naming(rest.source):
         picture = find_markers(image)
     progress("finding the dots", 1, 1)
-    if picture.layout_px is None:
-        raise InputError(
-            f"{rest.source}: the {picture.dots.count} dots form no lattice; a markers block "
-            "describes square, rectangular or hexagonal grids"
-        )
     height, width = image.shape[:2]
     chosen = choose_view(folder, base, picture.layout_px, (width, height))
     layout_mm = layout_on_gel(picture, chosen.view)
@@ -104,8 +98,6 @@ def layout_on_gel(picture: MarkerPicture, view: PixelView) -> LayoutFit:
     finite = np.isfinite(points).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
     on_gel = np.asarray(finite)
     covariance = np.einsum("nij,njk,nlk->nil", jacobian, dots.covariance_px2, jacobian)
-    if picture.layout_px is None:
-        raise InputError("dots in no lattice have no layout")
     missing = np.zeros((lattice.rows, lattice.columns), dtype=bool)
     for row, column in picture.layout_px.missing:
         missing[row, column] = True

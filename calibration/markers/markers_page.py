@@ -89,8 +89,6 @@ def _counts(figures: dict[str, Any]) -> list[list[Any]]:
     rows = [[key, figures[key]] for key in keys]
     rows.append(["missing", ", ".join(f"{r},{c}" for r, c in figures["missing"]) or "none"])
     rows.append(["skew [deg]", figures["skew_deg"]])
-    if "pitch_px" in figures:
-        rows.append(["pitch x [px]", figures["pitch_px"][0]])
-        rows.append(["pitch y [px]", figures["pitch_px"][1]])
+    rows += [[f"pitch {axis} [px]", px] for axis, px in zip("xy", figures["pitch_px"], strict=True)]
     rows += [[key, value] for key, value in figures["residuals"].items()]
     return rows

@@ -25,8 +25,14 @@ from taccel_lab.report.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
+_KINDS = (
+    (DotFlag.ODD, "unlike the rest", ORANGE),
+    (DotFlag.MERGED, "touches another", PURPLE),
+    (DotFlag.CUT, "cut by the border", BLUE),
+    (None, "dot", GREEN),
+)
+"""Flag, words and colour, the first that applies."""
 _MANY = 120
 """Dots above which only the outermost carry their numbers."""
 
@@ -34,40 +40,32 @@ _MANY = 120
 @in_report_style
 def draw_dots(result: MarkerCalibration) -> Figure:
     """The picture at rest with every dot's ellipse and number."""
-    from matplotlib.patches import Ellipse
+    from matplotlib.collections import EllipseCollection
 
     dots, lattice = result.picture.dots, result.picture.lattice
     figure, ax = _over(result.image)
     direction = model.major_direction(dots.parameters)
-    colors = {"plain": GREEN, "cut": BLUE, "merged": PURPLE, "odd": ORANGE}
-    shown = set()
-    for n in range(dots.count):
-        kind = _kind(int(dots.flags[n]))
-        shown.add(kind)
-        ax.add_patch(
-            Ellipse(
-                tuple(dots.uv_px[n]),
-                2 * dots.axes_px[n, 0],
-                2 * dots.axes_px[n, 1],
-                angle=float(np.degrees(np.arctan2(direction[n, 1], direction[n, 0]))),
-                fill=False,
-                edgecolor=colors[kind],
-                linewidth=1.1,
-            )
-        )
-        edge = lattice.row[n] == 0 or lattice.column[n] == 0
-        if lattice.row[n] >= 0 and (dots.count <= _MANY or edge):
-            _label(ax, dots.uv_px[n], dots.axes_px[n, 0], f"{lattice.row[n]},{lattice.column[n]}")
-    if result.picture.layout_px is not None and result.layout_mm.missing:
+    turn_deg = np.degrees(np.arctan2(direction[:, 1], direction[:, 0]))
+    longer, shorter = 2 * dots.axes_px.T
+    drawn = np.zeros(dots.count, dtype=bool)
+    for flag, label, color in _KINDS:
+        these = ~drawn & (dots.whole if flag is None else dots.flagged(flag))
+        drawn |= these
+        if these.any():
+            ellipses = EllipseCollection(
+                longer[these], shorter[these], turn_deg[these], units="xy",
+                offsets=dots.uv_px[these], offset_transform=ax.transData,
+                facecolors="none", edgecolors=color, linewidths=1.1,
+            )  # fmt: skip
+            ax.add_collection(ellipses)
+            ax.plot([], [], "o", ms=7, mfc="none", mec=color, mew=1.3, label=label)
+    edge = (lattice.row == 0) | (lattice.column == 0)
+    for n in np.flatnonzero(lattice.numbered & (edge | (dots.count <= _MANY))):
+        _label(ax, dots.uv_px[n], dots.axes_px[n, 0], f"{lattice.row[n]},{lattice.column[n]}")
+    if result.layout_mm.missing:
         places = result.picture.layout_px.place(*np.array(result.layout_mm.missing).T)
         ax.plot(places[:, 0], places[:, 1], "x", color=ORANGE, ms=7, mew=1.6)
-    handles = [_circle(colors[kind]) for kind in colors if kind in shown]
-    labels = [
-        {"plain": "dot", "cut": "cut by the border", "merged": "split", "odd": "unlike the rest"}[k]
-        for k in colors
-        if k in shown
-    ]
-    _legend_below(figure, handles, labels)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8)
     ax.set_title("dots at rest, with row and column")
     return figure
 
@@ -162,13 +160,6 @@ def _over(image: np.ndarray) -> tuple[Figure, Axes]:
     return figure, ax
 
 
-def _kind(flags: int) -> str:
-    for flag, name in ((DotFlag.ODD, "odd"), (DotFlag.MERGED, "merged"), (DotFlag.CUT, "cut")):
-        if flags & flag:
-            return name
-    return "plain"
-
-
 def _label(ax: Axes, uv: np.ndarray, radius: float, text: str) -> None:
     from matplotlib.patheffects import withStroke
 
@@ -184,13 +175,3 @@ def _label(ax: Axes, uv: np.ndarray, radius: float, text: str) -> None:
         path_effects=[withStroke(linewidth=1.4, foreground=INK)],
         annotation_clip=True,
     )
-
-
-def _circle(color: str) -> Line2D:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], ls="", marker="o", ms=7, mfc="none", mec=color, mew=1.3)
-
-
-def _legend_below(figure: Figure, handles: list, labels: list[str]) -> None:
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)

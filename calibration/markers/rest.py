@@ -86,7 +86,7 @@ def _find(markers: MarkerCaptures) -> MarkerRest:
             )
         return MarkerRest(markers.rest)
     stated = None if markers.rest is None else _dots_of(markers.rest.image())
-    pitch_px = _pitch_px(stated) or _first_pitch_px(markers.videos)
+    pitch_px = _first_pitch_px(markers.videos) if stated is None else _pitch_px(stated)
     if pitch_px is None:
         if markers.rest is None:
             raise InputError(f"{markers.videos[0].source}: no frame shows a lattice of dots")
@@ -102,22 +102,21 @@ def _find(markers: MarkerCaptures) -> MarkerRest:
 
 def _dots_of(image: np.ndarray) -> MarkerPicture | None:
     try:
-        found = find_markers(image)
+        return find_markers(image)
     except InputError:
         return None
-    return None if found.layout_px is None else found
 
 
-def _pitch_px(picture: MarkerPicture | None) -> float | None:
-    return None if picture is None or picture.layout_px is None else min(picture.layout_px.pitch)
+def _pitch_px(picture: MarkerPicture) -> float:
+    return min(picture.layout_px.pitch)
 
 
 def _first_pitch_px(videos: Sequence[Video]) -> float | None:
     """Of the first of a few frames that shows a lattice: it need not be exact."""
     for video in videos:
         for image in _spread_frames(video, range(video.frame_count), 3).values():
-            if (pitch := _pitch_px(_dots_of(image))) is not None:
-                return pitch
+            if (picture := _dots_of(image)) is not None:
+                return _pitch_px(picture)
     return None
 
 
@@ -166,9 +165,8 @@ def _frame_count(group: Sequence[_Candidate]) -> int:
 
 def _apart(a: MarkerPicture, b: MarkerPicture) -> float:
     """Median way from the dots of one picture to the nearest of the other, in pitches."""
-    pitch = _pitch_px(a)
     gaps_px = np.linalg.norm(a.dots.uv_px[:, None] - b.dots.uv_px[None], axis=2).min(axis=1)
-    return float(np.median(gaps_px)) / pitch if pitch else float("inf")
+    return float(np.median(gaps_px)) / _pitch_px(a)
 
 
 def unevenness(picture: MarkerPicture) -> tuple[float, int]:
@@ -181,7 +179,7 @@ def unevenness(picture: MarkerPicture) -> tuple[float, int]:
     dots, lattice, pitch = picture.dots, picture.lattice, _pitch_px(picture)
     whole = lattice.numbered & ~dots.flagged(DotFlag.CUT) & ~dots.flagged(DotFlag.MERGED)
     steps, uv = lattice.steps()[whole], dots.uv_px[whole]
-    if pitch is None or len(steps) == 0:
+    if len(steps) == 0:
         return float("nan"), 0
     steps = (steps - steps.mean(axis=0)) / max(float(np.abs(steps - steps.mean(axis=0)).max()), 1.0)
     x, y = steps.T
@@ -261,7 +259,7 @@ def _rest_of(
                 name=video_name(videos[rival.video]),
                 first=rival.stretch.first,
                 last=rival.stretch.last,
-                way_px=_apart(chosen.picture, rival.picture) * (_pitch_px(chosen.picture) or 0.0),
+                way_px=_apart(chosen.picture, rival.picture) * _pitch_px(chosen.picture),
             )
         )
     # Motion begins before it shows: not the ends of the stretch.
@@ -302,14 +300,13 @@ def _beside_stated(
     for number, video in enumerate(videos):
         own = [c for c in found if c.video == number]
         if own and not any(c.video == number for c in alike):
-            pitch = _pitch_px(picture) or 0.0
             remarks.append(
                 REST_DISAGREES(
                     rest=rest.name,
                     name=video_name(video),
                     first=own[0].stretch.first,
                     last=own[0].stretch.last,
-                    way_px=_apart(picture, own[0].picture) * pitch,
+                    way_px=_apart(picture, own[0].picture) * _pitch_px(picture),
                 )
             )
     return MarkerRest(rest, tuple(remarks), _starts(videos, alike))

@@ -84,9 +84,8 @@ class MarkerCalibration(ResultSummary):
         left = {
             "grid_rms_mm": self.layout_mm.residual_rms,
             "dot_sigma_px": float(np.median(dots.sigma_px)),
+            "grid_rms_px": self.picture.layout_px.residual_rms,
         }
-        if self.picture.layout_px is not None:
-            left["grid_rms_px"] = self.picture.layout_px.residual_rms
         jitters = [v.figures.jitter_px for v in self.videos if v.figures.jitter_px is not None]
         returns = [
             v.figures.return_median_px
@@ -146,7 +145,7 @@ class MarkerCalibration(ResultSummary):
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
         dots, layout_px = self.picture.dots, self.picture.layout_px
-        found: dict[str, Any] = {
+        return {
             "source": self.source,
             "dots": dots.count,
             "dark": dots.scale.sign < 0,
@@ -163,8 +162,6 @@ class MarkerCalibration(ResultSummary):
             "estimates": {name: found.figures() for name, found in self.estimates().items()},
             "residuals": self.residuals(),
             "videos": [video.figures.as_dict() for video in self.videos],
+            "pitch_px": list(layout_px.pitch),
+            "pitch_sigma_px": [layout_px.sigma(PITCH_X), layout_px.sigma(PITCH_Y)],
         }
-        if layout_px is not None:
-            found["pitch_px"] = list(layout_px.pitch)
-            found["pitch_sigma_px"] = [layout_px.sigma(PITCH_X), layout_px.sigma(PITCH_Y)]
-        return found

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks as files: JSON, NumPy's npz, or one CSV row a marker and frame."""
+"""Tracks as files: NumPy's npz, or one CSV row a marker and frame."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.atomic_file import atomic_file
 
-SUFFIXES = (".json", ".npz", ".csv")
+SUFFIXES = (".npz", ".csv")
 
 
 def require_track_file(path: Path) -> None:
@@ -30,12 +30,10 @@ def write_tracks(
     """Write the tracks of all videos, by name, with their flow in millimetres; the suffix says how.
 
     Raises:
-        InputError: Another suffix than .json, .npz and .csv.
+        InputError: Another suffix than .npz and .csv.
     """
     require_track_file(path)
-    if path.suffix == ".json":
-        write_json(path, {"videos": [_as_dict(n, t, flows[n]) for n, t in tracks.items()]})
-    elif path.suffix == ".npz":
+    if path.suffix == ".npz":
         arrays = {}
         for number, (name, track) in enumerate(tracks.items()):
             prefix = f"video{number}_"
@@ -74,17 +72,6 @@ def _arrays(track: MarkerTracks, flow: MarkerFlow) -> dict[str, np.ndarray]:
     if flow.time_s is not None:
         arrays["time_s"] = flow.time_s
     return arrays
-
-
-def _as_dict(name: str, track: MarkerTracks, flow: MarkerFlow) -> dict[str, Any]:
-    found: dict[str, Any] = {"name": name, "status_names": [s.name.lower() for s in TrackStatus]}
-    for key, value in _arrays(track, flow).items():
-        if value.dtype.kind == "f":
-            rounded = value.round(5).astype(object)
-            rounded[~np.isfinite(value)] = None  # JSON has no NaN
-            value = rounded
-        found[key] = value.tolist()
-    return found
 
 
 def _rows(name: str, track: MarkerTracks, flow: MarkerFlow) -> list[list[Any]]:

@@ -16,7 +16,7 @@ from taccel_lab.calibration.material.indentation_points import (
 )
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
-from taccel_lab.calibration.material.stiffness import KnownLaw, fit_stiffness
+from taccel_lab.calibration.material.stiffness import fit_stiffness
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -49,14 +49,12 @@ def calibrate_material(
             "indentation (docs/captures.md), or presses with depth_mm and force_n"
         )
     started = time.perf_counter()
-    law = KnownLaw(
-        options.fixed.get("nu", base.material.poisson_ratio),
-        options.fixed.get("mooney_ratio", gel.material.mooney_ratio),
-        "nu" not in options.fixed,
-        gel.material.model == "mooney_rivlin" and "mooney_ratio" not in options.fixed,
+    free_nu = "nu" not in options.fixed
+    pressed = gel.with_law(
+        options.fixed.get("nu", base.material.poisson_ratio), options.fixed.get("mooney_ratio")
     )
-    start, remarks = require_plausible(points, gel.thickness_mm, law.poisson_ratio)
-    pressed = gel.with_law(law.poisson_ratio, law.mooney_ratio)
+    nu = pressed.material.poisson_ratio
+    start, remarks = require_plausible(points, gel.thickness_mm, nu)
     tables: dict[float, list[ForceTable]] = {}
     for mu in _press_frictions(base, options):
         try:
@@ -65,8 +63,7 @@ def calibrate_material(
                     pressed,
                     item.tool,
                     (float(item.depth_mm.min()), item.deepest_mm),
-                    free_nu=law.free_nu,
-                    free_ratio=law.free_ratio,
+                    free_nu=free_nu,
                     friction=mu,
                     progress=progress,
                 )
@@ -76,7 +73,12 @@ def calibrate_material(
             if not tables:
                 raise
     found = fit_stiffness(
-        points, tables, law, start_pa=start, touch_sigma_mm=options.touch_sigma_mm
+        points,
+        tables,
+        poisson_ratio=nu,
+        free_nu=free_nu,
+        start_pa=start,
+        touch_sigma_mm=options.touch_sigma_mm,
     )
     inputs = {item.name: item.sha256 for item in points}
     if folder.provenance.get("manifest_sha256"):
@@ -84,12 +86,12 @@ def calibrate_material(
     estimates = {
         "young_modulus_pa": None if "e" in options.fixed else found.young,
         "poisson_ratio": found.nu,
-        "mooney_ratio": found.ratio,
     }
     return MaterialCalibration(
         source=source_of(folder.provenance, folder.source),
         license=folder.provenance.get("license", ""),
         model=gel.material.model,
+        mooney_ratio=pressed.material.mooney_ratio,
         estimates={name: value for name, value in estimates.items() if value is not None},
         physics=options.physics,
         stiffness=found,

@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated force over depth, Poisson's ratio and law, as a smooth function with its own error.
+"""Simulated force over depth and Poisson's ratio, as a smooth function with its own error.
 
 Each force is that of a press as ``taccel-lab press`` simulates it: the mesh of its own depth, the
-same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu) (and of the
-Mooney ratio), in which forces are nearly polynomial up to incompressibility: with four nodes over
-nu 0.30 to 0.499 they are met to 0.03 %, with five to 0.005 % (a ball of 7.5 mm, 0.4 mm deep in the
-GelSight Mini's gel). Presses between the nodes measure the error of the table; that of the mesh is
-what such presses keep to.
+same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 2 nu), in which
+forces are nearly polynomial up to incompressibility: with four nodes over nu 0.30 to 0.499 they
+are met to 0.03 %, with five to 0.005 % (a ball of 7.5 mm, 0.4 mm deep in the GelSight Mini's gel).
+Over the depth a cubic spline goes through them. Presses between the nodes measure the error of the
+table; that of the mesh is what such presses keep to.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1
+from scipy.interpolate import CubicSpline
 
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.calibration.material.gel_presses import GelBench
-from taccel_lab.calibration.material.interpolation import ParameterAxis, ResponseTable
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PressPath
@@ -27,7 +29,7 @@ from taccel_lab.progress import Progress, silent
 
 NU_RANGE = (0.30, 0.499)
 """Poisson's ratios that a free fit may take."""
-NU_NODES, RATIO_NODES = 4, 3
+NU_NODES = 4
 DEPTHS = 7
 SHALLOWEST = 0.08
 """Least simulated depth as a part of the deepest; below, force grows with depth as in Hertz'
@@ -36,7 +38,6 @@ _GRID = 1.1
 """Depth ranges are rounded outwards to powers of this, so that similar records share a table."""
 _CHECK_NU = 0.4775
 """Between the nodes, where gels are."""
-_CHECK_RATIO = 0.3
 
 
 @dataclass(frozen=True)
@@ -57,61 +58,64 @@ class TableError:
 
 @dataclass(frozen=True)
 class ForceTable:
-    """Force of a gel of 1 Pa over depth, Poisson's ratio and Mooney ratio."""
+    """Force of a gel of 1 Pa over depth and Poisson's ratio."""
 
     exponent: float
     """Power of the depth that is taken out of the force: 1.5 of a ball, 1 of a flat end."""
-    responses: ResponseTable
-    """ln(F / depth^exponent) over Mooney ratio, Poisson's ratio and ln depth."""
+    nu: np.ndarray
+    """Poisson's ratios of the presses, rising, shape [node]; one where it is held."""
+    depth_mm: np.ndarray
+    """Rising, shape [depth]."""
+    log_reduced: np.ndarray
+    """ln(F / depth^exponent), shape [node, depth]."""
     error: TableError
+    nu_range: tuple[float, float]
+    """Poisson's ratios that the table holds for; equal where it is held."""
     seconds: float = 0.0
     """What the simulations took, whenever that was."""
     press_count: int = 0
 
-    @property
-    def nu_range(self) -> tuple[float, float]:
-        """Poisson's ratios of the table; equal where it is held."""
-        return self.responses.second.low, self.responses.second.high
+    @cached_property
+    def _splines(self) -> tuple[CubicSpline, CubicSpline]:
+        """Over ln depth, the coefficients of a polynomial in s, [power]; and their slopes."""
+        powers = np.vander(np.sqrt(1 - 2 * self.nu), increasing=True)
+        coefficients = np.linalg.solve(powers, self.log_reduced)
+        spline = CubicSpline(np.log(self.depth_mm), coefficients, axis=1)
+        return spline, spline.derivative()
 
     def log_force(
-        self, depth_mm: np.ndarray, poisson_ratio: float, mooney_ratio: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """ln F of a gel of 1 Pa at depths > 0, and its derivatives by depth [1/mm], nu and ratio.
-
-        All of shape [point].
-        """
-        log = np.log(depth_mm)
-        value, by_ratio, by_nu, by_log = self.responses.at(mooney_ratio, poisson_ratio, log)
-        return (
-            value + self.exponent * log,
-            (by_log + self.exponent) / depth_mm,
-            by_nu,
-            by_ratio,
-        )
+        self, depth_mm: np.ndarray, poisson_ratio: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """ln F of a gel of 1 Pa at depths > 0, and its derivatives by depth [1/mm] and nu, all of
+        shape [point]; beyond the table's depths only the power of the depth goes on."""
+        spline, slope = self._splines
+        log, ends = np.log(depth_mm), np.log(self.depth_mm[[0, -1]])
+        within = np.clip(log, *ends)
+        of_s, along = spline(within), np.where(within == log, slope(within), 0.0)
+        s, power = math.sqrt(1 - 2 * poisson_ratio), np.arange(len(self.nu))
+        by_s = power[1:] * s ** power[:-1]
+        value = s**power @ of_s + self.exponent * log
+        return value, (s**power @ along + self.exponent) / depth_mm, by_s @ of_s[1:] / -s
 
     def force_n(
-        self,
-        depth_mm: np.ndarray,
-        young_modulus_pa: float,
-        poisson_ratio: float,
-        mooney_ratio: float = 0.0,
+        self, depth_mm: np.ndarray, young_modulus_pa: float, poisson_ratio: float
     ) -> np.ndarray:
         """Force [N] at depths [mm]; none above the gel."""
         depth = np.asarray(depth_mm, dtype=float)
         force = np.zeros_like(depth)
         inside = depth > 0
         if inside.any():
-            log = self.log_force(depth[inside], poisson_ratio, mooney_ratio)[0]
+            log = self.log_force(depth[inside], poisson_ratio)[0]
             force[inside] = young_modulus_pa * np.exp(log)
         return force
 
 
-def free_nu_range(largest_ratio: float) -> tuple[float, float]:
-    """Poisson's ratios that a fit may take beside Mooney ratios up to the largest.
+def free_nu_range(mooney_ratio: float) -> tuple[float, float]:
+    """Poisson's ratios that a fit may take beside a Mooney ratio.
 
     Mooney and Rivlin's law needs nu >= r / (1 + 2 r) (``ipc.elasticity.mooney_rivlin``).
     """
-    least = math.ceil(1e3 * (largest_ratio / (1 + 2 * largest_ratio) + 0.001)) * 1e-3
+    least = math.ceil(1e3 * (mooney_ratio / (1 + 2 * mooney_ratio) + 0.001)) * 1e-3
     return max(NU_RANGE[0], least), NU_RANGE[1]
 
 
@@ -121,18 +125,16 @@ def force_table(
     depth_range_mm: tuple[float, float],
     *,
     free_nu: bool = True,
-    free_ratio: bool = True,
     friction: float = 0.0,
     progress: Progress = silent,
 ) -> ForceTable:
     """Simulate the presses of a table, or take it from the cache.
 
     Args:
-        gel: The pad, and what of its law is not to be fitted.
+        gel: The pad and its law; its Poisson's ratio where that is not to be fitted.
         tool: What comes down, and where.
         depth_range_mm: Depths of the record; the table reaches a little deeper.
         free_nu: Whether Poisson's ratio is to be fitted; else one press suffices.
-        free_ratio: Whether the Mooney ratio is, of the law that has one.
         friction: Between tool and gel.
         progress: Told how many presses are done, and of how many.
 
@@ -142,15 +144,12 @@ def force_table(
     """
     depths = _depths(depth_range_mm)
     _require_depth(gel, depths[-1], depth_range_mm[1])
-    axes = _axes(gel, free_nu, free_ratio and gel.material.model == "mooney_rivlin")
-    counts = (RATIO_NODES, NU_NODES)
-    ratios, nus = (axis.nodes(count) for axis, count in zip(axes, counts, strict=True))
-    gels = [gel.with_law(float(nu), float(ratio)) for ratio in ratios for nu in nus]
-    free = not all(axis.held for axis in axes)
-    check_ratio = axes[0].low if axes[0].held else _CHECK_RATIO
-    check_nu = axes[1].low if axes[1].held else _CHECK_NU
-    if free:
-        gels.append(gel.with_law(check_nu, check_ratio))
+    nu = gel.material.poisson_ratio
+    within = free_nu_range(gel.material.mooney_ratio) if free_nu else (nu, nu)
+    nus = _nodes(*within, NU_NODES) if free_nu else np.array([nu])
+    gels = [gel.with_law(each) for each in nus.tolist()]
+    if free_nu:
+        gels.append(gel.with_law(_CHECK_NU))
     task = f"presses of {tool.description}" + (f", friction {friction:g}" if friction else "")
     rows: list[list[dict[str, np.ndarray]]] = []
     total = len(depths) * len(gels)
@@ -164,27 +163,28 @@ def force_table(
     exponent = 1.5 if tool.kind == "sphere" else 1.0
     forces = np.array([[item["force_n"][0] for item in row] for row in rows]).T
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
-    at_nodes = reduced[: len(ratios) * len(nus)].reshape(len(ratios), len(nus), len(depths))
-    responses = ResponseTable.through(*axes, np.log(depths), at_nodes)
-    between = responses.at(check_ratio, check_nu, np.log(depths)).value
-    return ForceTable(
+    mesh = _press_errors(gel, tool, depths, friction) / NORMAL_95
+    table = ForceTable(
         exponent=exponent,
-        responses=responses,
-        error=TableError(
-            float(np.abs(reduced[-1] - between).max()) if free else 0.0,
-            _press_errors(gel, tool, depths, friction) / NORMAL_95,
-        ),
+        nu=nus,
+        depth_mm=depths,
+        log_reduced=reduced[: len(nus)],
+        error=TableError(0.0, mesh),
+        nu_range=within,
         seconds=float(sum(item["seconds"] for row in rows for item in row)),
         press_count=len(gels) * len(depths),
     )
+    if not free_nu:
+        return table
+    off = table.log_force(depths, _CHECK_NU)[0] - exponent * np.log(depths) - reduced[-1]
+    return replace(table, error=TableError(float(np.abs(off).max()), mesh))
 
 
-def _axes(gel: Gel, free_nu: bool, free_ratio: bool) -> tuple[ParameterAxis, ParameterAxis]:
-    """Of the Mooney ratio and of Poisson's ratio."""
-    nu, ratio = gel.material.poisson_ratio, gel.material.mooney_ratio
-    ratios = (0.0, 1.0) if free_ratio else (ratio, ratio)
-    nus = free_nu_range(ratios[1]) if free_nu else (nu, nu)
-    return ParameterAxis(*ratios), ParameterAxis(*nus, "compressibility")
+def _nodes(low: float, high: float, count: int) -> np.ndarray:
+    """Poisson's ratios at the Chebyshev nodes of sqrt(1 - 2 nu) between two, rising."""
+    least, most = math.sqrt(1 - 2 * high), math.sqrt(1 - 2 * low)
+    s = 0.5 * (most + least) + 0.5 * (most - least) * chebpts1(count)[::-1]
+    return 0.5 * (1 - s**2)
 
 
 def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray, friction: float) -> np.ndarray:

@@ -79,9 +79,10 @@ class Gel:
             physics,
         )
 
-    def with_law(self, poisson_ratio: float, mooney_ratio: float = 0.0) -> Gel:
-        """The same pad of another Poisson's ratio and Mooney ratio."""
-        material = self.material.replace(poisson_ratio=poisson_ratio, mooney_ratio=mooney_ratio)
+    def with_law(self, poisson_ratio: float, mooney_ratio: float | None = None) -> Gel:
+        """The same pad of another Poisson's ratio, and another Mooney ratio unless None."""
+        ratio = self.material.mooney_ratio if mooney_ratio is None else mooney_ratio
+        material = self.material.replace(poisson_ratio=poisson_ratio, mooney_ratio=ratio)
         return replace(self, material=material)
 
     def unit_material(self) -> MaterialBlock:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Young's modulus, Poisson's ratio and the Mooney ratio from force-depth points.
+"""Young's modulus and Poisson's ratio from force-depth points.
 
 Each press has a touch point of its own, a nuisance parameter: force sensors and eyes find first
 touch to a few hundredths of a millimetre, which at shallow depth is several per cent of the force.
@@ -29,7 +29,7 @@ from taccel_lab.calibration.material.likelihood import (
 )
 from taccel_lab.calibration.result import NORMAL_95
 
-LAW_NAMES = ("ln_e", "nu", "mooney_ratio")
+LAW_NAMES = ("ln_e", "nu")
 """Parameters of the law; the others are of single presses."""
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
 """How well first touch is known where a record has few points [mm]. A ball shows no force at first:
@@ -43,15 +43,10 @@ LOOSE_POINTS = 3
 TOUCH_LIMIT_MM = 0.5
 SMALL_FORCE = 0.05
 """Noise that grows with the force does not fall below this part of the largest one."""
-USUAL_NOISE = {"proportional": 0.015, "constant": 0.005}
-"""Scatter of readings that is usual, as a part of the force or of the largest one: what a record of
-few points is taken to have, see ``likelihood``."""
+USUAL_NOISE = 0.015
+"""Scatter of readings that is usual, as a part of the force: what a record of few points has,
+see ``likelihood``."""
 USUAL_COUNT = 2.0
-MIN_FOR_NOISE = 8
-"""Points from which the kind of noise (constant or proportional) is chosen by likelihood."""
-CLEARLY = 3.84
-"""By how much Q has to speak for a constant noise: taken wrongly, it is too small at the largest
-forces, where it matters."""
 NO_DEPTH_MM = 1e-4
 """A tool that has not touched yet is taken to be this deep."""
 GEL_NU = (0.40, 0.499)
@@ -64,10 +59,9 @@ class PressForces:
 
     tables: Sequence[ForceTable]
     names: Sequence[str]
-    """Of the parameters: ``ln_e``, ``nu``, ``mooney_ratio``, ``touch_<i>``, ``zero_<i>``."""
+    """Of the parameters: ``ln_e``, ``nu``, ``touch_<i>``, ``zero_<i>``."""
     poisson_ratio: float
     """Where it is not free."""
-    mooney_ratio: float
 
     def log_force(
         self, theta: np.ndarray, index: int, depth_mm: np.ndarray, recorded: bool = True
@@ -76,17 +70,12 @@ class PressForces:
         parameter], at depths as a press's record counts them, or from first touch."""
         place = {name: i for i, name in enumerate(self.names)}
         nu = theta[place["nu"]] if "nu" in place else self.poisson_ratio
-        ratio = theta[place["mooney_ratio"]] if "mooney_ratio" in place else self.mooney_ratio
         touch = place.get(f"touch_{index}") if recorded else None
         depth = depth_mm if touch is None else depth_mm - theta[touch]
-        log, by_depth, by_nu, by_ratio = self.tables[index].log_force(
-            np.maximum(depth, NO_DEPTH_MM), nu, ratio
-        )
+        log, by_depth, by_nu = self.tables[index].log_force(np.maximum(depth, NO_DEPTH_MM), nu)
         slopes = np.zeros((len(log), len(theta)))
         if "nu" in place:
             slopes[:, place["nu"]] = by_nu
-        if "mooney_ratio" in place:
-            slopes[:, place["mooney_ratio"]] = by_ratio
         if touch is not None:
             slopes[:, touch] = np.where(depth > NO_DEPTH_MM, -by_depth, 0.0)
         return log, slopes
@@ -119,15 +108,14 @@ class IndentationFit:
     """What force-depth points say about the gel."""
 
     solution: Solution
-    """Parameters ``ln_e``, ``nu`` and ``mooney_ratio`` where free, ``touch_<i>``; ``zero_<i>``,
-    what is left of the load cell's zero [N], of records whose rows in air tell it."""
+    """Parameters ``ln_e``, ``nu`` where free, ``touch_<i>``; ``zero_<i>``, what is left of the load
+    cell's zero [N], of records whose rows in air tell it."""
     poisson_ratio: float
-    mooney_ratio: float
     points: tuple[IndentationPoints, ...]
     tables: tuple[ForceTable, ...]
     model: PressForces
     noise: str
-    """``given``, ``constant`` or ``proportional``."""
+    """``given`` by the records, or ``proportional`` to the force."""
     misfit: float
     """Q of the likelihood, to compare fits of the same points."""
     likelihood: Likelihood
@@ -176,12 +164,8 @@ class IndentationFit:
 
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
         """Forces of the fit [N] at recorded depths of one press."""
-        return self.tables[index].force_n(
-            np.asarray(depth_mm) - self.touch_mm(index),
-            self.young_modulus_pa,
-            self.poisson_ratio,
-            self.mooney_ratio,
-        )
+        past = np.asarray(depth_mm) - self.touch_mm(index)
+        return self.tables[index].force_n(past, self.young_modulus_pa, self.poisson_ratio)
 
     def noise_n(self, index: int, force_n: float, scale: Sequence[float] | None = None) -> float:
         """Standard deviation of a reading of a force [N]; ``scale`` is that of ``Solution``."""
@@ -190,9 +174,6 @@ class IndentationFit:
         if self.noise == "given":
             assert item.sigma_n is not None
             return scales[index] * float(np.median(item.sigma_n))
-        largest = max(float(np.abs(p.force_n).max()) for p in self.points)
-        if self.noise == "constant":
-            return scales[0] * largest
         return scales[0] * max(force_n, SMALL_FORCE * float(item.force_n.max()))
 
     def relative_residuals(self, index: int) -> np.ndarray:
@@ -207,9 +188,7 @@ def fit_indentation(
     *,
     start_pa: float,
     poisson_ratio: float,
-    mooney_ratio: float = 0.0,
     free_nu: bool = True,
-    free_ratio: bool = False,
     nu_range: tuple[float, float] | None = None,
     touch_sigma_mm: float | Sequence[float] | None = None,
     profiled: Sequence[str] | None = None,
@@ -222,9 +201,7 @@ def fit_indentation(
         tables: Simulated forces of each press.
         start_pa: Young's modulus to begin with [Pa].
         poisson_ratio: Fixed, or to begin with.
-        mooney_ratio: The same of c01 / (c10 + c01).
         free_nu: Whether Poisson's ratio is fitted.
-        free_ratio: Whether the Mooney ratio is.
         touch_sigma_mm: How well first touch is known, one or one a press; by ``touch_sigma`` when
             None.
         nu_range: Poisson's ratios that a free one may take; those of the tables when None.
@@ -243,9 +220,6 @@ def fit_indentation(
             low, high = max(low, nu_range[0]), min(high, nu_range[1])
         start = min(max(poisson_ratio, low + 0.1 * (high - low)), high - 0.02 * (high - low))
         parameters.append(FittedParameter("nu", start, low, high, 0.02))
-    if free_ratio:
-        start = min(max(mooney_ratio, 0.05), 0.95)
-        parameters.append(FittedParameter("mooney_ratio", start, 0.0, 1.0, 0.2))
     for i, sigma in enumerate(touch):
         if sigma > 0:
             parameters.append(
@@ -266,48 +240,31 @@ def fit_indentation(
                 FittedParameter(f"zero_{i}", 0.0, -8 * sigma, 8 * sigma, sigma, prior_sigma=sigma)
             )
     names = [p.name for p in parameters]
-    model = PressForces(tables, names, poisson_ratio, mooney_ratio)
-    count = sum(len(item.depth_mm) for item in points)
-    kinds = _noise_kinds(points)
-    largest = max(float(np.abs(item.force_n).max()) for item in points)
-    best: tuple[str, Likelihood] | None = None
-    lowest = math.inf
-    for kind in kinds:
-        weights = [_weights(item, kind, largest) for item in points]
-        groups = [CurveGroup(len(item.depth_mm), True) for item in points]
-        penalty = 0.0
-        if kind != "given":
-            usual = USUAL_NOISE[kind]
-            groups = [CurveGroup(count, False, usual, USUAL_COUNT)]
-            # Weights and the usual noise are part of the likelihood of a kind of noise.
-            dof = max(count - sum(p.prior_sigma is None or p.loose for p in parameters), 0)
-            dof += USUAL_COUNT
-            penalty = 2 * dof / count * float(np.log(np.concatenate(weights)).sum())
-            penalty -= USUAL_COUNT * math.log(USUAL_COUNT * usual**2)
-            penalty += CLEARLY if kind == "constant" else 0.0
-        likelihood = Likelihood(
-            parameters,
-            groups,
-            lambda theta, weights=weights: model.residuals(theta, points, weights),
-        )
-        value = likelihood.q(likelihood.solve(profiled=()).values) + penalty
-        if best is None or value < lowest:
-            best, lowest = (kind, likelihood), value
-    assert best is not None
-    solution = best[1].solve(profiled, drawn)
+    model = PressForces(tables, names, poisson_ratio)
+    noise = "given" if all(item.sigma_n is not None for item in points) else "proportional"
+    groups = [CurveGroup(len(item.depth_mm), True) for item in points]
+    weights = [item.sigma_n for item in points if item.sigma_n is not None]
+    if noise == "proportional":
+        count = sum(len(item.depth_mm) for item in points)
+        groups = [CurveGroup(count, False, USUAL_NOISE, USUAL_COUNT)]
+        # Standard deviations up to a common factor.
+        size = [np.abs(item.force_n) for item in points]
+        weights = [np.maximum(force, SMALL_FORCE * force.max()) for force in size]
+    likelihood = Likelihood(
+        parameters, groups, lambda theta: model.residuals(theta, points, weights)
+    )
+    solution = likelihood.solve(profiled, drawn)
     nu = solution.value("nu") if free_nu else poisson_ratio
-    ratio = solution.value("mooney_ratio") if free_ratio else mooney_ratio
     return IndentationFit(
         solution,
         nu,
-        ratio,
         tuple(points),
         tuple(tables),
         model,
-        best[0],
-        lowest,
-        best[1],
-        _model_errors(best[1], solution, points, tables),
+        noise,
+        likelihood.q(solution.values),
+        likelihood,
+        _model_errors(likelihood, solution, points, tables),
     )
 
 
@@ -342,22 +299,3 @@ def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
         return given_mm
     many = len(np.unique(item.depth_mm)) >= MANY_POINTS
     return LOOSE_TOUCH_SIGMA_MM if many else TOUCH_SIGMA_MM[item.tool.kind]
-
-
-def _noise_kinds(points: Sequence[IndentationPoints]) -> list[str]:
-    if all(item.sigma_n is not None for item in points):
-        return ["given"]
-    if sum(len(item.depth_mm) for item in points) >= MIN_FOR_NOISE:
-        return ["constant", "proportional"]
-    return ["proportional"]
-
-
-def _weights(item: IndentationPoints, kind: str, largest_n: float) -> np.ndarray:
-    """Standard deviations up to a common factor."""
-    force = np.abs(item.force_n)
-    if kind == "given":
-        assert item.sigma_n is not None
-        return item.sigma_n
-    if kind == "constant":
-        return np.full(len(force), largest_n)
-    return np.maximum(force, SMALL_FORCE * force.max())

@@ -58,7 +58,7 @@ def records_disagree(fit: IndentationFit, touches_mm: Sequence[float]) -> list[R
     alone = [
         fit_indentation(
             [item], [table], start_pa=fit.young_modulus_pa, poisson_ratio=fit.poisson_ratio,
-            mooney_ratio=fit.mooney_ratio, free_nu=False, touch_sigma_mm=touch, profiled=(),
+            free_nu=False, touch_sigma_mm=touch, profiled=(),
         )
         for item, table, touch in zip(fit.points, fit.tables, touches_mm, strict=True)
     ]  # fmt: skip

@@ -105,7 +105,6 @@ class Solution:
     """Of the groups whose noise is known."""
     misfit: bool
     """Whether known noise was scaled up to the residuals."""
-    dof: int
     quantile: float
     """Half width of a 95 % interval in standard deviations, see ``Likelihood.quantile``."""
     profiles: dict[str, Profile] = field(default_factory=dict)
@@ -286,7 +285,6 @@ class Likelihood:
             noise,
             per_dof,
             misfit,
-            likelihood.dof,
             likelihood.quantile,
             profiles,
         )

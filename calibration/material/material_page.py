@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 from taccel_lab.calibration.material.pictures import (
     draw_indentation,
     draw_profiles,
 )
+from taccel_lab.calibration.material.predicted_forces import HeldOut
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.report.page import Page, Picture, Table
 
@@ -40,15 +44,29 @@ def material_page(result: MaterialCalibration) -> Page:
         )
     ]
     stiffness = result.stiffness
-    pictures = []
     fit = stiffness.fit
-    pictures.append(
+    touches = ", ".join(
+        f"{item.name}: {fit.touch_mm(i):+.3f} mm "
+        f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
+        for i, item in enumerate(fit.points)
+        if f"touch_{i}" in fit.solution.names
+    )
+    pictures = [
         Picture(
             "indentation",
             partial(draw_indentation, stiffness),
-            "Forces, and what the fit leaves.",
-        )
-    )
+            f"Forces, and what the fit leaves. Noise: {fit.noise}; mesh and tables add "
+            f"{100 * fit.model_errors['ln_e']:.2g} % to Young's modulus (one standard deviation). "
+            f"First touch of {touches or 'no record is fitted'}.",
+        ),
+        Picture(
+            "profiles",
+            partial(draw_profiles, stiffness, open_held=bool(result.held())),
+            "Profile likelihood: the least misfit for each value of one parameter, all others "
+            "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
+            "means that the data do not tell.",
+        ),
+    ]
     if stiffness.held_out:
         tables.append(
             Table(
@@ -58,7 +76,7 @@ def material_page(result: MaterialCalibration) -> Page:
                 [
                     [fit.points[h.index].name, h.depth_mm, h.force_n, h.predicted_n,
                      100 * h.relative, *h.interval_n]
-                    for (h,) in _thinned(stiffness.held_out)
+                    for h in _thinned(stiffness.held_out)
                 ],
                 "What the fit is worth where it was not fitted; the interval is of a reading.",
             )
@@ -94,48 +112,6 @@ def material_page(result: MaterialCalibration) -> Page:
             "open: first touch, Poisson's ratio, friction, noise.",
         )
     )
-    tables.append(
-        Table(
-            "Residuals of the indentations",
-            ["record", "depth [mm]", "force [N]", "fit [N]", "fit − 1 [%]"],
-            [
-                [item.name, float(d), float(f), float(p), 100 * float(p / f - 1)]
-                for i, item in enumerate(fit.points)
-                for d, f, p in _thinned(
-                    item.depth_mm, item.force_n, fit.predicted_n(i, item.depth_mm)
-                )
-            ],
-            f"Noise: {fit.noise}; mesh and tables add "
-            f"{100 * fit.model_errors['ln_e']:.2g} % to Young's modulus (one standard "
-            "deviation). First touch of "
-            + ", ".join(
-                f"{item.name}: {fit.touch_mm(i):+.3f} mm "
-                f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
-                for i, item in enumerate(fit.points)
-                if f"touch_{i}" in fit.solution.names
-            )
-            + ".",
-        )
-    )
-    pictures.append(
-        Picture(
-            "profiles",
-            partial(draw_profiles, stiffness, open_held=bool(result.held())),
-            "Profile likelihood: the least misfit for each value of one parameter, all others "
-            "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
-            "means that the data do not tell.",
-        )
-    )
-    constants = result.mooney_rivlin_pa()
-    if constants:
-        tables.append(
-            Table(
-                "Constants of the law",
-                ["constant", "Pa"],
-                [[name.removesuffix("_pa"), value] for name, value in constants.items()],
-                "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
-            )
-        )
     found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
     return Page(
         title="Material of the gel",
@@ -147,9 +123,7 @@ def material_page(result: MaterialCalibration) -> Page:
     )
 
 
-def _thinned(*columns: Any, most: int = 12) -> list[tuple[Any, ...]]:
-    """At most ``most`` rows, evenly chosen."""
-    rows = list(zip(*columns, strict=True))
-    if len(rows) <= most:
-        return rows
-    return [rows[round(i * (len(rows) - 1) / (most - 1))] for i in range(most)]
+def _thinned(points: Sequence[HeldOut], most: int = 12) -> list[HeldOut]:
+    """At most ``most`` of them, evenly chosen."""
+    chosen = np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int)
+    return [points[i] for i in chosen]

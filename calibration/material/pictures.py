@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +29,6 @@ _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 _AXES = {
     "ln_e": "Young's modulus [kPa]",
     "nu": "Poisson's ratio",
-    "mooney_ratio": "Mooney ratio c01 / (c10 + c01)",
 }
 
 
@@ -86,10 +84,8 @@ def draw_profiles(stiffness: Stiffness, *, open_held: bool) -> Figure:
     free = stiffness.profiled.solution.profiles
     found = [(name, profile) for name, profile in free.items() if name in _AXES]
     held = stiffness.fit.solution.profiles["ln_e"] if open_held else None
-    columns = 2 if len(found) == 4 else min(len(found), 3)
-    rows = math.ceil(len(found) / columns)
-    figure, axes = new_figure(3.3 * columns + 0.4, 3.1 * rows, rows, columns, squeeze=False)
-    for axis, (name, profile) in zip(axes.flat, found, strict=False):
+    figure, axes = new_figure(3.3 * len(found) + 0.4, 3.1, 1, len(found), squeeze=False)
+    for axis, (name, profile) in zip(axes[0], found, strict=True):
         values = profile.values
         ends = np.array(profile.interval)
         if name == "ln_e":
@@ -111,8 +107,5 @@ def draw_profiles(stiffness: Stiffness, *, open_held: bool) -> Figure:
             note = "bounded on one side only"
         if note:
             axis.set_title(note, color=ORANGE, fontsize=9)
-    for axis in axes.flat[len(found) :]:
-        axis.set_visible(False)
-    for row in axes:
-        row[0].set_ylabel("−2 ln L above its least")
+    axes[0, 0].set_ylabel("−2 ln L above its least")
     return figure

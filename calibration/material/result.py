@@ -23,6 +23,8 @@ class MaterialCalibration(ResultSummary):
     source: str
     license: str
     model: str
+    mooney_ratio: float
+    """Of the law ``mooney_rivlin``; 0 of others."""
     estimates: Mapping[str, Estimate]
     """What the captures determine, by the name of the block's field."""
     physics: PressPhysics
@@ -38,18 +40,6 @@ class MaterialCalibration(ResultSummary):
         """Coefficient in the simulated presses."""
         return self.stiffness.friction
 
-    def mooney_rivlin_pa(self) -> dict[str, float]:
-        """c10, c01 and the bulk modulus of small strains [Pa]; c01 is 0 of other laws."""
-        if "young_modulus_pa" not in self.estimates:
-            return {}
-        e, nu = self.estimates["young_modulus_pa"].value, self.stiffness.fit.poisson_ratio
-        shear, ratio = e / (2 * (1 + nu)), self.stiffness.fit.mooney_ratio
-        return {
-            "c10_pa": 0.5 * shear * (1 - ratio),
-            "c01_pa": 0.5 * shear * ratio,
-            "bulk_modulus_pa": e / (3 * (1 - 2 * nu)),
-        }
-
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
         return {
@@ -58,7 +48,6 @@ class MaterialCalibration(ResultSummary):
             "estimates": {name: item.figures() for name, item in self.estimates.items()},
             "held": self.held(),
             "fitted_with": self.fitted_with().model_dump(exclude_none=True),
-            "constants": self.mooney_rivlin_pa(),
             "correlation": self.stiffness.correlation(),
             "residuals": self.stiffness.residuals(),
             "valid_region": self.stiffness.valid_region(),
@@ -72,8 +61,8 @@ class MaterialCalibration(ResultSummary):
         held = {"friction_coefficient": self.used_friction}
         if "poisson_ratio" not in self.estimates:
             held["poisson_ratio"] = self.stiffness.fit.poisson_ratio
-        if self.model == "mooney_rivlin" and "mooney_ratio" not in self.estimates:
-            held["mooney_ratio"] = self.stiffness.fit.mooney_ratio
+        if self.model == "mooney_rivlin":
+            held["mooney_ratio"] = self.mooney_ratio
         return held
 
     def fitted_with(self) -> FittedWith:

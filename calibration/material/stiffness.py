@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -40,19 +39,8 @@ USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of most gels, over which an unknown one is varied to say what it does to E."""
 PREDICTED = 5
 """Depths of each tool at which a predicted force is reported."""
-BLOCK_NAMES = {"ln_e": "young_modulus_pa", "nu": "poisson_ratio"}
 UNLIKELY = 3.84
 """Q above the least one from which a coefficient of friction is excluded by the points."""
-
-
-@dataclass(frozen=True)
-class KnownLaw:
-    """What is known of the law before the indentations."""
-
-    poisson_ratio: float
-    mooney_ratio: float
-    free_nu: bool
-    free_ratio: bool
 
 
 @dataclass(frozen=True)
@@ -82,7 +70,6 @@ class Stiffness:
     """Coefficient in the presses of ``fit``."""
     young: Estimate
     nu: Estimate | None
-    ratio: Estimate | None
     held_out: tuple[HeldOut, ...]
     remarks: tuple[Remark, ...]
 
@@ -165,21 +152,18 @@ class Stiffness:
         }
 
     def correlation(self) -> dict[str, float]:
-        """Of the parameters of the law, by their names in the block joined by ``*``."""
-        solution, found = self.fit.solution, {}
-        law = [(i, n) for i, n in enumerate(solution.names) if n in LAW_NAMES]
-        for (i, first), (j, second) in combinations(law, 2):
-            pair = f"{BLOCK_NAMES.get(first, first)}*{BLOCK_NAMES.get(second, second)}"
-            found[pair] = float(solution.correlation[i, j])
-        return found
+        """Of the law's parameters, by their names in the block; none where nu is held."""
+        solution = self.fit.solution
+        if "nu" not in solution.names:
+            return {}
+        i, j = map(solution.names.index, LAW_NAMES)
+        return {"young_modulus_pa*poisson_ratio": float(solution.correlation[i, j])}
 
     def predicted(self, index: int) -> list[Predicted]:
         """Forces of the tool of a record at depths up to its deepest."""
         fit = self.fit
         depths = fit.points[index].deepest_mm * np.linspace(0.2, 1.0, PREDICTED)
-        forces = fit.tables[index].force_n(
-            depths, fit.young_modulus_pa, fit.poisson_ratio, fit.mooney_ratio
-        )
+        forces = fit.tables[index].force_n(depths, fit.young_modulus_pa, fit.poisson_ratio)
         return [
             Predicted(
                 depth,
@@ -205,8 +189,9 @@ class Stiffness:
 def fit_stiffness(
     points: Sequence[IndentationPoints],
     tables: Mapping[float, Sequence[ForceTable]],
-    law: KnownLaw,
     *,
+    poisson_ratio: float,
+    free_nu: bool,
     start_pa: float,
     touch_sigma_mm: float | None = None,
 ) -> Stiffness:
@@ -216,7 +201,8 @@ def fit_stiffness(
         points: Presses.
         tables: Simulated forces of each press, by the coefficient of friction in them; where there
             are several, the points choose, and those that they do not exclude widen intervals.
-        law: What is known of the law.
+        poisson_ratio: Of the base, kept where it is not free or the points do not tell it.
+        free_nu: Whether the points may tell another one.
         start_pa: Young's modulus to begin with [Pa].
         touch_sigma_mm: How well first touch is known; by the number of points when None.
     """
@@ -225,8 +211,7 @@ def fit_stiffness(
     def fit(
         mu: float,
         nu: bool,
-        ratio: bool,
-        at: float = law.poisson_ratio,
+        at: float = poisson_ratio,
         within: tuple[float, float] | None = None,
         keep: Sequence[np.ndarray] | None = None,
         profiled: Sequence[str] | None = (),
@@ -234,31 +219,29 @@ def fit_stiffness(
     ) -> IndentationFit:
         kept = points if keep is None else [p.only(k) for p, k in zip(points, keep, strict=True)]
         return fit_indentation(
-            kept, tables[mu], start_pa=start_pa, poisson_ratio=at, mooney_ratio=law.mooney_ratio,
-            free_nu=nu, free_ratio=ratio, nu_range=within, touch_sigma_mm=touches,
-            profiled=profiled, drawn=drawn,
+            kept, tables[mu], start_pa=start_pa, poisson_ratio=at, free_nu=nu, nu_range=within,
+            touch_sigma_mm=touches, profiled=profiled, drawn=drawn,
         )  # fmt: skip
 
     remarks: list[Remark] = []
-    likeliest = min(tables, key=lambda mu: fit(mu, law.free_nu, law.free_ratio).misfit)
-    free = fit(likeliest, law.free_nu, law.free_ratio, profiled=None, drawn=True)
+    likeliest = min(tables, key=lambda mu: fit(mu, free_nu).misfit)
+    free = fit(likeliest, free_nu, profiled=None, drawn=True)
     profiles = free.solution.profiles
-    nu_determined = law.free_nu and profiles["nu"].closed
-    ratio_determined = law.free_ratio and profiles["mooney_ratio"].closed
-    held = law.poisson_ratio
-    if law.free_nu and not nu_determined:
+    nu_determined = free_nu and profiles["nu"].closed
+    held = poisson_ratio
+    if free_nu and not nu_determined:
         # The base's, moved into the interval where the data exclude it.
         held = min(max(held, profiles["nu"].interval[0]), profiles["nu"].interval[1])
     if not nu_determined:
         # What the profile will hold decides which friction belongs to it.
-        likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
-    found = fit(likeliest, nu_determined, ratio_determined, held, profiled=None)
+        likeliest = min(tables, key=lambda mu: fit(mu, False, held).misfit)
+    found = fit(likeliest, nu_determined, held, profiled=None)
     # Gels have no other Poisson's ratio, unless the base profile says so.
     within = None if nu_determined else (min(GEL_NU[0], held), max(GEL_NU[1], held))
 
     def open_fit(mu: float, keep: Sequence[np.ndarray] | None = None) -> IndentationFit:
         only = ("ln_e",) if keep is None else ()
-        return fit(mu, law.free_nu, law.free_ratio, held, within, keep, only)
+        return fit(mu, free_nu, held, within, keep, only)
 
     candidates = {mu: open_fit(mu) for mu in tables}
     least = min(item.misfit for item in candidates.values())
@@ -267,7 +250,7 @@ def fit_stiffness(
 
     def refit(keep: Sequence[np.ndarray]) -> tuple[IndentationFit, list[IndentationFit]]:
         return (
-            fit(likeliest, nu_determined, ratio_determined, held, keep=keep),
+            fit(likeliest, nu_determined, held, keep=keep),
             [open_fit(mu, keep) for mu in left],
         )
 
@@ -275,17 +258,25 @@ def fit_stiffness(
     remarks += residual_remarks(found, predicted)
     remarks += few_degrees_of_freedom(found, predicted)
     remarks += records_disagree(found, touches)
-    if law.free_nu and not nu_determined:
-        low, high = (
-            fit(likeliest, False, ratio_determined, nu).young_modulus_pa for nu in USUAL_NU
+    if free_nu and not nu_determined:
+        low, high = (fit(likeliest, False, nu).young_modulus_pa for nu in USUAL_NU)
+        remarks.append(
+            YOUNG_GIVEN_NU(
+                nu=found.poisson_ratio,
+                low_pa=low,
+                low_nu=USUAL_NU[0],
+                high_pa=high,
+                high_nu=USUAL_NU[1],
+                least_nu=GEL_NU[0],
+                most_nu=GEL_NU[1],
+            )
         )
-        remarks.append(_young_given_nu(found, low, high))
     young = _young(found, list(left.values()))
     remarks += young_uncertain(young)
     if len(tables) > 1:
         remarks.append(
             friction_assumed(
-                {mu: fit(mu, nu_determined, ratio_determined, held) for mu in tables},
+                {mu: fit(mu, nu_determined, held) for mu in tables},
                 likeliest,
                 set(left),
             )
@@ -296,17 +287,16 @@ def fit_stiffness(
         open_fits=tuple(left.values()),
         friction=likeliest,
         young=young,
-        nu=_estimate(found, "nu") if nu_determined else None,
-        ratio=_estimate(found, "mooney_ratio") if ratio_determined else None,
+        nu=_poisson(found) if nu_determined else None,
         held_out=predicted,
         remarks=tuple(remarks),
     )
 
 
-def _estimate(fit: IndentationFit, name: str) -> Estimate:
-    (low, high), bounds = fit.interval_of(name), fit.bounds_of(name)
+def _poisson(fit: IndentationFit) -> Estimate:
+    (low, high), bounds = fit.interval_of("nu"), fit.bounds_of("nu")
     interval = max(low, bounds[0]), min(high, bounds[1])
-    return Estimate(fit.solution.value(name), fit.sigma_of(name), "", interval)
+    return Estimate(fit.poisson_ratio, fit.sigma_of("nu"), "", interval)
 
 
 def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
@@ -315,15 +305,3 @@ def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
     low, high = min(a for a, _ in ends), max(b for _, b in ends)
     value = found.young_modulus_pa
     return Estimate(value, value * math.log(high / low) / (2 * NORMAL_95), "Pa", (low, high))
-
-
-def _young_given_nu(found: IndentationFit, low: float, high: float) -> Remark:
-    return YOUNG_GIVEN_NU(
-        nu=found.poisson_ratio,
-        low_pa=low,
-        low_nu=USUAL_NU[0],
-        high_pa=high,
-        high_nu=USUAL_NU[1],
-        least_nu=GEL_NU[0],
-        most_nu=GEL_NU[1],
-    )

@@ -109,7 +109,7 @@ class CalibrateMarkers(BlockCommand):
     calibrated camera or scale gives the millimetres."""
     tracks: Path | None = None
     """File for the dots' positions and displacements in every frame, pixels and millimetres:
-    .json, .npz or .csv."""
+    .npz or .csv."""
 
     def check(self) -> None:
         """Refuse a file of tracks of an unknown kind."""

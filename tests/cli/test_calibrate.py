@@ -182,7 +182,7 @@ def test_boards_to_profile_report_and_maps(
     with np.load(maps) as stored:
         assert stored["map_u_px"].shape == (240, 320)
     report = tmp_path / "out_report"
-    pictures = {"views", "residuals", "distortion", "board_on_gel", "rectified"}
+    pictures = {"views", "residuals", "board_on_gel", "rectified"}
     assert pictures <= {path.stem for path in report.glob("*.png")}
     assert json.loads((report / "report.json").read_text())["verdict"] in ("good", "usable")
 

@@ -157,7 +157,7 @@ def test_captures_become_a_block_a_report_and_tracks(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
-    out, tracks = tmp_path / "profile", tmp_path / "tracks.json"
+    out, tracks = tmp_path / "profile", tmp_path / "tracks.npz"
     assert calibrate(folder, "--out", out, "--base", base, "--tracks", tracks, "--json") == 0
     figures = json.loads(capsys.readouterr().out)["markers"]
     block = load_profile(out).markers
@@ -176,10 +176,12 @@ def test_captures_become_a_block_a_report_and_tracks(
     assert figures["videos"][0]["largest_px"] == pytest.approx(13.0, abs=0.1)
     page = (tmp_path / "profile_report" / "report.html").read_text(encoding="utf-8")
     assert "video0_tracks" in page or "Paths of the dots" in page
-    video = json.loads(tracks.read_text(encoding="utf-8"))["videos"][0]
-    flow = np.array(video["displacement_mm"])
+    arrays = np.load(tracks)
+    assert arrays["video0_uv_px"].shape == (7, 63, 2)
+    assert str(arrays["video0_name"]) == "captures/001.png"
+    flow = arrays["video0_displacement_mm"]
     np.testing.assert_allclose(flow[3], [[12.0 * SCALE, -5.0 * SCALE]] * 63, atol=0.01)
-    np.testing.assert_allclose(video["time_s"], np.arange(7) / 20.0)
+    np.testing.assert_allclose(arrays["video0_time_s"], np.arange(7) / 20.0)
 
 
 def test_the_radius_is_known_better_than_the_dots_differ(
@@ -199,21 +201,15 @@ def test_the_radius_is_known_better_than_the_dots_differ(
     assert found["sigma"] == pytest.approx(expected, rel=0.3)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suffix: str) -> None:
+def test_tracks_are_written_as_tables(tmp_path: Path, base: Path) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
-    tracks = tmp_path / f"tracks{suffix}"
+    tracks = tmp_path / "tracks.csv"
     assert calibrate(folder, "--out", tmp_path / "p", "--base", base, "--tracks", tracks) == 0
-    if suffix == ".csv":
-        with tracks.open(encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-        assert len(rows) == 7 * 63
-        assert rows[-1]["status"] == "seen"
-        assert float(rows[3 * 63]["dx_mm"]) == pytest.approx(12.0 * SCALE, abs=0.01)
-    else:
-        arrays = np.load(tracks)
-        assert arrays["video0_uv_px"].shape == (7, 63, 2)
-        assert str(arrays["video0_name"]) == "captures/001.png"
+    with tracks.open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 7 * 63
+    assert rows[-1]["status"] == "seen"
+    assert float(rows[3 * 63]["dx_mm"]) == pytest.approx(12.0 * SCALE, abs=0.01)
 
 
 def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(
@@ -257,7 +253,7 @@ def test_what_cannot_be_used_is_refused(
     nothing = write_captures(tmp_path / "nothing", rest, [np.empty((0, 2))])
     assert "no dots found" in refused(nothing)
     good = write_captures(tmp_path / "good", rest, moving()[:1])
-    assert ".json, .npz, .csv" in refused(good, "--tracks", tmp_path / "tracks.txt")
+    assert ".npz, .csv" in refused(good, "--tracks", tmp_path / "tracks.txt")
     bare = write_captures(tmp_path / "bare", "", moving()[:1])
     assert "no background" in refused(bare)
     video = rest + '[[markers.videos]]\nfile = "film.avi"\n'

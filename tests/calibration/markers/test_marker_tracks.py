@@ -90,7 +90,7 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
 @pytest.mark.parametrize(
     ("motion", "frames"),
     [
-        pytest.param(shear, 8, id="0.65 pitches between frames"),
+        pytest.param(shear, 12, id="0.42 pitches between frames"),
         pytest.param(twist, 12, marks=pytest.mark.slow),
         pytest.param(whole, 12, marks=pytest.mark.slow),
     ],
@@ -329,7 +329,6 @@ def test_a_rendered_grid_comes_back_through_the_camera(
     # The same dots by a plain scale are bent by lens, tilt and refraction.
     plain = layout_on_gel(picture, GridView(PixelGrid(320, 240, 0.055, 0.055), "a test"))
     assert plain.residual_rms > 5 * layout.residual_rms
-    assert picture.layout_px is not None
 
 
 def test_a_camera_view_undoes_projection_on_a_dome() -> None:

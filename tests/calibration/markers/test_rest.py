@@ -67,7 +67,6 @@ def test_rest_is_found_where_it_is(points: list[np.ndarray], first: int, last: i
     assert found.remarks == ()
     assert first <= found.starts[0] <= last
     layout = find_markers(found.frame.image()).layout_px
-    assert layout is not None
     np.testing.assert_allclose(layout.pitch, (30.0, 29.0), atol=0.02)
 
 
@@ -161,7 +160,6 @@ def test_pitch_of_a_real_video_is_within_its_interval(
 ) -> None:
     rest = find_rest(captures(choose(real_frames())))
     layout = find_markers(rest.frame.image()).layout_px
-    assert layout is not None
     for found, axis, true in zip(layout.pitch, (PITCH_X, PITCH_Y), PITCH_AT_REST, strict=True):
         assert abs(found - true) < 1.96 * layout.sigma(axis)
         # Nor is the interval so wide that pressed dots would lie in it.

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1
 
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.calibration.material.force_table import NU_RANGE, ForceTable, TableError
 from taccel_lab.calibration.material.gel import CurveTool
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.interpolation import ParameterAxis, ResponseTable
 from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 
@@ -45,18 +45,17 @@ THICKNESS_MM = 4.0
 
 def layer_table(kind: ToolKind, radius_mm: float, deepest_mm: float = 1.6) -> ForceTable:
     """Of a ball or punch on a layer that is bonded to its base, of any Poisson's ratio."""
-    axis = ParameterAxis(*NU_RANGE, "compressibility")
+    s = np.sqrt(1 - 2 * np.array(NU_RANGE))
+    nu = 0.5 * (1 - (s.mean() + 0.5 * np.ptp(s) * chebpts1(5))[::-1] ** 2)
     exponent = 1.5 if kind == "sphere" else 1.0
     depths = 0.1 + (deepest_mm - 0.1) * np.linspace(0, 1, 7) ** 1.4
     log = [
-        np.log(layer_force_n(kind, depths, radius_mm, THICKNESS_MM, float(nu)))
+        np.log(layer_force_n(kind, depths, radius_mm, THICKNESS_MM, each))
         - exponent * np.log(depths)
-        for nu in axis.nodes(5)
+        for each in nu.tolist()
     ]
-    responses = ResponseTable.through(
-        ParameterAxis(0.0, 0.0), axis, np.log(depths), np.array(log)[None]
-    )
-    return ForceTable(exponent, responses, TableError(0.0, np.full(7, 0.003)))
+    error = TableError(0.0, np.full(7, 0.003))
+    return ForceTable(exponent, nu, depths, np.array(log), error, NU_RANGE)
 
 
 def points(

@@ -70,10 +70,10 @@ def truth(table: ForceTable) -> np.ndarray:
 
 
 def pressed_n(
-    gel: Gel, tool: CurveTool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
+    gel: Gel, tool: CurveTool, depths_mm: np.ndarray, nu: float, physics: PressPhysics
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
-    own = replace(gel.with_law(nu, ratio), physics=physics)
+    own = replace(gel.with_law(nu), physics=physics)
     benches = [GelBench(own, tool, depth) for depth in depths_mm.tolist()]
     return np.array([bench.pressed(own)["force_n"][0] for bench in benches])
 
@@ -98,29 +98,18 @@ def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
 
 
 @pytest.mark.slow
-def test_both_parameters_of_mooney_and_rivlin(
+def test_presses_of_mooney_and_rivlin_lie_on_their_table(
     mini: SensorProfile, tool: CurveTool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Twelve presses at each of two depths, against presses elsewhere."""
+    """Of a ratio that is held: five presses at each of two depths, against one elsewhere."""
     monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 2)
-    gel = Gel.of_profile(mini, "mooney_rivlin", physics=COARSER)
+    gel = Gel.of_profile(mini, "mooney_rivlin", physics=COARSER).with_law(POISSON, 0.7)
     table = force_table(gel, tool, (0.1, 0.3))
-    assert table.press_count == 13 * 2
+    assert table.press_count == 5 * 2
     assert table.error.interpolation < 2e-3
-    assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
-    for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
-        depths = np.exp(table.responses.travel[[1]])
-        force = pressed_n(gel, tool, depths, nu, ratio, COARSER)
-        found = table.force_n(depths, 1e6, nu, ratio)
-        np.testing.assert_allclose(found, force, rtol=3e-3)
-    h = 1e-5
-    _, _, by_nu, by_ratio = table.log_force(DEPTH[:2], 0.45, 0.5)
-    for i, slope in enumerate((by_nu, by_ratio)):
-        up, down = (
-            table.log_force(DEPTH[:2], 0.45 + s * h * (i == 0), 0.5 + s * h * (i == 1))[0]
-            for s in (1, -1)
-        )
-        np.testing.assert_allclose((up - down) / (2 * h), slope, rtol=1e-5)
+    assert table.nu_range[0] > 0.7 / 2.4  # softer volumes do not go with this ratio
+    force = pressed_n(gel, tool, table.depth_mm[1:], 0.485, COARSER)
+    np.testing.assert_allclose(table.force_n(table.depth_mm[1:], 1e6, 0.485), force, rtol=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -140,20 +129,20 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
 
     monkeypatch.setattr(GelBench, "pressed", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
-    count = 5 * len(table.responses.travel)
+    count = 5 * len(table.depth_mm)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
     assert table.error.interpolation < 1e-9
-    depth = np.exp(table.responses.travel)
+    depth = table.depth_mm
     assert ((table.error.mesh > 0.004) & (table.error.mesh < 0.05)).all()
     if kind == "sphere":
         assert (np.diff(table.error.mesh) < 0).all() or friction, "dhat counts more when shallow"
     for nu in (0.31, 0.45, 0.498):
         s = np.sqrt(1 - 2 * nu)
-        value, _, by_nu, _ = table.log_force(depth, nu)
+        value, _, by_nu = table.log_force(depth, nu)
         expected = exponent * np.log(depth) + 1.3 - 2 * s + 0.7 * s**3 * depth
         np.testing.assert_allclose(value, expected, atol=1e-9)
         np.testing.assert_allclose(by_nu, (2 - 2.1 * s**2 * depth) / s, rtol=1e-8)
-        between, by_depth, _, _ = table.log_force(depth[1:-1] + 0.01, nu)
+        between, by_depth, _ = table.log_force(depth[1:-1] + 0.01, nu)
         ahead = table.log_force(depth[1:-1] + 0.01 + 1e-6, nu)[0]
         np.testing.assert_allclose((ahead - between) / 1e-6, by_depth, rtol=1e-4)
     np.testing.assert_allclose(table.force_n(np.array([-1.0, 0.0]), 1e5, 0.47), 0.0)
@@ -163,7 +152,8 @@ def fitted(
     sets: Sequence[IndentationPoints], tables: Sequence[ForceTable], **more: Any
 ) -> IndentationFit:
     """From a start beside the truth."""
-    return fit_indentation(sets, tables, **{"start_pa": 4e5, "poisson_ratio": 0.45} | more)
+    settings: dict[str, Any] = {"start_pa": 4e5, "poisson_ratio": 0.45}
+    return fit_indentation(sets, tables, **settings | more)
 
 
 KNOWN = {"poisson_ratio": POISSON, "free_nu": False}
@@ -200,7 +190,7 @@ def test_the_modulus_of_a_finer_simulation_within_its_interval(
     """100 records with 1 % noise and touch points that are off by 0.02 mm."""
     rng = np.random.default_rng(11)
     depths = np.array([0.2, 0.45, 0.7, 0.95, 1.2])
-    truth = pressed_n(gel, tool, depths, POISSON, 0.0, FAST) * MODULUS / 1e6
+    truth = pressed_n(gel, tool, depths, POISSON, FAST) * MODULUS / 1e6
     hits, errors = 0, []
     for _ in range(100):
         touch = 0.02 * rng.standard_normal()
@@ -238,43 +228,16 @@ def test_errors_of_two_tables_that_differ_widen_poisson_ratio(gel: Gel) -> None:
 
 
 @pytest.mark.slow
-def test_two_balls_tell_poisson_ratio(
-    gel: Gel, tool: CurveTool, simulated: ForceTable, press_cache: Path
-) -> None:
-    small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
-    depth = np.linspace(0.15, 0.9, 8)
-    second = force_table(replace(gel, physics=COARSE), small, (0.15, 0.9))
-    force = pressed_n(gel, small, depth, POISSON, 0.0, FAST) * MODULUS / 1e6
-    wide = np.linspace(0.2, 1.2, 8)
-    truth = pressed_n(gel, tool, wide, POISSON, 0.0, DEFAULT) * MODULUS / 1e6
-    rng = np.random.default_rng(2)
-    hits, values = [0, 0], []
-    for _ in range(12):
-        sets = [
-            points(tool, wide, truth * (1 + 0.005 * rng.standard_normal(8))),
-            points(small, depth, force * (1 + 0.005 * rng.standard_normal(8))),
-        ]
-        fit = fitted(sets, [simulated, second])
-        low, high = fit.interval_of("nu")
-        hits[0] += low <= POISSON <= high
-        low, high = fit.young_interval_pa
-        hits[1] += low <= MODULUS <= high
-        values.append(fit.poisson_ratio)
-    assert np.mean(values) == pytest.approx(POISSON, abs=0.015)
-    assert min(hits) >= 9
-
-
-@pytest.mark.slow
-def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
+def test_a_narrow_and_a_wide_ball_tell_modulus_and_poisson_ratio(
     gel: Gel, press_cache: Path
 ) -> None:
     """2 % where one ball leaves 5 to 15 %; the truth is of a finer mesh than the tables."""
     depth = np.linspace(0.1, 1.0, 8)
     tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
     tables = [force_table(replace(gel, physics=FAST), tool, (0.1, 1.0)) for tool in tools]
-    truth = [pressed_n(gel, tool, depth, POISSON, 0.0, DEFAULT) * MODULUS / 1e6 for tool in tools]
+    truth = [pressed_n(gel, tool, depth, POISSON, DEFAULT) * MODULUS / 1e6 for tool in tools]
     rng = np.random.default_rng(5)
-    errors, hits = [], 0
+    errors, hits = [], np.zeros(2, dtype=int)
     for _ in range(40):
         sets = [
             points(
@@ -285,11 +248,11 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
             for tool, force in zip(tools, truth, strict=True)
         ]
         fit = fitted(sets, tables, poisson_ratio=0.46)
-        low, high = fit.young_interval_pa
-        hits += low <= MODULUS <= high
+        for k, (low, high) in enumerate((fit.young_interval_pa, fit.interval_of("nu"))):
+            hits[k] += low <= (MODULUS, POISSON)[k] <= high
         errors.append(fit.young_modulus_pa / MODULUS - 1)
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
-    assert hits >= 36
+    assert (hits >= 36).all()
 
 
 def test_few_points_do_not_tell_poisson_ratio(
