@@ -13,7 +13,6 @@ from taccel_lab.calibration.capture.folder import (
     CaptureFolder,
     EdgeCapture,
     Frame,
-    LandmarkCapture,
     in_words,
 )
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
@@ -155,10 +154,6 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         edges=tuple(
             EdgeCapture(entry, _frame(images, folder, entry.image, like))
             for entry in manifest.edges
-        ),
-        landmarks=tuple(
-            LandmarkCapture(entry, _frame(images, folder, entry.image, like))
-            for entry in manifest.landmarks
         ),
         markers=None
         if manifest.markers is None

@@ -118,23 +118,6 @@ class EdgeEntry(StrictModel):
     """Where the edge is in the image, when it is known; found otherwise."""
 
 
-class LandmarkPoint(StrictModel):
-    """A point of known place."""
-
-    u_px: Number
-    v_px: Number
-    x_mm: Number
-    """On the gel, from any origin, along axes that run as the image's."""
-    y_mm: Number
-
-
-class LandmarkEntry(StrictModel):
-    """Points of known place in one image: corners of a pressed cuboid, a ruled pattern."""
-
-    image: FileName
-    points: list[LandmarkPoint] = Field(min_length=3)
-
-
 class VideoEntry(StrictModel):
     """Frames of one motion, in order: a video file, or images."""
 
@@ -247,6 +230,5 @@ class CaptureManifest(StrictModel):
     """Presses that are held out; chosen by names and labels when missing."""
     boards: list[BoardEntry] = Field(default_factory=list)
     edges: list[EdgeEntry] = Field(default_factory=list)
-    landmarks: list[LandmarkEntry] = Field(default_factory=list)
     markers: MarkersEntry | None = None
     records: list[RecordEntry] = Field(default_factory=list)

@@ -292,9 +292,7 @@ class Draft:
         entries = self.manifest["presses"]
         if "indenter" not in self.manifest and not all("radius_mm" in e for e in entries):
             missing.append("the ball's radius (--radius-mm)")
-        if "mm_per_px_x" not in self.manifest and not (
-            {"boards", "edges", "landmarks"} & self.manifest.keys()
-        ):
+        if "mm_per_px_x" not in self.manifest and not ({"boards", "edges"} & self.manifest.keys()):
             missing.append("the scale (--mm-per-px-x, --mm-per-px-y)")
         return missing
 
