@@ -113,7 +113,7 @@ class Recorder:
         self.facts = self.facts.at(info, locks, self.facts.framing)
         self._frozen.replayed = info.replayed
         before = self.folder.manifest.get("recorded", {}).get("camera", "")
-        # Other ids name a port or a place in a list, which others take, too.
+        # Other ids name a port, which others take, too.
         if before.startswith("usb-") and not info.replayed and before != info.id:
             raise InputError(
                 f"{self.folder.path} was begun with the camera {before}, this is {info.id}; name a "

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +16,6 @@ from taccel_lab.calibration.capture.camera.v4l2 import (
 from taccel_lab.errors import InputError
 
 ROOT = Path("/")
-_MOST_INDEX = 10
-"""Cameras that are tried where there is no list of them."""
 
 
 @dataclass(frozen=True)
@@ -26,46 +23,35 @@ class Device:
     """One camera that is plugged in."""
 
     id: str
-    """Stays with the camera on Linux; elsewhere its place in the system's list, which does not."""
-    node: str | int
-    """What OpenCV opens: ``/dev/videoN``, or an index."""
+    """Stays with the camera."""
+    node: str
+    """What OpenCV opens: ``/dev/videoN``."""
     name: str
     serial: str | None
     formats: tuple[SizedFormat, ...] = ()
 
-    @property
-    def is_stable(self) -> bool:
-        """Whether the id stays with the camera when others are plugged in."""
-        return not self.id.isdigit()
-
 
 def list_devices(root: Path = ROOT) -> list[Device]:
-    """Cameras that are plugged in; on macOS and Windows by opening one index after another."""
-    if sys.platform == "linux":
-        return [
-            Device(
-                name,
-                node,
-                card_name(root, node) or name,
-                serial_number(root, node),
-                tuple(sized_formats(node)) if root == ROOT else (),
-            )
-            for name, node in stable_names(root).items()
-        ]
-    return [Device(str(i), i, f"camera {i}", None) for i in _opening_indices()]
+    """Cameras that are plugged in."""
+    return [
+        Device(
+            name,
+            node,
+            card_name(root, node) or name,
+            serial_number(root, node),
+            tuple(sized_formats(node)) if root == ROOT else (),
+        )
+        for name, node in stable_names(root).items()
+    ]
 
 
 def find_device(wanted: str, root: Path = ROOT) -> Device:
     """The camera that ``wanted`` names: its id, its serial number, a part of either that no other
-    has, a node such as ``/dev/video0``, or an index where there are no ids.
+    has, or a node such as ``/dev/video0``.
 
     Raises:
         InputError: There is none, or several; the message names those there are.
     """
-    if sys.platform != "linux":
-        if wanted.isdigit():  # Not opened twice, which blinks and may take seconds.
-            return Device(wanted, int(wanted), f"camera {wanted}", None)
-        raise InputError(f"--camera is {wanted!r}; on this system cameras have numbers: 0, 1, ...")
     devices = list_devices(root)
     exact = [d for d in devices if wanted in (d.id, d.serial, d.node, f"{root}dev/{wanted}")]
     word = wanted.casefold()
@@ -81,16 +67,3 @@ def find_device(wanted: str, root: Path = ROOT) -> Device:
     names = "; ".join(f"{d.id} ({d.name})" for d in (found or devices))
     problem = "several cameras match it" if found else "no camera matches it"
     raise InputError(f"--camera is {wanted!r}; {problem}: {names}")
-
-
-def _opening_indices() -> list[int]:
-    import cv2
-
-    found = []
-    for i in range(_MOST_INDEX):
-        capture = cv2.VideoCapture(i)
-        if not capture.isOpened():
-            break
-        found.append(i)
-        capture.release()
-    return found

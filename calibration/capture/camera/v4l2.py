@@ -7,6 +7,7 @@ Linux API", ``VIDIOC_ENUM_FMT`` and ``VIDIOC_ENUM_FRAMESIZES``), the same on all
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
 from collections.abc import Iterator
@@ -71,7 +72,8 @@ def sized_formats(node: str) -> list[SizedFormat]:
 
 def _formats(handle: int) -> Iterator[SizedFormat]:
     for i in range(_MOST):
-        format_ = _asked(handle, _ENUM_FORMAT, struct.pack(_FORMAT, i, _CAPTURE, *_zeros(_FORMAT)))
+        asked = struct.pack(_FORMAT, i, _CAPTURE, 0, b"", 0, 0, 0, 0, 0)
+        format_ = _asked(handle, _ENUM_FORMAT, asked)
         if format_ is None:
             return
         code = struct.unpack(_FORMAT, format_)[4]
@@ -84,14 +86,8 @@ def _formats(handle: int) -> Iterator[SizedFormat]:
                 yield code.to_bytes(4, "little").decode("ascii", "replace").strip(), width, height
 
 
-def _zeros(layout: str) -> tuple[int | bytes, ...]:
-    return (0, b"", 0, 0, 0, 0, 0) if layout == _FORMAT else ()
-
-
 def _asked(handle: int, request: int, argument: bytes) -> bytes | None:
     """The driver's answer; None where it has none (EINVAL ends every list)."""
-    import fcntl
-
     try:
         return fcntl.ioctl(handle, request, argument)
     except OSError:

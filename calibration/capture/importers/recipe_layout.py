@@ -165,7 +165,7 @@ def _fill(
         for path in place.files([pattern]):
             if path not in draft.used:
                 draft.leave_out(path, reason)
-    for further in (of.presses and of.presses.table, of.settings, of.homography):
+    for further in (of.presses and of.presses.table, of.settings):
         for path in place.files(further)[1:]:
             if path not in draft.used:
                 draft.leave_out(path, f"{place.files(further)[0].name} is read instead")
