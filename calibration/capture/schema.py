@@ -47,8 +47,11 @@ class CircleEntry(StrictModel):
     """Radius of the circle in columns [px]."""
 
 
-class PressEntry(StrictModel):
-    """One image of one press."""
+StageMm = Annotated[Number, Field(ge=-1e4, le=1e4)]
+
+
+class SpherePress(StrictModel):
+    """One image of a ball press, with what a stage and a load cell said."""
 
     image: FileName
     """Image file, relative to the manifest."""
@@ -56,14 +59,6 @@ class PressEntry(StrictModel):
     """Name used in reports; the file's stem when missing."""
     contact: CircleEntry | None = None
     """Contact circle when it is known; found in the image otherwise."""
-
-
-StageMm = Annotated[Number, Field(ge=-1e4, le=1e4)]
-
-
-class SpherePress(PressEntry):
-    """A ball press of version 2, which may come with what a stage and a load cell said."""
-
     radius_mm: Number | None = Field(default=None, gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)
     """Radius of the ball of this press, where it is not that of ``indenter`` [mm]."""
     depth_mm: Number | None = Field(default=None, ge=0.0, le=50.0)

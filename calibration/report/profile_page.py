@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from taccel_lab.calibration.report import remarks
+from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
     draw_perturbed,
-    draw_profile_discs,
 )
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
@@ -193,7 +193,7 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
         pictures.append(
             Picture(
                 "color_response",
-                lambda: draw_profile_discs(profile),
+                lambda: draw_color_discs(profile_discs(profile)),
                 "Colour of every normal, 0.3 mm below rest, at the middle and near the corners; "
                 "the rim is a tilt of 44 degrees.",
             )

@@ -44,12 +44,7 @@ class UvcCamera:
         *,
         open_capture: Callable[[str], Any] = _open_capture,
     ) -> None:
-        """Open ``device``.
-
-        Args:
-            device: From ``find_device``.
-            size_px: Width and height that the camera is asked to give; its own choice when None.
-            open_capture: Makes a ``cv2.VideoCapture`` of a node.
+        """Open ``device``, with images of ``size_px`` (width, height) where that is given.
 
         Raises:
             CameraLostError: It does not open.

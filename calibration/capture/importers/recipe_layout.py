@@ -51,7 +51,7 @@ def recipe_layout(path: Path) -> CaptureLayout:
         return _read(recipe, path.stem, source, options)
 
     return CaptureLayout(
-        path.stem, recipe.title, lambda source: bool(_places(recipe, source)), read, False
+        path.stem, recipe.title, lambda source: bool(_places(recipe, source)), read
     )
 
 
@@ -111,8 +111,6 @@ def _candidates(of: Set, source: Path) -> Iterator[_SetAt]:
 
 def _read(recipe: Recipe, name: str, source: Path, options: ImportOptions) -> list[Draft]:
     places = _places(recipe, source) or _places(recipe, source, with_background=False)
-    if not places:
-        raise InputError(f"{source} is not of the layout {name}: {recipe.title}")
     why = f"that of {recipe.published or f'the recipe {name}'}"
     presses = [list(images_of(p, p.of.presses)) if p.of.presses else [] for p in places]
     tables: dict[Path, LabelTables] = {}

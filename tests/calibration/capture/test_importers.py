@@ -75,6 +75,8 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
     assert dots.markers is not None and dots.markers.labels["du_px"].tolist() == [-1.0, 0.0]
     # Its only frame is a press.
     assert dots.markers.rest is None and dots.markers.labels_frame is not None
+    assert "rest" not in dots.assumed
+    assert "0.csv has the places of the dots without load" in dots.assumed["labels"]
 
 
 def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
