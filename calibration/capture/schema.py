@@ -108,7 +108,7 @@ class EdgeEntry(StrictModel):
     length_mm: Number = Field(gt=MIN_EDGE_MM, le=MAX_EDGE_MM)
     """Length of the edge that touches [mm]."""
     dihedral_deg: Number = Field(default=90.0, gt=0.0, lt=180.0)
-    """Angle between its faces."""
+    """Angle between its faces. Nothing reads it; captures of earlier versions have it."""
     line: LineEntry | None = None
     """Where the edge is in the image, when it is known; found otherwise."""
 

@@ -129,13 +129,10 @@ def _block_table(key: str, block: Block) -> Table:
         interval = where.interval.get(name)
         if interval is None and spread is not None and isinstance(value, (int, float)):
             interval = (value - NORMAL_95 * spread, value + NORMAL_95 * spread)
-        rows.append((name, value, spread, _interval(interval), _interval(_valid(where, name))))
+        tested = where.valid_region.get(name)
+        rows.append((name, value, spread, _interval(interval), _interval(tested)))
     columns = ("key", "value", "standard deviation", "95 % interval", "tested within")
     return Table(key, columns, rows, folded=True)
-
-
-def _valid(where: Any, name: str) -> tuple[float, float] | None:
-    return where.valid_region.get(name)
 
 
 def _residual_table(key: str, block: Block) -> Table | None:

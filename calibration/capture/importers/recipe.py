@@ -87,7 +87,6 @@ class Edges(ImageRecipe):
     """Presses of a straight edge."""
 
     length_mm: Number
-    dihedral_deg: Number = 90.0
     line: Words | None = None
     """Column and row of its middle, length [px] and angle [degrees], four numbers in all."""
 

@@ -252,13 +252,11 @@ def _take_edges(draft: Draft, place: _SetAt, options: ImportOptions) -> None:
         draft.assume(
             "edge_mm", f"{length:g} mm, that of the published cube; --edge-mm gives another"
         )
-    draft.assume("dihedral_deg", f"{of.dihedral_deg:g}, that of a cube")
     edges = draft.manifest.setdefault("edges", [])
     for edge in images_of(place, of):
         entry = {
             "image": draft.add_image(edge.image, edge.name),
             "length_mm": float(length),
-            "dihedral_deg": of.dihedral_deg,
         }
         line = edge.together(of.line, _LINE)
         edges.append(entry | ({} if line is None else {"line": line}))
