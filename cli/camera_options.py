@@ -18,9 +18,9 @@ class CameraFlags:
 
     camera: str
     """The camera: its id or serial number, or a part of either that no other has (taccel-lab
-    capture devices lists them); a number on macOS and Windows. The path of a recording (as
-    for taccel-lab read) or of a capture folder is replayed instead; that of a data set may go on
-    with the name of its camera: demo.hdf5/left_tactile/rgb."""
+    capture devices lists them). The path of a recording (as for taccel-lab read) or of a capture
+    folder is replayed instead; that of a data set may go on with the name of its camera:
+    demo.hdf5/left_tactile/rgb."""
     size: str | None = None
     """Camera format, WIDTHxHEIGHT. Default: the camera's choice."""
     crop: str | None = None

@@ -26,9 +26,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
     """Write the captures of ``folder``, rectified, as the capture folder ``out``.
 
     Images become PNG, videos numbered PNG; force records and paths are copied. Boards are left out,
-    since the maps were made of them, and so are contact circles, edge lines and landmarks, which
-    are places in raw images: contacts and edges are found again. Pixels that the raw image does not
-    show are masked.
+    since the maps were made of them, and so are contact circles and edge lines, which are places in
+    raw images: both are found again. Pixels that the raw image does not show are masked.
 
     Returns:
         What was left out, in sentences.
@@ -67,9 +66,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         ):
             entry["image"] = writer.image(f"edge_{i:03d}", edge.frame.image)
             entry.pop("line", None)
-        for name in ("boards", "landmarks"):
-            if document.pop(name, None):
-                notes.append(LEFT_OUT.format(name))
+        if document.pop("boards", None):
+            notes.append(LEFT_OUT.format("boards"))
         if folder.markers is not None:
             document["markers"] = _markers(document["markers"], folder, writer)
         for entry in document.get("records", []):

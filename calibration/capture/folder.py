@@ -19,7 +19,6 @@ from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.capture.schema import (
     BoardEntry,
     EdgeEntry,
-    LandmarkEntry,
     RecordedEntry,
     RecordEntry,
     VideoEntry,
@@ -59,14 +58,6 @@ class EdgeCapture:
     """A press of a straight edge."""
 
     entry: EdgeEntry
-    frame: Frame
-
-
-@dataclass(frozen=True)
-class LandmarkCapture:
-    """An image with points of known place."""
-
-    entry: LandmarkEntry
     frame: Frame
 
 
@@ -162,7 +153,6 @@ class CaptureFolder:
     presses: tuple[CapturedPress, ...]
     boards: tuple[BoardCaptures, ...] = ()
     edges: tuple[EdgeCapture, ...] = ()
-    landmarks: tuple[LandmarkCapture, ...] = ()
     markers: MarkerCaptures | None = None
     records: tuple[ForceRecord, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
@@ -200,7 +190,6 @@ class CaptureFolder:
             "boards": len(self.boards),
             "board_views": sum(len(board.frames) for board in self.boards),
             "edges": len(self.edges),
-            "landmarks": len(self.landmarks),
             "marker_images": int(self.markers is not None),
             "marker_videos": 0 if self.markers is None else len(self.markers.videos),
             "force_records": len(self.records),

@@ -13,7 +13,6 @@ from taccel_lab.calibration.capture.folder import (
     CaptureFolder,
     EdgeCapture,
     Frame,
-    LandmarkCapture,
     in_words,
 )
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
@@ -102,19 +101,8 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
         name = entry.name or frame.name
-        presses.append(
-            CapturedPress(
-                name,
-                frame.source,
-                frame.sha256,
-                circle,
-                frame.read,
-                radius_mm=entry.radius_mm,
-                depth_mm=entry.depth_mm,
-                force_n=entry.force_n,
-                stage_mm=entry.stage_mm,
-            )
-        )
+        said = entry.model_dump(include={"radius_mm", "depth_mm", "force_n", "stage_mm"})
+        presses.append(CapturedPress(name, frame.source, frame.sha256, circle, frame.read, **said))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     contacts = folder / CONTACTS_NAME
     if contacts.is_file():
@@ -155,10 +143,6 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         edges=tuple(
             EdgeCapture(entry, _frame(images, folder, entry.image, like))
             for entry in manifest.edges
-        ),
-        landmarks=tuple(
-            LandmarkCapture(entry, _frame(images, folder, entry.image, like))
-            for entry in manifest.landmarks
         ),
         markers=None
         if manifest.markers is None

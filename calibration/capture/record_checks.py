@@ -8,11 +8,9 @@ gels lie between 1 kPa and a few MPa. A thin layer on a hard window looks up to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from taccel_lab.calibration.capture.schema import RecordEntry
+from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.loading_faults import require_loading
 
@@ -29,97 +27,82 @@ UNKNOWN_TOOL_MM = (0.5, 20.0)
 """Radii that a tool of unstated size may have."""
 
 
-@dataclass(frozen=True)
-class _Record:
-    path: str
-    entry: RecordEntry
-    columns: dict[str, np.ndarray]
-
-    def sigma(self, force: np.ndarray) -> float:
-        if self.entry.force_sigma_n is not None:
-            return self.entry.force_sigma_n
-        if "sigma_n" in self.columns:
-            return float(self.columns["sigma_n"].max())
-        return FORCE_TOLERANCE / 3 * float(np.abs(force).max())
-
-
 def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) -> None:
     """Refuse a record whose units, signs or order cannot be meant.
 
     Raises:
         InputError: Names the file, the row where there is one, what was found and what is allowed.
     """
-    record = _Record(path, entry, columns)
-    if "sigma_n" in columns and (columns["sigma_n"] <= 0).any():
-        raise InputError(f"{path}: sigma_n has to be positive everywhere")
     depth, force = columns["depth_mm"], columns["force_n"]
-    _check_sign(record, force)
-    _check_depth(record, depth)
-    _check_order(record)
-    _check_rising(record, force)
-    _check_force_unit(record, depth, force)
-    # A tool that nobody states may have a flat end.
-    ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
+    sigma = columns.get("sigma_n", np.array(FORCE_TOLERANCE / 3 * np.abs(force).max()))
+    tool = entry.tool
     with naming(path):
-        require_loading(depth, force, record.sigma(force), ball=ball)
+        if "sigma_n" in columns and (sigma <= 0).any():
+            raise InputError("sigma_n has to be positive everywhere")
+        noise = float(sigma.max()) if entry.force_sigma_n is None else entry.force_sigma_n
+        _check_sign(force, noise)
+        _check_depth(depth)
+        _check_order(depth)
+        _check_rising(force, noise)
+        if tool.kind == "sphere":  # Hertz measures no flat ends; fits of material check those.
+            _check_force_unit(tool, depth, force)
+        # A tool that nobody states may have a flat end.
+        ball = tool.kind == "sphere" and tool.radius_mm is not None
+        require_loading(depth, force, noise, ball=ball)
 
 
-def _check_sign(record: _Record, force: np.ndarray) -> None:
-    limit = -3 * record.sigma(force)
+def _check_sign(force: np.ndarray, sigma_n: float) -> None:
+    limit = -3 * sigma_n
     below = np.flatnonzero(force < limit)
     if len(below) == 0:
         return
     if len(below) > len(force) / 2 or abs(force.min()) > force.max():
         raise InputError(
-            f"{record.path}: force_n is negative (down to {force.min():g} N); a force into the gel "
+            f"force_n is negative (down to {force.min():g} N); a force into the gel "
             "is positive, so the sign of the column is reversed"
         )
     raise InputError(
-        f"{record.path}: row {below[0] + 1} has force_n = {force[below[0]]:g} N; a force into the "
+        f"row {below[0] + 1} has force_n = {force[below[0]]:g} N; a force into the "
         "gel is positive, and this is more than noise. Remove the offset or the row"
     )
 
 
-def _check_depth(record: _Record, depth: np.ndarray) -> None:
+def _check_depth(depth: np.ndarray) -> None:
     largest = float(np.abs(depth).max())
     if depth.min() < -0.05 * largest:
         row = int(np.argmin(depth))
         raise InputError(
-            f"{record.path}: row {row + 1} has depth_mm = {depth[row]:g}; travel past first touch "
+            f"row {row + 1} has depth_mm = {depth[row]:g}; travel past first touch "
             "is positive into the gel. Reverse the column's sign, or cut the approach off"
         )
     if largest > MAX_DEPTH_MM:
         hint = " (micrometres?)" if largest < MAX_DEPTH_MM * 1e3 else ""
-        raise InputError(
-            f"{record.path}: depth_mm reaches {largest:g}; at most {MAX_DEPTH_MM:g} mm{hint}"
-        )
+        raise InputError(f"depth_mm reaches {largest:g}; at most {MAX_DEPTH_MM:g} mm{hint}")
     if largest < MIN_DEPTH_MM:
         raise InputError(
-            f"{record.path}: depth_mm reaches only {largest:g}; at least {MIN_DEPTH_MM:g} mm. "
+            f"depth_mm reaches only {largest:g}; at least {MIN_DEPTH_MM:g} mm. "
             "Depths in metres have to be multiplied by 1000"
         )
 
 
-def _check_order(record: _Record) -> None:
-    values = record.columns["depth_mm"]
-    wrong = np.flatnonzero(np.diff(values) < 0)
+def _check_order(depth: np.ndarray) -> None:
+    wrong = np.flatnonzero(np.diff(depth) < 0)
     if len(wrong):
         row = int(wrong[0])
         raise InputError(
-            f"{record.path}: depth_mm falls from {values[row]:g} to {values[row + 1]:g} in row "
-            f"{row + 2}; a record holds one loading in order: cut the "
-            "unloading off, or sort the points"
+            f"depth_mm falls from {depth[row]:g} to {depth[row + 1]:g} in row {row + 2}; a record "
+            "holds one loading in order: cut the unloading off, or sort the points"
         )
 
 
-def _check_rising(record: _Record, force: np.ndarray) -> None:
-    tolerance = max(3 * record.sigma(force), 1e-9)
+def _check_rising(force: np.ndarray, sigma_n: float) -> None:
+    tolerance = max(3 * sigma_n, 1e-9)
     highest = np.maximum.accumulate(force)
     wrong = np.flatnonzero(force < highest - tolerance)
     if len(wrong):
         row = int(wrong[0])
         raise InputError(
-            f"{record.path}: force_n falls to {force[row]:g} N in row {row + 1} after "
+            f"force_n falls to {force[row]:g} N in row {row + 1} after "
             f"{highest[row]:g} N at a smaller depth; the force of a loading rises. The gel has "
             "slipped or torn, or the rows are of different presses"
         )
@@ -133,14 +116,11 @@ def apparent_modulus_mpa(depth_mm: np.ndarray, force_n: np.ndarray, radius_mm: f
     return float(np.median(0.75 * force_n[deep] / (np.sqrt(radius_mm) * depth_mm[deep] ** 1.5)))
 
 
-def _check_force_unit(record: _Record, depth: np.ndarray, force: np.ndarray) -> None:
-    tool = record.entry.tool
+def _check_force_unit(tool: ToolEntry, depth: np.ndarray, force: np.ndarray) -> None:
     radii = (tool.radius_mm,) * 2 if tool.radius_mm is not None else UNKNOWN_TOOL_MM
-    if tool.kind != "sphere":
-        return  # Hertz measures no flat ends; fits of material check them by their own law.
     lowest, highest = (apparent_modulus_mpa(depth, force, radius) for radius in reversed(radii))
     if not np.isfinite(lowest):
-        raise InputError(f"{record.path}: no force is positive; newtons into the gel are needed")
+        raise InputError("no force is positive; newtons into the gel are needed")
     if lowest > STIFFEST_MPA:
         fitting = [
             unit
@@ -149,13 +129,13 @@ def _check_force_unit(record: _Record, depth: np.ndarray, force: np.ndarray) -> 
         ]
         guess = f"; read as {' or '.join(fitting)} it would be a gel" if fitting else ""
         raise InputError(
-            f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"a force of {force.max():g} N at {depth.max():g} mm makes the gel "
             f"{lowest:.3g} MPa stiff; gels on a window look at most {STIFFEST_MPA:g} MPa{guess}; "
             "force_n is in newtons, depth_mm in millimetres"
         )
     if highest < SOFTEST_MPA:
         raise InputError(
-            f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"a force of {force.max():g} N at {depth.max():g} mm makes the gel "
             f"{highest * 1e3:.2g} kPa stiff, at least {SOFTEST_MPA * 1e3:g} kPa; force_n is in "
             "newtons (kN or kgf?), depth_mm in millimetres"
         )

@@ -19,8 +19,8 @@ from taccel_lab.files.loading_faults import without_repeats
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.table_file import read_table
 
-COLUMNS = {"indentation": ("depth_mm", "force_n")}
-"""Columns that each kind of record has to have."""
+COLUMNS = ("depth_mm", "force_n")
+"""Those that a record of an indentation has to have."""
 AIR_MM, AIR_ROWS = 0.1, 3
 """Rows so far before the touch, which is stated to about this, are in air; so many tell the load
 cell's zero."""
@@ -32,11 +32,11 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
     """Read one record; InputError names the file, the column or row, and what is allowed."""
     path = inner_path(folder, entry.file)
     columns = read_columns(path)
-    missing = [name for name in COLUMNS[entry.kind] if name not in columns]
+    missing = [name for name in COLUMNS if name not in columns]
     if missing:
         raise InputError(
             f"{path} lacks the column{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a "
-            f"record of kind {entry.kind} has {', '.join(COLUMNS[entry.kind])} (found "
+            f"record of kind {entry.kind} has {', '.join(COLUMNS)} (found "
             f"{', '.join(columns)})"
         )
     columns, zero = _past_touch(without_repeats(columns))
@@ -68,14 +68,9 @@ def _past_touch(
     return below, Estimate(zero, sigma, "N")
 
 
-def kind_of_record(path: Path) -> str | None:
-    """Kind whose columns a table has, the one with most columns; None when it is no record.
-
-    Raises InputError for a file that is no table at all.
-    """
-    header = read_table(path).header
-    fitting = [kind for kind, names in COLUMNS.items() if set(names) <= set(header)]
-    return max(fitting, key=lambda kind: len(COLUMNS[kind]), default=None)
+def is_record(path: Path) -> bool:
+    """Whether a table has a record's columns; InputError for a file that is no table at all."""
+    return set(COLUMNS) <= set(read_table(path).header)
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:

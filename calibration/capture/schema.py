@@ -47,8 +47,11 @@ class CircleEntry(StrictModel):
     """Radius of the circle in columns [px]."""
 
 
-class PressEntry(StrictModel):
-    """One image of one press."""
+StageMm = Annotated[Number, Field(ge=-1e4, le=1e4)]
+
+
+class SpherePress(StrictModel):
+    """One image of a ball press, with what a stage and a load cell said."""
 
     image: FileName
     """Image file, relative to the manifest."""
@@ -56,14 +59,6 @@ class PressEntry(StrictModel):
     """Name used in reports; the file's stem when missing."""
     contact: CircleEntry | None = None
     """Contact circle when it is known; found in the image otherwise."""
-
-
-StageMm = Annotated[Number, Field(ge=-1e4, le=1e4)]
-
-
-class SpherePress(PressEntry):
-    """A ball press of version 2, which may come with what a stage and a load cell said."""
-
     radius_mm: Number | None = Field(default=None, gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)
     """Radius of the ball of this press, where it is not that of ``indenter`` [mm]."""
     depth_mm: Number | None = Field(default=None, ge=0.0, le=50.0)
@@ -113,26 +108,9 @@ class EdgeEntry(StrictModel):
     length_mm: Number = Field(gt=MIN_EDGE_MM, le=MAX_EDGE_MM)
     """Length of the edge that touches [mm]."""
     dihedral_deg: Number = Field(default=90.0, gt=0.0, lt=180.0)
-    """Angle between its faces."""
+    """Angle between its faces. Nothing reads it; captures of earlier versions have it."""
     line: LineEntry | None = None
     """Where the edge is in the image, when it is known; found otherwise."""
-
-
-class LandmarkPoint(StrictModel):
-    """A point of known place."""
-
-    u_px: Number
-    v_px: Number
-    x_mm: Number
-    """On the gel, from any origin, along axes that run as the image's."""
-    y_mm: Number
-
-
-class LandmarkEntry(StrictModel):
-    """Points of known place in one image: corners of a pressed cuboid, a ruled pattern."""
-
-    image: FileName
-    points: list[LandmarkPoint] = Field(min_length=3)
 
 
 class VideoEntry(StrictModel):
@@ -247,6 +225,5 @@ class CaptureManifest(StrictModel):
     """Presses that are held out; chosen by names and labels when missing."""
     boards: list[BoardEntry] = Field(default_factory=list)
     edges: list[EdgeEntry] = Field(default_factory=list)
-    landmarks: list[LandmarkEntry] = Field(default_factory=list)
     markers: MarkersEntry | None = None
     records: list[RecordEntry] = Field(default_factory=list)

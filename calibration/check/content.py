@@ -59,8 +59,6 @@ def _scale_sources(folder: CaptureFolder) -> list[str]:
     sources = []
     if any(board.entry.on_gel and board.entry.pitch_mm is not None for board in folder.boards):
         sources.append("board on the gel")
-    if folder.landmarks:
-        sources.append(f"{counted(len(folder.landmarks), 'image')} with landmarks")
     if folder.edges:
         sources.append(counted(len(folder.edges), "edge"))
     if folder.markers is not None and folder.markers.pitch_x_mm is not None:

@@ -23,13 +23,13 @@ class FieldDifference:
     field: str
     a: Any
     b: Any
-    difference: float | None
+    difference: float | None = None
     """b minus a; None of what is not a number."""
-    relative: float | None
+    relative: float | None = None
     """Difference over the mean size of both."""
-    sigma: float | None
+    sigma: float | None = None
     """Standard deviation of the difference from both spreads; None where neither states one."""
-    z: float | None
+    z: float | None = None
     """Difference over sigma."""
 
     @property
@@ -45,10 +45,8 @@ def compare_fields(a: SensorProfile, b: SensorProfile) -> list[FieldDifference]:
     for key in dict.fromkeys([*blocks_a, *blocks_b]):
         first, second = blocks_a.get(key), blocks_b.get(key)
         if first is None or second is None:
-            there = (first is not None, second is not None)
-            differences.append(
-                FieldDifference(key, "block", *_presence(there), None, None, None, None)
-            )
+            one, other = ("missing" if block is None else "present" for block in (first, second))
+            differences.append(FieldDifference(key, "block", one, other))
             continue
         values_a, values_b = _flat_values(first), _flat_values(second)
         for field in dict.fromkeys([*values_a, *values_b]):
@@ -59,15 +57,10 @@ def compare_fields(a: SensorProfile, b: SensorProfile) -> list[FieldDifference]:
     return differences
 
 
-def _presence(there: tuple[bool, bool]) -> tuple[str, str]:
-    first, second = ("present" if t else "missing" for t in there)
-    return first, second
-
-
 def _difference(block: str, field: str, a: Any, b: Any, sigma: float | None) -> FieldDifference:
     numbers = [v for v in (a, b) if isinstance(v, (int, float)) and not isinstance(v, bool)]
     if len(numbers) < 2:
-        return FieldDifference(block, field, a, b, None, None, None, None)
+        return FieldDifference(block, field, a, b)
     change = float(b - a)
     size = (abs(a) + abs(b)) / 2
     z = change / sigma if sigma else None

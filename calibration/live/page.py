@@ -57,13 +57,8 @@ class LivePage:
     def __init__(
         self, sheet: LiveSheet, pictures_hz: float, snapshots: Path, name: str = ""
     ) -> None:
-        """
-        Args:
-            sheet: Of the page.
-            pictures_hz: Pictures are drawn at most so often.
-            snapshots: Folder for them.
-            name: Of the sensor, where the page has several.
-        """
+        """Pictures are drawn at most ``pictures_hz`` times a second; ``name``: of the sensor, where
+        the page has several."""
         self._sheet, self._name = sheet, name
         self._every_s = 1.0 / pictures_hz
         self._drawn_s = self._shown_s = float("-inf")

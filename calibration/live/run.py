@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -60,12 +60,6 @@ class LiveResult:
     """Why it could not be measured, in a sentence; empty where it was, or only not yet."""
 
 
-def run_live(*arguments: Any, **options: Any) -> LiveResult:
-    """Read frames until it is over; arguments and errors as of :func:`live_session`."""
-    [result] = run_together([live_session(*arguments, **options)])
-    return result
-
-
 def run_together(sessions: Sequence[Generator[LiveResult, None, None]]) -> list[LiveResult]:
     """Go on with each session in turn, a frame each, until all are over; returns what they came
     to."""
@@ -99,15 +93,9 @@ def live_session(
 
     Gives what it came to so far, always the same object, at first and after each frame.
 
-    Args:
-        make_reader: Of an untouched image, RGB float32.
-        open_: Opens the camera, the same one each time.
-        watchers: Are shown every reading.
-        background: The untouched gel; measured at first when None: nothing may touch it.
-        frames: To read; without end when None.
-        values: Where the camera's controls are locked.
-        framing: What is kept of each frame.
-        again_s: Time between two tries to open a camera that is gone [s].
+    ``make_reader`` gets the untouched gel, RGB float32 [height_px, width_px, 3]: ``background``, or
+    what is measured at first, when nothing may touch it. ``again_s`` passes between two tries to
+    open a camera that is gone.
 
     Raises:
         InputError: The images do not fit the profile or change their size, or there is no such

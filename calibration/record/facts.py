@@ -11,13 +11,8 @@ from typing import Any, Literal
 
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock
 from taccel_lab.calibration.capture.guide import capture_plan
-from taccel_lab.calibration.capture.schema import (
-    MANIFEST_NAME,
-    MAX_MM_PER_PX,
-    MAX_RADIUS_MM,
-    MIN_MM_PER_PX,
-    MIN_RADIUS_MM,
-)
+from taccel_lab.calibration.capture.importers.draft import require_lengths
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
 
@@ -63,17 +58,8 @@ class RecordFacts:
 
     def __post_init__(self) -> None:
         sensor_family(self.sensor)
-        if self.radius_mm is not None and not MIN_RADIUS_MM < self.radius_mm <= MAX_RADIUS_MM:
-            raise InputError(
-                f"--radius-mm is {self.radius_mm:g}; above {MIN_RADIUS_MM:g} and up to "
-                f"{MAX_RADIUS_MM:g} mm is allowed"
-            )
-        for value in self.mm_per_px or ():
-            if not MIN_MM_PER_PX <= value <= MAX_MM_PER_PX:
-                raise InputError(
-                    f"--mm-per-px-x or -y is {value:g}; {MIN_MM_PER_PX:g} to {MAX_MM_PER_PX:g} "
-                    "mm/px is allowed"
-                )
+        x, y = self.mm_per_px or (None, None)
+        require_lengths(radius_mm=self.radius_mm, mm_per_px_x=x, mm_per_px_y=y)
         if self.mm_per_px is not None and self.scale != "stated":
             raise InputError(
                 f"--mm-per-px-x states the scale, --scale {self.scale} leaves it open; give one"
@@ -154,11 +140,6 @@ class RecordFacts:
             "left_out": list(QUICK_LEAVES_OUT) if self.quick else [],
         }
         return found
-
-    def require_fit(self, width_px: int, height_px: int) -> None:
-        """InputError where images of this size cannot have the scale that was asked for."""
-        if self.scale == "catalogue":
-            self.catalogue_scale(width_px, height_px)
 
     def catalogue_scale(self, width_px: int, height_px: int) -> tuple[float, float]:
         """Scale of the family's usual view over images of this size [mm/px].

@@ -8,6 +8,7 @@ no manifest names, which the next press replaces.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -191,8 +192,6 @@ def _notes(path: Path) -> tuple[str, ...]:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    import fcntl
-
     handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:

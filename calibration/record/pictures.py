@@ -26,11 +26,11 @@ GREEN, AMBER, RED, BLUE, GREY = (
 )
 
 
-def change_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndarray:
-    """The colour change on grey, the contact circle over it, RGB uint8 [h, width_px, 3]."""
+def change_picture(status: SessionStatus) -> np.ndarray:
+    """The colour change on grey, the contact circle over it, RGB uint8 [h, WIDTH_PX, 3]."""
     if status.image is None:
-        return np.full((width_px * 3 // 4, width_px, 3), 40, np.uint8)
-    size = (width_px, round(width_px * status.image.shape[0] / status.image.shape[1]))
+        return np.full((WIDTH_PX * 3 // 4, WIDTH_PX, 3), 40, np.uint8)
+    size = (WIDTH_PX, round(WIDTH_PX * status.image.shape[0] / status.image.shape[1]))
     if status.change is None:
         return cv2.resize(status.image, size, interpolation=cv2.INTER_AREA)
     largest = float(np.abs(status.change).max())
@@ -41,12 +41,12 @@ def change_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndarra
     return picture
 
 
-def coverage_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndarray:
+def coverage_picture(status: SessionStatus) -> np.ndarray:
     """Cells by their number of presses, all contacts, and the cell to press next.
 
-    RGB uint8, shape [h, width_px, 3]."""
+    RGB uint8, shape [h, WIDTH_PX, 3]."""
     height, width = (3, 4) if status.image is None else status.image.shape[:2]
-    high = min(round(width_px * height / width), round(width_px * TALLEST))
+    high = min(round(WIDTH_PX * height / width), round(WIDTH_PX * TALLEST))
     size = (round(high * width / height), high)
     picture = np.full((size[1], size[0], 3), 245, np.uint8)
     found = [circle for circle in status.circles if circle is not None]
@@ -73,8 +73,8 @@ def coverage_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndar
         if status.advice.radius_px is not None:
             middle = ((first[0] + last[0]) // 2, (first[1] + last[1]) // 2)
             cv2.circle(picture, middle, round(status.advice.radius_px * size[0] / width), BLUE, 2)
-    beside = (width_px - size[0]) // 2
-    sides = ((0, 0), (beside, width_px - size[0] - beside), (0, 0))
+    beside = (WIDTH_PX - size[0]) // 2
+    sides = ((0, 0), (beside, WIDTH_PX - size[0] - beside), (0, 0))
     return np.pad(picture, sides, constant_values=255)
 
 

@@ -38,14 +38,8 @@ def run_session(
 ) -> SessionStatus:
     """Record until all presses are taken, a watcher ends it, or a replay is over.
 
-    Args:
-        recorder: With the folder that is written to.
-        open_: Opens the camera, the same one each time.
-        watchers: Are shown every frame's status.
-        values: Where the camera's controls are locked; as they are when None.
-        framing: What is kept of each frame; all of it when None.
-        ends_by_itself: Whether the session ends when all presses are taken and the ball is lifted.
-        again_s: Time between two tries to open a camera that is gone [s].
+    ``ends_by_itself``: when all presses are taken and the ball is lifted. ``again_s`` passes
+    between two tries to open a camera that is gone.
 
     Raises:
         InputError: There is no such camera at first, or its images do not fit the folder.

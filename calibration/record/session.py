@@ -63,7 +63,6 @@ class SessionStatus:
     lamps: tuple[Lamp, ...]
     messages: tuple[str, ...]
     """What happened, the newest first."""
-    progress: float = 0.0
     finished: bool = False
     unseen: str = ""
     """Why the untouched gel cannot be measured, in a sentence; empty where it can."""
@@ -113,7 +112,7 @@ class Recorder:
         self.facts = self.facts.at(info, locks, self.facts.framing)
         self._frozen.replayed = info.replayed
         before = self.folder.manifest.get("recorded", {}).get("camera", "")
-        # Other ids name a port or a place in a list, which others take, too.
+        # Other ids name a port, which others take, too.
         if before.startswith("usb-") and not info.replayed and before != info.id:
             raise InputError(
                 f"{self.folder.path} was begun with the camera {before}, this is {info.id}; name a "
@@ -146,7 +145,8 @@ class Recorder:
                     f"the camera gives {width}x{height} px; at least {MIN_SIZE_PX}x{MIN_SIZE_PX} "
                     "px are needed"
                 )
-            self.facts.require_fit(width, height)
+            if self.facts.scale == "catalogue":
+                self.facts.catalogue_scale(width, height)  # Refuses what cannot have it.
         self._hangs = self._frozen.see(shot)
         if self._background is not None and shot.image.shape != self._background.shape:
             raise InputError(
@@ -192,7 +192,7 @@ class Recorder:
 
     def finish(self) -> None:
         """End the session."""
-        if len(self.folder.presses) >= self.wanted:
+        if self.complete:
             self.folder.finish()
         self.finished = True
 
@@ -219,7 +219,6 @@ class Recorder:
             advice=advice,
             lamps=self._lamps,
             messages=tuple(self._messages),
-            progress=seen.progress,
             finished=self.finished,
             unseen=seen.unseen,
         )

@@ -73,11 +73,6 @@ class Seen:
     change: np.ndarray | None
     """Smoothed colour change of the small image [levels], float32, shape [h, w, 3]; None while
     the untouched gel is measured."""
-    change_levels: float = 0.0
-    """The largest of it."""
-    motion_levels: float = 0.0
-    light: LightDrift | None = None
-    """Of the frame against the untouched gel."""
     at_rest: bool = False
     """Whether the frame shows the untouched gel, standing still for as long as a contact has to."""
     renewed: bool = False
@@ -170,9 +165,6 @@ class Trigger:
             self._phase,
             take,
             change,
-            largest,
-            motion,
-            light,
             at_rest=waiting and held >= self.hold_s and largest < RELEASED * noise,
             renewed=renewed,
             progress=min(held / self.hold_s, 1.0) if self._phase == Phase.STEADY else 0.0,
@@ -209,8 +201,7 @@ class Trigger:
             return Seen(Phase.RESTING, False, None)
         self.rest, self._phase = rest, Phase.WAITING
         self._gathered.clear()
-        change, light = rest.change(small)
-        return Seen(Phase.WAITING, False, change, _largest(change), 0.0, light, at_rest=True)
+        return Seen(Phase.WAITING, False, rest.change(small)[0], at_rest=True)
 
 
 def _rest_of(frames: list[tuple[float, np.ndarray]]) -> UntouchedGel | None:

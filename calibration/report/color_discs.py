@@ -31,15 +31,11 @@ class NormalDisc:
 
     pixel_uv: tuple[float, float]
     delta_rgb: np.ndarray
-    """Colour change [levels], shape [n, n, 3]: rows ny, columns nx from -max_sine to max_sine
-    (``figures_color.disc_normals``); NaN outside the disc."""
-    max_sine: float
-    """Largest sine of the tilt that is drawn."""
-    trained_sine: float | None = None
-    """Largest sine of the tilt among the training pixels: beyond it the model extrapolates."""
+    """Colour change [levels], shape [n, n, 3]: rows ny, columns nx from -``SPAN`` to ``SPAN``
+    (``disc_normals``); NaN outside the disc."""
 
 
-def disc_normals(count: int = 65, max_sine: float = 0.9) -> np.ndarray:
+def disc_normals(count: int, max_sine: float) -> np.ndarray:
     """Unit normals over a disc of (nx, ny) for ``NormalDisc``: shape [count, count, 3].
 
     Rows run over ny and columns over nx from -max_sine to max_sine; NaN outside the disc.
@@ -51,46 +47,27 @@ def disc_normals(count: int = 65, max_sine: float = 0.9) -> np.ndarray:
     return np.stack([np.where(np.isnan(nz), np.nan, n) for n in (nx, ny, nz)], axis=-1)
 
 
-def color_discs(
-    model: ColorModel,
-    span: float,
-    displacement_mm: float,
-    *,
-    rest_normals: np.ndarray | None = None,
-    trained_sine: float | None = None,
-) -> tuple[NormalDisc, ...]:
-    """Colour change over the hemisphere of normals at ``PLACES``.
-
-    Args:
-        model: Colour model.
-        span: Largest sine of the tilt.
-        displacement_mm: Rise of the face over rest that belongs to it [mm].
-        rest_normals: Of the untouched face, shape [height_px, width_px, 3]; flat if missing.
-        trained_sine: Largest sine of the tilt that the model was fitted to.
-    """
-    normals = disc_normals(DISC_SIZE, span)
+def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
+    """Colour change over the hemisphere of normals at ``PLACES``; empty without a colour model."""
+    model = ColorModel.from_profile(profile)
+    if model is None:
+        return ()
+    normals = disc_normals(DISC_SIZE, SPAN)
     seen = np.isfinite(normals[..., 0])
     count = int(seen.sum())
     width, height = model.config.width_px, model.config.height_px
     discs = []
     for share_u, share_v in PLACES:
         u, v = round(share_u * (width - 1)), round(share_v * (height - 1))
-        rest = np.array([0.0, 0.0, 1.0]) if rest_normals is None else rest_normals[v, u]
         delta = np.full((*seen.shape, 3), np.nan)
         delta[seen] = model.predict_pixels(
             np.full(count, v * width + u),
             normals[seen],
-            np.full(count, displacement_mm),
-            np.broadcast_to(rest, (count, 3)),
+            np.full(count, DISPLACEMENT_MM),
+            np.broadcast_to([0.0, 0.0, 1.0], (count, 3)),
         )
-        discs.append(NormalDisc((u, v), delta, span, trained_sine))
+        discs.append(NormalDisc((u, v), delta))
     return tuple(discs)
-
-
-def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
-    """Colour change over the hemisphere of normals; empty without a colour model."""
-    model = ColorModel.from_profile(profile)
-    return () if model is None else color_discs(model, SPAN, DISPLACEMENT_MM)
 
 
 @in_report_style
@@ -107,23 +84,15 @@ def draw_color_discs(discs: tuple[NormalDisc, ...]) -> Figure:
         panel.set_axis_off()
     for disc in discs:
         panel = axes[rows.index(disc.pixel_uv[1]), columns.index(disc.pixel_uv[0])]
-        span = disc.max_sine
         image = panel.imshow(
             as_uint8(128 + disc.delta_rgb),
-            extent=(-span, span, span, -span),
+            extent=(-SPAN, SPAN, SPAN, -SPAN),
             interpolation="bilinear",
         )
         panel.set_title(f"u {disc.pixel_uv[0]:.0f}, v {disc.pixel_uv[1]:.0f}", color=GREY)
         panel.plot(0, 0, "+", color="black", markersize=6, markeredgewidth=0.8)
         # Clipped a little inside the disc, where all neighbours of a sample are known.
-        rim = Circle((0, 0), 0.97 * span, fill=False, edgecolor=GREY, linewidth=0.8)
+        rim = Circle((0, 0), 0.97 * SPAN, fill=False, edgecolor=GREY, linewidth=0.8)
         panel.add_patch(rim)
         image.set_clip_path(rim)
-        if disc.trained_sine is not None and disc.trained_sine < span:
-            panel.add_patch(
-                Circle(
-                    (0, 0), disc.trained_sine, fill=False, edgecolor="black", linewidth=0.8,
-                    linestyle=(0, (4, 3)),
-                )
-            )  # fmt: skip
     return figure

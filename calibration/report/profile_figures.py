@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import BLUE, ORANGE, in_report_style, new_figure
 from taccel_lab.signals.perturbation import draw_perturbation
@@ -17,11 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DRAWS = 6
-
-
-def draw_profile_discs(profile: SensorProfile) -> Figure:
-    """Colour change over the hemisphere of normals at a few places."""
-    return draw_color_discs(profile_discs(profile))
 
 
 @in_report_style

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from taccel_lab.calibration.report import remarks
+from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
     draw_perturbed,
-    draw_profile_discs,
 )
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
@@ -129,13 +129,10 @@ def _block_table(key: str, block: Block) -> Table:
         interval = where.interval.get(name)
         if interval is None and spread is not None and isinstance(value, (int, float)):
             interval = (value - NORMAL_95 * spread, value + NORMAL_95 * spread)
-        rows.append((name, value, spread, _interval(interval), _interval(_valid(where, name))))
+        tested = where.valid_region.get(name)
+        rows.append((name, value, spread, _interval(interval), _interval(tested)))
     columns = ("key", "value", "standard deviation", "95 % interval", "tested within")
     return Table(key, columns, rows, folded=True)
-
-
-def _valid(where: Any, name: str) -> tuple[float, float] | None:
-    return where.valid_region.get(name)
 
 
 def _residual_table(key: str, block: Block) -> Table | None:
@@ -193,7 +190,7 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
         pictures.append(
             Picture(
                 "color_response",
-                lambda: draw_profile_discs(profile),
+                lambda: draw_color_discs(profile_discs(profile)),
                 "Colour of every normal, 0.3 mm below rest, at the middle and near the corners; "
                 "the rim is a tilt of 44 degrees.",
             )

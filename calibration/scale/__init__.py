@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scale of the tactile image without a board: edges, markers, landmarks, balls; and agreement."""
+"""Scale of the tactile image without a board: edges, markers, balls; and agreement."""

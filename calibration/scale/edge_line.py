@@ -23,7 +23,6 @@ MIN_JUMP_OVER_NOISE = 6.0
 MIN_LENGTH_PX = 15.0
 _SMOOTH_PX = 1.0
 _CANDIDATES = 1500
-_TRIALS = 600
 _NEAR_PX = 1.5
 _PARALLEL = 0.9
 """Least cosine between a pixel's gradient and the line's normal."""
@@ -45,12 +44,10 @@ class EdgeLine:
 
     ends_px: np.ndarray
     """(u, v) of both ends, shape [2, 2]."""
-    end_sigma_px: tuple[float, float]
-    """Standard deviation of each end along the line, apart from ``systematic_px``."""
+    length_sigma_px: float
+    """Standard deviation of the length, apart from ``systematic_px``."""
     systematic_px: float
-    """Standard deviation of the length by the law of the fall beyond the ends, the same for all
-    edges on one gel."""
-    jump_levels: float
+    """That by the law of the fall beyond the ends, the same for all edges on one gel."""
 
     @property
     def vector_px(self) -> np.ndarray:
@@ -66,10 +63,6 @@ class EdgeLine:
         """Against the image's rows, from -90 to 90, positive where it falls to the right."""
         u, v = self.vector_px
         return float((np.degrees(np.arctan2(v, u)) + 90.0) % 180.0 - 90.0)
-
-    @property
-    def length_sigma_px(self) -> float:
-        return float(np.hypot(*self.end_sigma_px))
 
 
 def find_edge(
@@ -134,7 +127,7 @@ def find_edge(
             f"{name}: the edge runs out of the image (ends at {ends_px.round(0).tolist()} px of "
             f"{size[0] + 1}x{size[1] + 1}); both ends have to be seen"
         )
-    return EdgeLine(ends_px, (sigmas[0], sigmas[1]), _DECAY_SHARE * sum(decays), level)
+    return EdgeLine(ends_px, float(np.hypot(*sigmas)), _DECAY_SHARE * sum(decays))
 
 
 def _jumps(
@@ -165,38 +158,24 @@ def _jumps(
 def _best_line(
     points: np.ndarray, strength: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Point and direction of the line with the most jump along it, by random pairs of pixels.
-
-    Not the line with the most pixels near it, which a plain RANSAC finds: jumps count by their
-    strength, and once for each pixel along the line.
-    """
-    rng = np.random.default_rng(0)
-    chances = strength / strength.sum()
-    best = (points[0], np.array([1.0, 0.0]), -1.0)
-    for _ in range(_TRIALS):
-        i, j = rng.choice(len(points), 2, replace=False, p=chances)
-        along = points[j] - points[i]
-        length = np.linalg.norm(along)
-        if length < MIN_LENGTH_PX:
+    """Point and direction of the line with the most jump along it: a Hough transform in steps of a
+    degree and a pixel, of jumps across the line by their strength."""
+    best, most = (points[0], normals[0]), 0.0
+    middle = points.mean(axis=0)
+    for angle in np.radians(np.arange(180.0)):
+        across = np.array([np.cos(angle), np.sin(angle)])
+        jumps = np.abs(normals @ across) > _PARALLEL
+        if not jumps.any():
             continue
-        along = along / length
-        close = _on_line(points, normals, points[i], along)
-        # Pixels side by side across the line count once: the strongest of each pixel along it.
-        place = np.rint((points[close] - points[i]) @ along).astype(int)
-        top = np.zeros(np.ptp(place) + 1 if len(place) else 1)
-        if len(place):
-            np.maximum.at(top, place - place.min(), strength[close])
-        score = float(top.sum())
-        if score > best[2]:
-            best = (points[i], along, score)
-    return best[0], best[1]
-
-
-def _on_line(
-    points: np.ndarray, normals: np.ndarray, point: np.ndarray, along: np.ndarray
-) -> np.ndarray:
-    across = np.array([-along[1], along[0]])
-    return (np.abs((points - point) @ across) < _NEAR_PX) & (np.abs(normals @ across) > _PARALLEL)
+        offset = (points[jumps] - middle) @ across
+        low = offset.min()
+        by_pixel = np.bincount(np.rint(offset - low).astype(int), strength[jumps])
+        total = np.convolve(by_pixel, np.ones(3), "same")
+        if total.max() > most:
+            most = float(total.max())
+            best = middle + (low + int(total.argmax())) * across, across
+    point, across = best
+    return point, np.array([-across[1], across[0]])
 
 
 def _refine(
@@ -207,7 +186,9 @@ def _refine(
     along: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Line through the jumps near a line, weighted by their strength."""
-    close = _on_line(points, normals, point, along)
+    across = np.array([-along[1], along[0]])
+    near = np.abs((points - point) @ across) < _NEAR_PX
+    close = near & (np.abs(normals @ across) > _PARALLEL)
     if close.sum() < 5:
         return point, along
     weights = strength[close] ** 2

@@ -36,8 +36,6 @@ class MeasuredEdge:
     frame: Frame
     length_mm: float
     line: EdgeLine
-    label_error_px: float | None = None
-    """Found minus labelled length, where there is a label."""
 
     @property
     def name(self) -> str:
@@ -57,9 +55,7 @@ def measure_edges(
                 refused.append(str(error))
                 continue
             line = _labelled(edge.entry.line)
-        found.append(
-            MeasuredEdge(edge.frame, edge.entry.length_mm, line, _label_error_px(edge, line))
-        )
+        found.append(MeasuredEdge(edge.frame, edge.entry.length_mm, line))
     return found, refused
 
 
@@ -68,14 +64,7 @@ def _labelled(label: LineEntry) -> EdgeLine:
     angle = np.radians(label.angle_deg)
     half = 0.5 * label.length_px * np.array([np.cos(angle), np.sin(angle)])
     middle = np.array([label.u_px, label.v_px])
-    sigma = LABEL_SIGMA_PX
-    return EdgeLine(np.stack([middle - half, middle + half]), (sigma, sigma), 0.0, 0.0)
-
-
-def _label_error_px(edge: EdgeCapture, line: EdgeLine) -> float | None:
-    """Found minus labelled length [px]; None without a label."""
-    label = edge.entry.line
-    return None if label is None or line.jump_levels == 0.0 else line.length_px - label.length_px
+    return EdgeLine(np.stack([middle - half, middle + half]), 2**0.5 * LABEL_SIGMA_PX, 0.0)
 
 
 def scale_from_edges(
@@ -112,13 +101,13 @@ def scale_from_edges(
             "edges": [
                 {
                     "name": edge.name,
+                    "ends_px": edge.line.ends_px.tolist(),
                     "length_px": edge.line.length_px,
                     "sigma_px": edge.line.length_sigma_px,
                     "angle_deg": edge.line.angle_deg,
                     "length_mm": edge.length_mm,
                     "residual_mm": float(residual),
                     "used": bool(ok),
-                    "label_error_px": edge.label_error_px,
                 }
                 for edge, residual, ok in zip(measured, left, used, strict=True)
             ],

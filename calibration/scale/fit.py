@@ -14,7 +14,6 @@ from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.landmarks import scale_from_landmarks
 from taccel_lab.calibration.scale.pitches import scale_from_boards, scale_from_markers
 from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
 from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_spheres
@@ -34,7 +33,7 @@ UNSURE_SHARE = 0.05
 def calibrate_scale(
     folder: CaptureFolder, base: SensorProfile, progress: Progress = silent
 ) -> ScaleCalibration:
-    """Scale from boards on the gel, pressed edges, markers, landmarks and ball presses.
+    """Scale from boards on the gel, pressed edges, markers and ball presses.
 
     Args:
         folder: Whatever of these is in it is used, but for held-out presses: they say nothing
@@ -56,15 +55,11 @@ def calibrate_scale(
     markers = folder.markers
     if markers is not None and (markers.pitch_x_mm or markers.pitch_y_mm):
         jobs.append(("markers", lambda: scale_from_markers(markers)))
-    for i, landmarks in enumerate(folder.landmarks):
-        name = "landmarks" if len(folder.landmarks) == 1 else f"landmarks_{i}"
-        jobs.append((name, lambda one=landmarks, name=name: scale_from_landmarks(one, name)))
     if not jobs and not folder.presses:
         raise InputError(
             f"{folder.source} holds nothing of known length: give a board on the gel (on_gel = "
             "true, pitch_mm), [[edges]] with length_mm, [markers] with pitch_x_mm and "
-            "pitch_y_mm, [[landmarks]], ball presses with stage_mm or depth_mm "
-            "(docs/calibration_camera.md)"
+            "pitch_y_mm, ball presses with stage_mm or depth_mm (docs/calibration_camera.md)"
         )
     estimates: list[ScaleEstimate] = []
     failures: dict[str, str] = {}
@@ -157,8 +152,6 @@ def _image_size(folder: CaptureFolder) -> tuple[int, int]:
         frame = folder.background
     elif folder.markers is not None:
         frame = find_rest(folder.markers).frame
-    elif folder.landmarks:
-        frame = folder.landmarks[0].frame
     else:
         frame = next(board.frames[0] for board in folder.boards if board.entry.on_gel)
     height, width = frame.image().shape[:2]

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from taccel_lab.calibration.scale.edges import MeasuredEdge
+import numpy as np
+
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
@@ -52,45 +55,27 @@ def draw_estimates(result: ScaleCalibration) -> Figure:
 
 
 @in_report_style
-def draw_edges(measured: list[MeasuredEdge]) -> Figure:
-    """The edges as found."""
-    shown = min(len(measured), _MOST)
-    columns = min(4, shown)
-    rows = -(-shown // columns)
-    images = [edge.frame.image() for edge in measured[:shown]]
-    height, width = images[0].shape[:2]
+def draw_edges(edges: Sequence[Mapping[str, Any]], folder: CaptureFolder) -> Figure:
+    """Edges of the evidence in their images, with what each lacks in length."""
+    images = {edge.frame.source: edge.frame.image for edge in folder.edges}
+    shown = edges[:_MOST]
+    columns = min(4, len(shown))
+    rows = -(-len(shown) // columns)
+    height, width = images[shown[0]["name"]]().shape[:2]
     figure, axes = new_figure(
         2.5 * columns, (2.5 * height / width + 0.5) * rows, rows, columns, squeeze=False
     )
     for axis in axes.ravel():
         axis.set_axis_off()
-    for axis, edge, image in zip(axes.ravel(), measured[:shown], images, strict=False):
-        axis.imshow(image)
-        ends = edge.line.ends_px
-        axis.plot(ends[:, 0], ends[:, 1], "-", color="white", lw=0.8)
-        axis.plot(ends[:, 0], ends[:, 1], "o", mfc="none", color="white", ms=6)
+    for axis, edge in zip(axes.ravel(), shown, strict=False):
+        axis.imshow(images[edge["name"]]())
+        ends, color = np.array(edge["ends_px"]), "white" if edge["used"] else LIGHT
+        axis.plot(ends[:, 0], ends[:, 1], "o-", mfc="none", color=color, lw=0.8, ms=6)
+        place = Path(edge["name"])
         axis.set_title(
-            f"{Path(edge.name).parent.name}/{edge.frame.name}\n{edge.line.length_px:.1f} px",
+            f"{place.parent.name}/{place.stem}\n{edge['length_px']:.1f} px, "
+            f"{-edge['residual_mm']:+.2f} mm",
             fontsize=9,
             color=GREY,
         )
-    return figure
-
-
-@in_report_style
-def draw_edge_lengths(result: ScaleCalibration) -> Figure:
-    """What each edge lacks in length, by its angle."""
-    evidence = next(e.evidence for e in result.estimates if e.method == "edge")
-    figure, axes = new_figure(6.5, 3.2)
-    for edge in evidence["edges"]:
-        color = BLUE if edge["used"] else LIGHT
-        axes.errorbar(
-            edge["angle_deg"], edge["residual_mm"],
-            yerr=edge["sigma_px"] * edge["length_mm"] / edge["length_px"],
-            fmt="o", ms=4, color=color, lw=1,
-        )  # fmt: skip
-    axes.axhline(0.0, color=GREY, lw=0.8)
-    axes.set_xlim(-95, 95)
-    axes.set_xlabel("angle of the edge against the image's rows [deg]")
-    axes.set_ylabel("stated minus measured length [mm]")
     return figure

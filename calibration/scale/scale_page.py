@@ -7,8 +7,7 @@ from functools import partial
 from typing import Any
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.scale.edges import measure_edges
-from taccel_lab.calibration.scale.pictures import draw_edge_lengths, draw_edges, draw_estimates
+from taccel_lab.calibration.scale.pictures import draw_edges, draw_estimates
 from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.report.page import Page, Picture, Table
 
@@ -23,17 +22,14 @@ def scale_page(result: ScaleCalibration, folder: CaptureFolder) -> Page:
             "length is wrong.",
         )
     ]
-    if any(estimate.method == "edge" for estimate in result.estimates):
-        measured, _ = measure_edges(folder.edges, folder.require_background().image(), folder.mask)
-        pictures += [
-            Picture("edges", partial(draw_edges, measured), "Edges and ends as found."),
-            Picture(
-                "edge_lengths",
-                partial(draw_edge_lengths, result),
-                "A slope over the angle means that pixels are not square; grey edges touched with "
-                "a part of their length only.",
-            ),
-        ]
+    for estimate in result.estimates:
+        if estimate.method == "edge":
+            caption = (
+                "Edges and ends as found, with what the scale makes each longer than it is; grey "
+                "ones touched with a part of their length only."
+            )
+            draw = partial(draw_edges, estimate.evidence["edges"], folder)
+            pictures.append(Picture("edges", draw, caption))
     return Page(
         f"Scale of {folder.sensor}" + (f" {folder.unit}" if folder.unit else ""),
         _summary(result),

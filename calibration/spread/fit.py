@@ -30,13 +30,8 @@ def calibrate_spread(
     options: SpreadOptions = SpreadOptions(),
     progress: Progress = silent,
 ) -> SpreadCalibration:
-    """How far the light of the folder's frames differs, and units where profiles are given.
-
-    Args:
-        folder: Its untouched images are compared, or its presses where there are fewer than two.
-        base: Profile that the result extends; nothing of it is compared.
-        options: Profiles of units.
-        progress: Told of the frames.
+    """How far the light of the folder's untouched images differs, or of its presses where there are
+    fewer than two; and units where profiles are given. Nothing of ``base`` is compared.
 
     Raises:
         InputError: Fewer than two frames and no profiles, or profiles that cannot be compared.

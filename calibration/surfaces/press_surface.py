@@ -3,12 +3,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-
-from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -29,25 +26,6 @@ class BallSurface:
     """Travel of the indenter past first touch [mm]."""
     provider: str
     """What made the surface."""
-
-    def __post_init__(self) -> None:
-        shape = self.height_m.shape
-        for name, wanted in (
-            ("rest_height_m", shape),
-            ("normals", (*shape, 3)),
-            ("rest_normals", (*shape, 3)),
-        ):
-            found = getattr(self, name).shape
-            if found != wanted:
-                raise InputError(f"PressSurface.{name} has shape {found}, expected {wanted}")
-        for name in ("height_m", "rest_height_m", "normals", "rest_normals"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise InputError(f"PressSurface.{name} holds NaN or infinite values")
-        if not (math.isfinite(self.contact_radius_px) and self.contact_radius_px > 0):
-            raise InputError(
-                f"PressSurface.contact_radius_px is {self.contact_radius_px}; a positive number "
-                "of pixels is needed"
-            )
 
     def displacement_mm(self) -> np.ndarray:
         """Rise of the face over its rest position [mm], negative below, shape [height, width]."""

@@ -89,8 +89,8 @@ class RadialSurfaces:
         variable = radius_px / self.middle_px - 1.0
         t = np.arange(self.tilt_rad.shape[1]) * STEP
         relative = distance_mm / radius_mm
-        tilt = np.interp(relative, t, _polynomial(self.tilt_rad, variable), right=0.0)
-        sunk = np.interp(relative, t, _polynomial(self.sunk_per_radius, variable), right=0.0)
+        tilt = np.interp(relative, t, np.polyval(self.tilt_rad, variable), right=0.0)
+        sunk = np.interp(relative, t, np.polyval(self.sunk_per_radius, variable), right=0.0)
         return tilt, sunk * radius_mm
 
 
@@ -125,10 +125,3 @@ def _profile(
     ]
     means[0][0] = 0.0
     return means[0], means[1]
-
-
-def _polynomial(coefficients: np.ndarray, variable: float) -> np.ndarray:
-    total = np.zeros(coefficients.shape[1])
-    for row in coefficients:
-        total = total * variable + row
-    return total

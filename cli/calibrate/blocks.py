@@ -189,9 +189,9 @@ class CalibrateNormals(BlockCommand, NormalOptions):
 class CalibrateScale(BlockCommand):
     """Measure mm/px along x and y from captures of known length.
 
-    Boards on the gel, presses of a straight edge, markers of known pitch, landmarks, and ball
-    presses with depths each give a scale with its uncertainty. They are compared and, if they
-    agree, averaged. Ball presses without depths give an upper limit only.
+    Boards on the gel, presses of a straight edge, markers of known pitch, and ball presses with
+    depths each give a scale with its uncertainty. They are compared and, if they agree, averaged.
+    Ball presses without depths give an upper limit only.
     """
 
     captures: Positional[Path]

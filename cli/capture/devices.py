@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass
 class CaptureDevices:
     """List the cameras that are plugged in, by the id that capture record and live take.
 
-    On Linux ids stay with the camera: maker, model and serial number (GelSight Mini and DIGIT have
-    one). On macOS and Windows cameras have numbers, which change with what is plugged in.
+    Ids stay with the camera: maker, model and serial number (GelSight Mini and DIGIT have one).
     """
 
     json: bool = False

@@ -3,8 +3,8 @@
 
 The search for edges was written with these presses at hand, so that they are no fresh ones to it;
 for this test nothing was changed. Found so: 15 of 16 edges; at the published 0.0634 mm/px they are
-0.08 mm off at the median, 0.14 mm (rms) and 0.06 mm too long on average; with the scale of the
-other presses, 0.06 mm at the median and 0.13 mm (rms).
+0.08 mm off at the median, 0.13 mm (rms) and 0.05 mm too long on average; with the scale of the
+other presses, 0.07 mm at the median and 0.13 mm (rms).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -57,8 +57,6 @@ class CameraInfo:
     serial: str | None = None
     replayed: bool = False
     """Whether frames come from files."""
-    notes: tuple[str, ...] = field(default=())
-    """What a person should know, such as that the id is not a stable one."""
 
 
 class Camera(Protocol):

@@ -1,24 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cameras are plugged in, and which of them is meant."""
+"""Which cameras are plugged in, and which of them is meant.
+
+Names in ``/dev/v4l`` stay with a camera, sysfs has serial numbers, and drivers list their formats:
+the requests and structures are those of ``linux/videodev2.h`` (kernel documentation, "Video for
+Linux API", ``VIDIOC_ENUM_FMT`` and ``VIDIOC_ENUM_FRAMESIZES``), the same on all 64-bit machines.
+"""
 
 from __future__ import annotations
 
-import sys
+import fcntl
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from taccel_lab.calibration.capture.camera.v4l2 import (
-    SizedFormat,
-    card_name,
-    serial_number,
-    sized_formats,
-    stable_names,
-)
 from taccel_lab.errors import InputError
 
+_ENUM_FORMAT, _ENUM_SIZE = 0xC0405602, 0xC02C564A
+_FORMAT, _SIZE = "=III32sIIIII", "=IIIIIIIIIII"
+_CAPTURE, _DISCRETE = 1, 1
+_MOST = 64
+"""Formats, and sizes of each, that are requested."""
+
+SizedFormat = tuple[str, int, int]
+"""FourCC, width and height [px]."""
 ROOT = Path("/")
-_MOST_INDEX = 10
-"""Cameras that are tried where there is no list of them."""
 
 
 @dataclass(frozen=True)
@@ -26,46 +34,35 @@ class Device:
     """One camera that is plugged in."""
 
     id: str
-    """Stays with the camera on Linux; elsewhere its place in the system's list, which does not."""
-    node: str | int
-    """What OpenCV opens: ``/dev/videoN``, or an index."""
+    """Stays with the camera."""
+    node: str
+    """What OpenCV opens: ``/dev/videoN``."""
     name: str
     serial: str | None
     formats: tuple[SizedFormat, ...] = ()
 
-    @property
-    def is_stable(self) -> bool:
-        """Whether the id stays with the camera when others are plugged in."""
-        return not self.id.isdigit()
-
 
 def list_devices(root: Path = ROOT) -> list[Device]:
-    """Cameras that are plugged in; on macOS and Windows by opening one index after another."""
-    if sys.platform == "linux":
-        return [
-            Device(
-                name,
-                node,
-                card_name(root, node) or name,
-                serial_number(root, node),
-                tuple(sized_formats(node)) if root == ROOT else (),
-            )
-            for name, node in stable_names(root).items()
-        ]
-    return [Device(str(i), i, f"camera {i}", None) for i in _opening_indices()]
+    """Cameras that are plugged in."""
+    return [
+        Device(
+            name,
+            node,
+            _card_name(root, node) or name,
+            _serial_number(root, node),
+            tuple(_sized_formats(node)) if root == ROOT else (),
+        )
+        for name, node in _stable_names(root).items()
+    ]
 
 
 def find_device(wanted: str, root: Path = ROOT) -> Device:
     """The camera that ``wanted`` names: its id, its serial number, a part of either that no other
-    has, a node such as ``/dev/video0``, or an index where there are no ids.
+    has, or a node such as ``/dev/video0``.
 
     Raises:
         InputError: There is none, or several; the message names those there are.
     """
-    if sys.platform != "linux":
-        if wanted.isdigit():  # Not opened twice, which blinks and may take seconds.
-            return Device(wanted, int(wanted), f"camera {wanted}", None)
-        raise InputError(f"--camera is {wanted!r}; on this system cameras have numbers: 0, 1, ...")
     devices = list_devices(root)
     exact = [d for d in devices if wanted in (d.id, d.serial, d.node, f"{root}dev/{wanted}")]
     word = wanted.casefold()
@@ -83,14 +80,78 @@ def find_device(wanted: str, root: Path = ROOT) -> Device:
     raise InputError(f"--camera is {wanted!r}; {problem}: {names}")
 
 
-def _opening_indices() -> list[int]:
-    import cv2
+def _stable_names(root: Path) -> dict[str, str]:
+    """``/dev/videoN`` of each camera by the name that stays with it.
 
-    found = []
-    for i in range(_MOST_INDEX):
-        capture = cv2.VideoCapture(i)
-        if not capture.isOpened():
-            break
-        found.append(i)
-        capture.release()
-    return found
+    Names of ``by-id`` hold maker, model and serial number; those of ``by-path``, taken for cameras
+    that have no other, the port that it is plugged into. Only the first node of a camera gives
+    images. ``root`` is ``/``, or a folder that stands for it.
+    """
+    found: dict[str, str] = {}
+    for kind in ("by-id", "by-path"):
+        folder = root / "dev/v4l" / kind
+        for link in sorted(folder.glob("*-video-index0")) if folder.is_dir() else ():
+            node = link.resolve().name
+            if node not in found.values():
+                found[link.name] = node
+    return {name: f"/dev/{node}" for name, node in found.items()}
+
+
+def _card_name(root: Path, node: str) -> str:
+    """What the driver calls a camera, such as ``DIGIT: DIGIT``; empty where it says nothing."""
+    return _text(root / "sys/class/video4linux" / Path(node).name / "name")
+
+
+def _serial_number(root: Path, node: str) -> str | None:
+    """Serial number of the USB device behind a node; None where it has none."""
+    place = root / "sys/class/video4linux" / Path(node).name / "device"
+    with suppress(OSError):
+        # The node hangs on an interface of the device, which hangs on the device.
+        for folder in (place.resolve(), *place.resolve().parents[:2]):
+            serial = _text(folder / "serial")
+            if serial:
+                return serial
+    return None
+
+
+def _sized_formats(node: str) -> list[SizedFormat]:
+    """Formats and sizes of a camera that exist as such; empty where it cannot be asked."""
+    try:
+        handle = os.open(node, os.O_RDWR | os.O_NONBLOCK)
+    except OSError:
+        return []
+    try:
+        return list(_formats(handle))
+    finally:
+        os.close(handle)
+
+
+def _formats(handle: int) -> Iterator[SizedFormat]:
+    for i in range(_MOST):
+        asked = struct.pack(_FORMAT, i, _CAPTURE, 0, b"", 0, 0, 0, 0, 0)
+        format_ = _asked(handle, _ENUM_FORMAT, asked)
+        if format_ is None:
+            return
+        code = struct.unpack(_FORMAT, format_)[4]
+        for k in range(_MOST):
+            size = _asked(handle, _ENUM_SIZE, struct.pack(_SIZE, k, code, *([0] * 9)))
+            if size is None:
+                break
+            _, _, kind, width, height, *_ = struct.unpack(_SIZE, size)
+            if kind == _DISCRETE:
+                yield code.to_bytes(4, "little").decode("ascii", "replace").strip(), width, height
+
+
+def _asked(handle: int, request: int, argument: bytes) -> bytes | None:
+    """The driver's answer; None where it has none (EINVAL ends every list)."""
+    try:
+        return fcntl.ioctl(handle, request, argument)
+    except OSError:
+        return None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.importers.path_pattern import natural_key
+from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, is_video
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
 from taccel_lab.files.videos import count_frames, read_frames
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 HELD_BY = (
     f"a video ({', '.join(VIDEOS)}), an image ({', '.join(IMAGES)}), a folder of images, an HDF5 "
     "file of UniVTAC, a LeRobot data set"
@@ -62,16 +61,16 @@ class Recording:
             return cls(source, chosen, lambda: count, partial(lerobot_frames, source, chosen))
         if camera is not None:
             raise InputError(f"{source} is of one camera; leave --camera {camera} away")
-        if source.is_file() and source.suffix.lower() in VIDEOS:
+        if source.is_file() and is_video(source):
             return cls(source, "", lambda: count_frames(source)[0], partial(_of_video, source))
         if source.is_dir():
-            found = [p for p in source.iterdir() if p.suffix.lower() in IMAGES and p.is_file()]
+            found = [p for p in source.iterdir() if is_picture(p) and p.is_file()]
             if not found:
                 raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
             return cls._of_images(
                 source, tuple(sorted(found, key=lambda path: natural_key(path.name)))
             )
-        if source.suffix.lower() in IMAGES:
+        if is_picture(source):
             return cls._of_images(source, (source,))
         raise InputError(f"{source} is none of these: {HELD_BY}")
 

@@ -19,7 +19,6 @@ class Gap:
     """The camera is not there."""
 
     reason: str
-    tries: int
 
 
 def shots(
@@ -27,18 +26,14 @@ def shots(
     opened: Callable[[Camera], None],
     *,
     again_s: float = AGAIN_S,
-    sleep: Callable[[float], None] = time.sleep,
 ) -> Generator[Shot | Gap, None, None]:
     """Frames, and a ``Gap`` each time that a lost camera could not be opened again.
 
     The first time it has to open. The generator ends with a replay, and closes the camera when it
     is closed.
 
-    Args:
-        open_: Opens it; by a stable id it is the same camera again.
-        opened: Called with it each time, for instance to lock its controls.
-        again_s: Time between two tries [s].
-        sleep: Waits so long.
+    ``opened`` is called with the camera each time, for instance to lock its controls; ``again_s``
+    passes between two tries.
 
     Raises:
         InputError: There is no such camera at first.
@@ -48,21 +43,19 @@ def shots(
     opened(camera)
     try:
         while True:
-            tries, reason = 0, ""
             while camera is None:
                 try:
                     camera = open_()
                     opened(camera)
                 except (CameraLostError, InputError) as error:
-                    tries, reason = tries + 1, str(error)
-                    yield Gap(reason, tries)
-                    sleep(again_s)
+                    yield Gap(str(error))
+                    time.sleep(again_s)
             try:
                 shot = camera.read()
             except CameraLostError as error:
                 camera.close()
                 camera = None
-                yield Gap(str(error), 0)
+                yield Gap(str(error))
                 continue
             if shot is None:
                 return

@@ -6,7 +6,6 @@ What is set is read back: drivers take a value without an error and keep their o
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -23,17 +22,16 @@ from taccel_lab.calibration.capture.camera.camera import (
 from taccel_lab.calibration.capture.camera.devices import Device
 from taccel_lab.errors import InputError
 
-MANUAL_EXPOSURE = 1.0 if sys.platform == "linux" else 0.25
-"""OpenCV hands V4L2 its own menu (1 is manual); DirectShow and AVFoundation take a quarter."""
+MANUAL_EXPOSURE = 1.0
+"""Of V4L2's menu, which OpenCV hands on."""
 OLDEST_S = 5.0
 """A time stamp of the driver that is farther back is of another clock."""
 NEAR = 0.02
 """Part of a value within which it counts as held: drivers round to their own steps."""
 
 
-def _open_capture(node: str | int) -> Any:
-    backend = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
-    return cv2.VideoCapture(node, backend)
+def _open_capture(node: str) -> Any:
+    return cv2.VideoCapture(node, cv2.CAP_V4L2)
 
 
 class UvcCamera:
@@ -44,21 +42,15 @@ class UvcCamera:
         device: Device,
         size_px: tuple[int, int] | None = None,
         *,
-        open_capture: Callable[[str | int], Any] = _open_capture,
+        open_capture: Callable[[str], Any] = _open_capture,
     ) -> None:
-        """Open ``device``.
-
-        Args:
-            device: From ``find_device``.
-            size_px: Width and height that the camera is asked to give; its own choice when None.
-            open_capture: Makes a ``cv2.VideoCapture`` of a node.
+        """Open ``device``, with images of ``size_px`` (width, height) where that is given.
 
         Raises:
             CameraLostError: It does not open.
             InputError: It has no images of that size.
         """
-        notes = () if device.is_stable else (f"camera {device.id} is a place in a list, no id",)
-        self.info = CameraInfo(device.id, device.name, device.serial, notes=notes)
+        self.info = CameraInfo(device.id, device.name, device.serial)
         self._capture = open_capture(device.node)
         if not self._capture.isOpened():
             self._capture.release()

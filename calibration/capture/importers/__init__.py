@@ -89,9 +89,9 @@ def read_drafts(
     if not source.exists():
         raise InputError(f"{source} does not exist")
     chosen = detect_layout(source) if layout == AUTO else named_layout(layout)
-    if chosen.by_structure and layout != AUTO and not chosen.recognises(source):
-        raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     drafts = chosen.read(source, options)
+    if not drafts:
+        raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     require_effect(options, drafts, source, chosen.name)
     origin = read_origin(source)
     for draft in drafts:

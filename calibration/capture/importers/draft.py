@@ -29,6 +29,7 @@ from taccel_lab.calibration.capture.schema import (
     MIN_RADIUS_MM,
     SCHEMA_VERSION,
 )
+from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.files.images import MAX_FILE_BYTES, Image, levels, read_image
@@ -36,7 +37,6 @@ from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Image files whose bytes are kept; others become PNG, which loses nothing."""
 MEDIAN = "median"
@@ -50,11 +50,6 @@ _BOUNDS = {
     "edge_mm": (MIN_EDGE_MM, MAX_EDGE_MM),
 }
 """What the manifest allows."""
-
-
-def is_picture(path: Path | str) -> bool:
-    """Whether a file is an image by its ending."""
-    return Path(path).suffix.lower() in IMAGE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -78,17 +73,23 @@ class ImportOptions:
     license: str | None = None
 
     def __post_init__(self) -> None:
-        for name, (least, most) in _BOUNDS.items():
-            value = getattr(self, name)
-            if value is None or least < value <= most:
-                continue
-            unit = "mm/px" if name.startswith("mm_per_px") else "mm"
-            meant = value * 1e3
-            hint = f"; is it in metres ({meant:g} {unit})?" if least < meant <= most else ""
-            raise InputError(
-                f"--{name.replace('_', '-')} is {value:g}; {least:g} to {most:g} {unit} is "
-                f"allowed{hint}"
-            )
+        require_lengths(**{name: getattr(self, name) for name in _BOUNDS})
+
+
+def require_lengths(**lengths: float | None) -> None:
+    """InputError for an option out of the manifest's bounds; by the options' names, None: not
+    given."""
+    for name, value in lengths.items():
+        least, most = _BOUNDS[name]
+        if value is None or least < value <= most:
+            continue
+        unit = "mm/px" if name.startswith("mm_per_px") else "mm"
+        meant = value * 1e3
+        hint = f"; is it in metres ({meant:g} {unit})?" if least < meant <= most else ""
+        raise InputError(
+            f"--{name.replace('_', '-')} is {value:g}; {least:g} to {most:g} {unit} is "
+            f"allowed{hint}"
+        )
 
 
 @dataclass
@@ -292,9 +293,7 @@ class Draft:
         entries = self.manifest["presses"]
         if "indenter" not in self.manifest and not all("radius_mm" in e for e in entries):
             missing.append("the ball's radius (--radius-mm)")
-        if "mm_per_px_x" not in self.manifest and not (
-            {"boards", "edges", "landmarks"} & self.manifest.keys()
-        ):
+        if "mm_per_px_x" not in self.manifest and not ({"boards", "edges"} & self.manifest.keys()):
             missing.append("the scale (--mm-per-px-x, --mm-per-px-y)")
         return missing
 

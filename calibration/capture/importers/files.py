@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.path_pattern import natural_key
+from taccel_lab.calibration.capture.suffixes import is_picture
 
 
 def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:

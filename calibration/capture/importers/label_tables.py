@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft
-from taccel_lab.calibration.capture.records import kind_of_record
+from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.table_file import numbered_lines, read_table, read_table_text
@@ -109,7 +109,7 @@ def read_label_tables(folder: Path) -> LabelTables:
             try:
                 circles = read_labels(path)
                 is_foreign = circles is None and path.suffix == ".csv" and place == folder
-                if is_foreign and kind_of_record(path) is None:
+                if is_foreign and not is_record(path):
                     found.left_out[path] = _no_labels(path)
             except NotATable as error:
                 found.left_out[path] = without_path(path, error)

@@ -24,8 +24,6 @@ class CaptureLayout:
     recognises: Callable[[Path], bool]
     """Whether a file or folder follows it; decodes a few images at most."""
     read: Callable[[Path, ImportOptions], list[Draft]]
-    """One draft for each sensor or set. Raises InputError naming the file, what was found and what
+    """One draft for each sensor or set; none where it is of another layout, which may be looked for
+    less closely than by ``recognises``. Raises InputError naming the file, what was found and what
     is allowed."""
-    by_structure: bool = True
-    """Whether a source that is not recognised cannot be read either; otherwise, a person who names
-    the layout is believed."""

@@ -11,11 +11,11 @@ import numpy as np
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.layout import CaptureLayout
+from taccel_lab.calibration.capture.suffixes import is_video
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 
-VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 MIN_FRAMES = 20
 SAMPLED, STEADY = 12, 0.5
 """Pairs of neighbours that are looked at, and how much nearer than distant frames they have to be.
@@ -24,7 +24,7 @@ SAMPLED, STEADY = 12, 0.5
 
 def _recognises(path: Path) -> bool:
     if path.is_file():
-        return path.suffix.lower() in VIDEO_SUFFIXES
+        return is_video(path)
     if not path.is_dir() or any(path.glob("*.toml")):
         return False
     images = images_in(path)
@@ -42,7 +42,7 @@ def _recognises(path: Path) -> bool:
 
 
 def _videos(path: Path) -> list[Path]:
-    return [p for p in sorted(path.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES]
+    return [p for p in sorted(path.iterdir()) if is_video(p)]
 
 
 def _moves_steadily(images: list[Path]) -> bool:
@@ -94,5 +94,5 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
 
 
 LAYOUT = CaptureLayout(
-    "markers", "a video, or numbered frames, of a gel with dots", _recognises, _read, False
+    "markers", "a video, or numbered frames, of a gel with dots", _recognises, _read
 )

@@ -20,8 +20,8 @@ from taccel_lab.calibration.capture.importers.label_tables import (
 )
 from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, CaptureLayout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
-from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
-from taccel_lab.calibration.capture.records import kind_of_record
+from taccel_lab.calibration.capture.records import is_record
+from taccel_lab.calibration.capture.suffixes import is_video
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import image_size, read_grey
 from taccel_lab.files.inner_path import real_path
@@ -168,25 +168,20 @@ def _take_records(path: Path, draft: Draft) -> None:
         if not written.isdisjoint(table.parents):
             continue
         try:
-            kind = kind_of_record(table)
+            if not is_record(table):
+                continue
         except InputError as error:
             draft.leave_out(table, without_path(table, error))
             continue
-        if kind is None:
-            continue
         draft.left_out.pop(table, None)
         name = draft.add_file(table, path)
-        draft.manifest.setdefault("records", []).append({"file": name, "kind": kind})
-        draft.assume(name, f"a record of kind {kind}, by its columns; state its tool")
+        draft.manifest.setdefault("records", []).append({"file": name, "kind": "indentation"})
+        draft.assume(name, "a record of an indentation, by its columns; state its tool")
 
 
 def _take_videos(path: Path, draft: Draft) -> None:
     written = capture_folders(path)
-    videos = [
-        p
-        for p in sorted(path.rglob("*"))
-        if p.suffix.lower() in VIDEO_SUFFIXES and written.isdisjoint(p.parents)
-    ]
+    videos = [p for p in sorted(path.rglob("*")) if is_video(p) and written.isdisjoint(p.parents)]
     if "background" not in draft.manifest:
         for video in videos:
             draft.leave_out(video, "a video of dots needs a background, which shows them at rest")
@@ -196,4 +191,4 @@ def _take_videos(path: Path, draft: Draft) -> None:
         draft.assume("markers", "the videos are of dots on the gel, at rest in the background")
 
 
-LAYOUT = CaptureLayout("plain", "any folder of images", _recognises, _read, False)
+LAYOUT = CaptureLayout("plain", "any folder of images", _recognises, _read)

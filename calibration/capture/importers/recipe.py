@@ -87,7 +87,6 @@ class Edges(ImageRecipe):
     """Presses of a straight edge."""
 
     length_mm: Number
-    dihedral_deg: Number = 90.0
     line: Words | None = None
     """Column and row of its middle, length [px] and angle [degrees], four numbers in all."""
 
@@ -148,8 +147,6 @@ class Set(StrictModel):
     diameter_mm: Scale | Setting | None = None
     mm_per_px: Annotated[Scale, Field(le=MAX_MM_PER_PX)] | Setting | None = None
     px_per_mm: Scale | Setting | None = None
-    homography: Patterns | None = None
-    """A ``.npy``, 3 x 3, of millimetres to pixels."""
     presses: Annotated[
         Presses | None,
         BeforeValidator(lambda v: {"files": v} if isinstance(v, (str, list)) else v),

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.path_pattern import Match, filled, find
 from taccel_lab.calibration.capture.importers.recipe import ImageRecipe
+from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.files.cell_number import number

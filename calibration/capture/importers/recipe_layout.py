@@ -51,7 +51,7 @@ def recipe_layout(path: Path) -> CaptureLayout:
         return _read(recipe, path.stem, source, options)
 
     return CaptureLayout(
-        path.stem, recipe.title, lambda source: bool(_places(recipe, source)), read, False
+        path.stem, recipe.title, lambda source: bool(_places(recipe, source)), read
     )
 
 
@@ -111,8 +111,6 @@ def _candidates(of: Set, source: Path) -> Iterator[_SetAt]:
 
 def _read(recipe: Recipe, name: str, source: Path, options: ImportOptions) -> list[Draft]:
     places = _places(recipe, source) or _places(recipe, source, with_background=False)
-    if not places:
-        raise InputError(f"{source} is not of the layout {name}: {recipe.title}")
     why = f"that of {recipe.published or f'the recipe {name}'}"
     presses = [list(images_of(p, p.of.presses)) if p.of.presses else [] for p in places]
     tables: dict[Path, LabelTables] = {}
@@ -165,7 +163,7 @@ def _fill(
         for path in place.files([pattern]):
             if path not in draft.used:
                 draft.leave_out(path, reason)
-    for further in (of.presses and of.presses.table, of.settings, of.homography):
+    for further in (of.presses and of.presses.table, of.settings):
         for path in place.files(further)[1:]:
             if path not in draft.used:
                 draft.leave_out(path, f"{place.files(further)[0].name} is read instead")
@@ -254,13 +252,11 @@ def _take_edges(draft: Draft, place: _SetAt, options: ImportOptions) -> None:
         draft.assume(
             "edge_mm", f"{length:g} mm, that of the published cube; --edge-mm gives another"
         )
-    draft.assume("dihedral_deg", f"{of.dihedral_deg:g}, that of a cube")
     edges = draft.manifest.setdefault("edges", [])
     for edge in images_of(place, of):
         entry = {
             "image": draft.add_image(edge.image, edge.name),
             "length_mm": float(length),
-            "dihedral_deg": of.dihedral_deg,
         }
         line = edge.together(of.line, _LINE)
         edges.append(entry | ({} if line is None else {"line": line}))

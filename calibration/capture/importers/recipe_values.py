@@ -7,15 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.path_pattern import regex_of
 from taccel_lab.calibration.capture.importers.recipe import Set, Setting
 from taccel_lab.calibration.capture.importers.recipe_images import ImagePlace
-from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
-from taccel_lab.files.arrays import finite_numbers, read_npy
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
@@ -134,29 +130,7 @@ def set_values(
             if found is not None:
                 mm_per_px = 1 / found if inverse else found
                 draft.set_scale(mm_per_px, why=None if stated else of.why.get("mm_per_px", why))
-    for path in place.files(of.homography)[:1]:
-        if scale is None:
-            _scale_of_homography(path, draft)
-        else:
-            draft.leave_out(path, "--mm-per-px-x replaces its scale")
     return radius
-
-
-def _scale_of_homography(path: Path, draft: Draft) -> None:
-    """Scale from a homography of millimetres to pixels, whose axes may be swapped."""
-    draft.used.add(path)
-    matrix = finite_numbers({path.name: read_npy(path)}, path.name, path.parent)
-    affine = matrix.shape == (3, 3) and np.abs(matrix[2, :2]).max() <= 1e-9 and matrix[2, 2] != 0
-    px_per_mm = np.linalg.norm(matrix[:2, :2] / matrix[2, 2], axis=1) if affine else np.zeros(2)
-    if not np.all((px_per_mm >= 1 / MAX_MM_PER_PX) & (px_per_mm <= 1 / MIN_MM_PER_PX)):
-        draft.leave_out(path, "no affine 3 x 3 matrix of a scale in px per mm")
-        return
-    draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
-    draft.assume(
-        "mm_per_px",
-        f"from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} per mm, taken as pixels of these "
-        "images per millimetre",
-    )
 
 
 def renamed_table(path: Path, columns: Mapping[str, str]) -> str:

@@ -25,6 +25,8 @@ def _recognises(path: Path) -> bool:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
+    if not _recognises(path):
+        return []
     pack = _pack(path)
     stated = None
     if options.mm_per_px_x is not None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,6 @@ from taccel_lab.errors import InputError
 from tests.fuzz.samples.captures import write_video
 from tests.support.capture_sets import CaptureMaker, spread_circles, write_image
 
-linux = pytest.mark.skipif(sys.platform != "linux", reason="/dev/v4l is Linux's")
 MINI = "usb-Arducam_GelSight_Mini_28C2AUAH-video-index0"
 DIGIT = "usb-Facebook_DIGIT_D20025-video-index0"
 
@@ -55,21 +53,18 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@linux
 def test_cameras_are_listed_with_serial_numbers(machine: Path) -> None:
     found = {device.id: device for device in list_devices(machine)}
     assert set(found) == {MINI, DIGIT}
     assert found[DIGIT].node == "/dev/video0" and found[DIGIT].serial == "D20025"
-    assert found[MINI].name == "GelSight" and found[MINI].is_stable
+    assert found[MINI].name == "GelSight"
 
 
-@linux
 @pytest.mark.parametrize("wanted", [DIGIT, "D20025", "digit", "/dev/video0", "d2002"])
 def test_a_camera_is_found_by_any_of_its_names(machine: Path, wanted: str) -> None:
     assert find_device(wanted, machine).id == DIGIT
 
 
-@linux
 def test_a_name_that_several_have_or_none_is_refused(machine: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"several.*{DIGIT}"):
         find_device("usb", machine)

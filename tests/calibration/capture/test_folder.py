@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.record_checks import apparent_modulus_mpa, check_record
-from taccel_lab.calibration.capture.records import kind_of_record, load_record
+from taccel_lab.calibration.capture.records import is_record, load_record
 from taccel_lab.calibration.capture.schema import CaptureManifest, RecordEntry, ToolEntry
 from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError
@@ -410,5 +410,5 @@ def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
 
 
 def test_kind_is_told_by_the_columns(tmp_path: Path) -> None:
-    assert kind_of_record(write(tmp_path, "depth_mm, force_n\n")) == "indentation"
-    assert kind_of_record(write(tmp_path, "a,b\n")) is None
+    assert is_record(write(tmp_path, "depth_mm, force_n\n"))
+    assert not is_record(write(tmp_path, "a,b\n"))

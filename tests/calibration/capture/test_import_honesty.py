@@ -245,10 +245,3 @@ def test_an_earlier_import_below_the_source_is_not_read_again(tmp_path: Path) ->
 def test_lengths_out_of_bounds_are_told_by_their_flag(option: dict[str, float], words: str) -> None:
     with pytest.raises(InputError, match=words):
         ImportOptions(**option)  # pyright: ignore[reportArgumentType]
-
-
-def test_nothing_is_said_of_a_rest_that_nobody_assumed(tmp_path: Path) -> None:
-    folders = imported(source_of(fots, tmp_path))
-    (of_markers,) = [folder for folder in folders if folder.markers is not None]
-    assert "rest" not in of_markers.assumed
-    assert "0.csv has the places of the dots without load" in of_markers.assumed["labels"]

@@ -75,6 +75,8 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
     assert dots.markers is not None and dots.markers.labels["du_px"].tolist() == [-1.0, 0.0]
     # Its only frame is a press.
     assert dots.markers.rest is None and dots.markers.labels_frame is not None
+    assert "rest" not in dots.assumed
+    assert "0.csv has the places of the dots without load" in dots.assumed["labels"]
 
 
 def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
@@ -104,7 +106,6 @@ def test_lengths_and_names_of_other_layouts(tmp_path: Path) -> None:
     captures = only(feats)
     assert captures.records[0].entry.tool.radius_mm == 7.5
     assert captures.records[0].columns["force_n"].tolist() == [1.65, 5.96]
-    assert captures.mm_per_px == pytest.approx((1 / 14, 1 / 14))
     captures = only(cube_edges, edge_mm=8.0)
     assert [edge.frame.name for edge in captures.edges] == ["edge_0", "edge_2", "edge_10"]
     assert captures.edges[0].entry.length_mm == 8.0
@@ -228,14 +229,6 @@ def test_files_of_the_same_name_in_two_folders_are_both_kept(tmp_path: Path) -> 
     assert (out / "a_v.avi").read_bytes() != (out / "b_v.avi").read_bytes()
     records = [entry["file"] for entry in manifest["records"]]
     assert len(set(records)) == 5 and all((out / name).is_file() for name in records)
-
-
-def test_a_homography_without_a_scale_is_left_out(tmp_path: Path) -> None:
-    source = source_of(feats, tmp_path)
-    np.save(source / "homography.npy", np.diag([0.0, 14.0, 1.0]))
-    _, (draft,) = read_drafts(source, "feats")
-    assert "mm_per_px_x" not in draft.manifest
-    assert "no affine 3 x 3 matrix" in draft.left_out[source / "homography.npy"]
 
 
 def test_nothing_to_import(tmp_path: Path) -> None:

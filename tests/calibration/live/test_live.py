@@ -17,7 +17,7 @@ from taccel_lab.calibration.depth.captures import CaptureSet
 from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
 from taccel_lab.calibration.live.pictures import BEYOND, pictures
 from taccel_lab.calibration.live.reader import LiveReader
-from taccel_lab.calibration.live.run import LiveResult, live_session, run_live, run_together
+from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
@@ -66,12 +66,13 @@ def session(
         for k, frame in enumerate(frames):
             noisy = np.clip(np.rint(frame + rng.normal(0, 0.5, frame.shape)), 0, 255)
             write_image(folder / f"{k:03d}.png", noisy.astype(np.uint8))
-    return run_live(
+    session = live_session(
         lambda background: LiveReader(profile, background, detail=1),
         lambda: open_camera(str(folder), None, CameraReplay(fps=25.0)),
         [watching],
         **how,
     )
+    return run_together([session])[0]
 
 
 def test_a_press_is_read_and_timed(grey: tuple[CaptureSet, SensorProfile], tmp_path: Path) -> None:
@@ -266,7 +267,7 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(
 
     def run(page_of: LivePage) -> None:
         reader = lambda untouched: LiveReader(profile, untouched, detail=1, force=force)  # noqa: E731
-        results.append(run_live(reader, lambda: camera, [page_of]))
+        results.extend(run_together([live_session(reader, lambda: camera, [page_of])]))
 
     with live_page("Live", PageOptions(port=0, browser=False)) as server:
         shown = LivePage(LiveSheet(server), 15.0, tmp_path / "kept")

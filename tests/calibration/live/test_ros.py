@@ -15,7 +15,7 @@ import pytest
 
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.ros import RosPublisher
-from taccel_lab.calibration.live.run import run_live
+from taccel_lab.calibration.live.run import live_session, run_together
 from taccel_lab.calibration.live.snapshot import save_snapshot
 from taccel_lab.errors import InputError
 from tests.calibration.depth.test_depth import grey_unit
@@ -137,9 +137,9 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     def reader(background: np.ndarray) -> LiveReader:
         return LiveReader(profile, background, detail=1, force=lambda image, rest: told)
 
-    result = run_live(
-        reader, lambda: camera, [publisher, watching], background=rest.astype(np.float32), frames=2
-    )
+    watchers, untouched = [publisher, watching], rest.astype(np.float32)
+    session = live_session(reader, lambda: camera, watchers, background=untouched, frames=2)
+    (result,) = run_together([session])
     assert ros.node is not None and ros.node.name == "taccel_lab_tactile_left"
     [*_, image], [*_, depth], [*_, contact], [*_, wrench] = (
         ros.node.published[f"tactile/left/{topic}"]

@@ -63,11 +63,7 @@ image = "p0.png"
 length_mm = 2.0
 dihedral_deg = 90.0
 line = { u_px = 16.0, v_px = 12.0, length_px = 15.0, angle_deg = 4.0 }
-
-[[landmarks]]
-image = "p0.png"
-points = [ { u_px = 9.0, v_px = 5.0, x_mm = 0.0, y_mm = 0.0 }, { u_px = 30.0, v_px = 5.0, x_mm = 2.1, y_mm = 0.0 }, { u_px = 9.0, v_px = 30.0, x_mm = 0.0, y_mm = 2.5 } ]
-"""  # noqa: E501
+"""
 _MARKERS = """
 [markers]
 rest = "background.png"
