@@ -36,6 +36,10 @@ _ODD_ROUND = 2.2
 _ODD_CONTRAST = 0.35
 _SAME_PLACE = 0.75
 """Fits nearer than this share of a radius found the same dot."""
+_AREA = 1.45
+"""A blob of at least this many usual areas can be two dots."""
+_STRETCH = 1.4
+"""And of at least this ratio of its axes, above the usual ratio."""
 
 
 def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
@@ -70,11 +74,15 @@ def _enlarged(dots: Dots, factor: int, scale: DotScale, size_px: tuple[int, int]
 
 
 def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
-    fit = _without_twins(fit_dots(grey, _start(grey, scale)))
+    start = _start(grey, scale)
+    fit = fit_dots(grey, start)
+    fit, merged = _split_touching(grey, fit, scale)
+    fit, keep = _without_twins(fit)
+    merged = merged[keep]
     height, width = grey.shape
     cut = fit.seen < _FULL
     cut &= _reaches_border(fit.parameters, width, height)
-    merged = _touching(fit)
+    merged = merged | _touching(fit)
     partial = cut | merged
     if partial.any() and (~partial).sum() >= 3:
         fit = _refit_partial(grey, fit, partial)
@@ -105,7 +113,52 @@ def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
     return start
 
 
-def _without_twins(fit: DotFit) -> DotFit:
+def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit, np.ndarray]:
+    """Fits with long double dots replaced by two dots each.
+
+    Two dots of the usual size replace a long one only if both fits converge, are about as strong
+    and lie about a diameter or less apart.
+
+    Returns:
+        All fits, and which of them come from a split, bool, shape [dot].
+    """
+    p = fit.parameters
+    none = np.zeros(len(p), dtype=bool)
+    if len(p) < 4:
+        return fit, none
+    axes = model.semi_axes(p)
+    radius = model.mean_radius(p)
+    usual = float(np.median(radius))
+    stretch = axes[:, 0] / axes[:, 1]
+    long = (radius**2 > _AREA * usual**2) & (stretch > _STRETCH * np.median(stretch))
+    long &= radius < 2.2 * usual
+    long &= np.sign(p[:, model.CONTRAST]) == scale.sign
+    if not long.any():
+        return fit, none
+    shape = np.median(p[~long], axis=0)
+    half = (axes[long, 0] - usual)[:, None] * model.major_direction(p[long])
+    start = np.repeat(p[long], 2, axis=0)
+    start[0::2, :2] += half
+    start[1::2, :2] -= half
+    start[:, model.SHAPE] = shape[model.SHAPE]
+    start[:, model.LOG_BLUR] = shape[model.LOG_BLUR]
+    pair = fit_dots(grey, start, free_shape=False, others=p[~long, :2])
+    good = np.ones(int(long.sum()), dtype=bool)
+    contrast = pair.parameters[:, model.CONTRAST].reshape(-1, 2)
+    gap = np.hypot(*(pair.uv_px[0::2] - pair.uv_px[1::2]).T)
+    good &= pair.converged.reshape(-1, 2).all(axis=1)
+    good &= np.abs(contrast).min(axis=1) > 0.5 * np.abs(contrast).max(axis=1)
+    good &= np.sign(contrast).min(axis=1) == np.sign(contrast).max(axis=1)
+    good &= (gap > 0.6 * usual) & (gap < 3.0 * usual)
+    replaced = np.flatnonzero(long)[good]
+    stay = np.setdiff1d(np.arange(len(p)), replaced)
+    new = pair.select(np.flatnonzero(np.repeat(good, 2)))
+    kept = fit.select(stay)
+    flag = np.concatenate([np.zeros(kept.count, dtype=bool), np.ones(new.count, dtype=bool)])
+    return kept.joined(new), flag
+
+
+def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
     """Drop fits that fell onto a stronger one, or that lost their dot."""
     p = fit.parameters
     strength = np.abs(p[:, model.CONTRAST]) * np.where(fit.converged, 1.0, 0.5)
@@ -116,7 +169,8 @@ def _without_twins(fit: DotFit) -> DotFit:
         gap = np.hypot(*(p[keep, :2] - p[n, :2]).T) if keep else np.array([np.inf])
         if (gap > _SAME_PLACE * radius[n]).all():
             keep.append(int(n))
-    return fit.select(np.array(keep, dtype=int))
+    chosen = np.array(keep, dtype=int)
+    return fit.select(chosen), chosen
 
 
 def _reaches_border(p: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -19,7 +19,7 @@ class DotFlag(IntFlag):
     CUT = 1
     """Part of it lies outside the image: shape and size are taken from its neighbours."""
     MERGED = 2
-    """It touches another dot: shape and size are taken from its neighbours."""
+    """It touched another dot and was split from it."""
     ODD = 4
     """Its size, shape or contrast is far from the others': perhaps no dot."""
 

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
+from taccel_lab.calibration.dots.lattice import lattice_index
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 
 _WIDE, _NARROW = 0.55, 0.35
@@ -61,6 +63,71 @@ def associate(
             break
         chosen = again
     return chosen
+
+
+def disagreement(
+    chosen: np.ndarray, before: np.ndarray, found: np.ndarray, around: Neighbourhood
+) -> float:
+    """How badly an assignment moves neighbours alike, in markers: one for each marker without a
+    blob, up to one for each that moves otherwise than its neighbours by half a pitch."""
+    matched = chosen >= 0
+    if matched.sum() < 3:
+        return float(len(chosen))
+    moved = np.where(matched[:, None], found[chosen] - before, 0.0)
+    said, _, _ = around.extrapolate(moved, matched)
+    miss = np.linalg.norm(moved - said, axis=1) / (0.5 * around.pitch_px)
+    return float((~matched).sum() + np.minimum(np.nan_to_num(miss[matched], nan=1.0), 1.0).sum())
+
+
+def by_lattice(
+    expected: np.ndarray,
+    row: np.ndarray,
+    column: np.ndarray,
+    found: np.ndarray,
+    pitch_px: float,
+) -> np.ndarray | None:
+    """Where the frame's own lattice puts the markers, however far they moved since the last frame.
+
+    The blobs are numbered among themselves; blobs that lie where a marker is expected vote for how
+    the two numberings are shifted. Neighbours that moved half a pitch more or less than each other
+    break a matching by distance, but not a numbering.
+
+    Args:
+        expected: Where each marker's own motion puts it, shape [marker, 2].
+        row: Row of each marker, -1 for none, shape [marker].
+        column: Column of each marker, shape [marker].
+        found: Blobs of the frame, shape [blob, 2].
+        pitch_px: Distance of neighbours.
+
+    Returns:
+        Places, shape [marker, 2], NaN for markers without a blob; None where the blobs form no
+        lattice or nobody votes.
+    """
+    lattice = lattice_index(found)
+    if lattice.kind != "rectangular":
+        return None
+    numbered = np.flatnonzero(lattice.numbered)
+    distance, nearest = map(np.asarray, KDTree(expected).query(found[numbered]))
+    votes = (distance < 0.3 * pitch_px) & (row[nearest] >= 0)
+    if not votes.any():
+        return None
+    shifts = np.stack(
+        [
+            row[nearest[votes]] - lattice.row[numbered[votes]],
+            column[nearest[votes]] - lattice.column[numbered[votes]],
+        ],
+        axis=1,
+    )
+    names, counts = np.unique(shifts, axis=0, return_counts=True)
+    shift = names[np.argmax(counts)]
+    blob_at = {
+        (int(lattice.row[n] + shift[0]), int(lattice.column[n] + shift[1])): n for n in numbered
+    }
+    places = np.full(expected.shape, np.nan)
+    for marker, place in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
+        if place in blob_at and place[0] >= 0:
+            places[marker] = found[blob_at[place]]
+    return places
 
 
 def _assign(

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _KINDS = (
     (DotFlag.ODD, "unlike the rest", ORANGE),
-    (DotFlag.MERGED, "touches another", PURPLE),
+    (DotFlag.MERGED, "split", PURPLE),
     (DotFlag.CUT, "cut by the border", BLUE),
     (None, "dot", GREEN),
 )

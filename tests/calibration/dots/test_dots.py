@@ -117,6 +117,20 @@ def test_dots_cut_by_the_border_are_flagged_and_placed() -> None:
     assert np.abs(error[~cut]).max() < 0.05
 
 
+@pytest.mark.parametrize("apart", [(6.0, 1.0), (7.5, 2.0), (9.5, -3.0)])
+def test_touching_dots_are_split_and_flagged(apart: tuple[float, float]) -> None:
+    true = grid_points()
+    together = true.copy()
+    together[30] = true[31] - apart
+    found = find_markers(picture(together, 5.0, noise=1.0))
+    index, error = nearest(found.dots.uv_px, together)
+    assert sorted(index) == list(range(len(true)))
+    assert np.abs(error).max() < 0.1
+    assert set(index[found.dots.flagged(DotFlag.MERGED)]) == {30, 31}
+    alone = np.setdiff1d(np.arange(len(true)), [30, 31])
+    assert np.abs(error[np.isin(index, alone)]).max() < 0.05
+
+
 def test_missing_dots_are_listed() -> None:
     gone = [10, 24, 25, 50]
     found = find_markers(picture(np.delete(grid_points(), gone, axis=0), 5.0, noise=1.0))
