@@ -15,9 +15,9 @@ from taccel_lab.calibration.surfaces.design import fitted_design
 from taccel_lab.calibration.surfaces.view import pixels_on_pad, require_view_on_pad
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
+from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark
-from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.profile import catalogue_profile, load_sensor
 from taccel_lab.sensors.profile_family import IMPORTED
 from taccel_lab.sensors.registry import is_of_sensor, profile_folder
 from taccel_lab.sensors.starters import is_starter
@@ -28,7 +28,7 @@ MEASURED = ("calibrated", "measured")
 
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
     """The profile to extend: given, in a profile folder, that which the captures name as their
-    sensor, or the catalogue's design of the sensor, also in place of a starter profile.
+    sensor, or the catalogue's design of the sensor, also by its name or in place of a starter.
 
     A design has the dimensions that the captures' ``[design]`` states, and takes their image size
     and scale where these state a scale.
@@ -37,6 +37,8 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
         InputError: The profile is of another family than the captures, or has other dimensions
             than they state.
     """
+    if str(base) == folder.sensor:
+        base = None
     base = base or profile_folder(folder.sensor)
     if isinstance(base, SensorProfile) and is_starter(base):
         base = None  # Its blocks are of another unit: the design under them is what is known.
@@ -47,7 +49,7 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
             grid = folder.grid()
             design = fitted_design(folder.sensor, grid, folder.design)
             return on_grid(design, grid, folder.provenance, rectified=folder.rectified)
-    profile = base if isinstance(base, SensorProfile) else load_profile(base)
+    profile = base if isinstance(base, SensorProfile) else load_sensor(str(base))
     if not is_of_sensor(profile, folder.sensor):
         name = "to extend" if isinstance(base, SensorProfile) else base
         raise InputError(

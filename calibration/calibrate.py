@@ -213,7 +213,8 @@ def calibrate(
 
     Args:
         folder: Captures, or the path of a capture folder.
-        base: Profile to extend, or its folder; the catalogue's design of the sensor if None.
+        base: Profile to extend, its folder, or a sensor of the catalogue; that of the captures if
+            None.
         only: Names of blocks; all when empty.
         options: Options of a block's fit by its name; its defaults where none are given.
         progress: Told of the tasks of each block, as ``color: fitting the colour model``. When

@@ -60,8 +60,8 @@ class CalibrationFiles:
     out: Path
     """Profile folder to write."""
     base: Path | None = None
-    """Profile to extend. Default: the one that the captures name as their sensor, or the
-    catalogue's design of it."""
+    """Profile folder to extend, or a sensor of the catalogue. Default: the sensor that the
+    captures name."""
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON). Default: <out>_report."""
     json: bool = False

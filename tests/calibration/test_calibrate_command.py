@@ -129,6 +129,14 @@ def test_a_measured_gel_is_what_the_presses_are_simulated_on(folder: Path) -> No
         manifest.write_text(text)
 
 
+def test_the_base_may_be_a_sensor_of_the_catalogue(folder: Path) -> None:
+    captures = load_capture_folder(with_design(folder, "thickness_mm = 3.5"))
+    named = base_profile("gelsight", captures)
+    assert named.gel.thickness_mm == 3.5 and named.camera.grid() == captures.grid()
+    with pytest.raises(InputError, match="captures are of a gelsight, the profile digit is of"):
+        base_profile(Path("digit"), captures)
+
+
 def test_a_profile_of_another_gel_than_the_captures_state_is_refused(folder: Path) -> None:
     with_design(folder, "thickness_mm = 3.5")
     base = folder.parent / "designed"
