@@ -30,6 +30,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from tests.support.blocks import bumpy_body
+from tests.support.turns import random_turns
 
 BALL = sphere_mesh(1e-3, 5e-4)
 PAD = SoftBody(block_mesh((2, 2, 1), (8e-3, 8e-3, 2e-3)), Material(1e5, 0.4))
@@ -38,8 +39,7 @@ BLOCK = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2)
 
 def turned(points: np.ndarray, seed: int) -> np.ndarray:
     """The same points in another frame, far from the origin."""
-    q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    return points @ (q * np.sign(np.linalg.det(q))).T + [0.3, -0.2, 0.1]
+    return points @ random_turns(seed, 1)[0].T + [0.3, -0.2, 0.1]
 
 
 def check(vertices: np.ndarray, faces: np.ndarray, closed: bool = True) -> None:
