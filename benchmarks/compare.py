@@ -13,14 +13,10 @@ from taccel_lab.errors import InputError
 
 IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
-    "error": ("group", "value"),
+    "learning": ("scene", "source", "envs", "pace"),
     "press_accuracy": ("family", "tool", "depth_mm", "poisson_ratio", "friction", "setting"),
-    "scaling": ("series", "size"),
-    "skips": ("skip",),
-    "peers": ("name", "envs"),
-    "multi_gpu": ("mode", "scaling", "gpus", "envs"),
+    "multi_gpu": ("scaling", "gpus", "envs"),
     "stress": ("family",),
-    "study": ("designs",),
     "captures": ("set", "command", "figure"),
     "images": ("size", "sensors"),
 }
@@ -78,7 +74,9 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
         for name in sorted({*first["settings"], *second["settings"]})
         if first["settings"].get(name) != second["settings"].get(name)
     ]
-    keys = IDENTITY.get(first["suite"], ("name",))
+    if first["suite"] not in IDENTITY:
+        raise InputError(f"results of {first['suite']!r} are not compared row by row")
+    keys = IDENTITY[first["suite"]]
     before, after = (
         {tuple(str(row.get(key)) for key in keys): row for row in document["rows"]}
         for document in (first, second)
