@@ -14,12 +14,14 @@ from taccel_lab.errors import InputError
 IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
     "learning": ("scene", "source", "envs", "pace"),
-    "press_accuracy": ("family", "tool", "depth_mm", "poisson_ratio", "friction", "setting"),
-    "multi_gpu": ("scaling", "gpus", "envs"),
+    "press_accuracy": (
+        "family", "thickness_mm", "tool", "depth_mm", "poisson_ratio", "friction", "setting",
+    ),
+    "multi_gpu": ("mode", "scaling", "gpus", "envs"),
     "stress": ("family",),
     "captures": ("set", "command", "figure"),
     "images": ("size", "sensors"),
-}
+}  # fmt: skip
 """What makes a row of a suite the same row."""
 MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")
 SILENT = (
@@ -56,6 +58,11 @@ class FigureChange:
         )
 
 
+def identity(suite: str, row: dict[str, Any]) -> tuple[str, ...]:
+    """What two rows of one suite share only if they are the same."""
+    return tuple(str(row.get(key)) for key in IDENTITY[suite])
+
+
 def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], list[FigureChange]]:
     """Remarks on what makes the two hard to compare, and the figures that changed.
 
@@ -76,9 +83,8 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
     ]
     if first["suite"] not in IDENTITY:
         raise InputError(f"results of {first['suite']!r} are not compared row by row")
-    keys = IDENTITY[first["suite"]]
     before, after = (
-        {tuple(str(row.get(key)) for key in keys): row for row in document["rows"]}
+        {identity(document["suite"], row): row for row in document["rows"]}
         for document in (first, second)
     )
     for title, one, other in (("only in the first", before, after), ("new", after, before)):

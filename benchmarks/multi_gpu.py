@@ -29,6 +29,8 @@ from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.scene.shards import shard_of, shard_slice
 
+MODE = "processes"
+"""Of all rows, for comparison with results that have rows of threads, too."""
 WORKER_LIMIT_S = 300.0
 """Longest silence of a worker: one that hangs ends the run with an error."""
 
@@ -93,7 +95,7 @@ class MultiGpu(Suite):
             base = base or found
             # FPS counts all environments, so that ideal is the same for both kinds of scaling.
             efficiency = found["fps"]["median"] / (count * base["fps"]["median"])
-            return found | {"scaling": scaling, "efficiency": efficiency}
+            return found | {"mode": MODE, "scaling": scaling, "efficiency": efficiency}
 
         result.put("device_names", [wp.get_device(name).name for name in self.devices])
         with closing(Workers(self.devices[: max(counts)])) as workers:

@@ -13,7 +13,7 @@ from tyro._docstrings import get_field_docstring
 
 from taccel_lab.benchmarks import quick
 from taccel_lab.benchmarks.command_line import COMMANDS, main, options_of, parse
-from taccel_lab.benchmarks.compare import IDENTITY, compare
+from taccel_lab.benchmarks.compare import IDENTITY, compare, identity
 from taccel_lab.benchmarks.launches import LaunchCounter
 from taccel_lab.benchmarks.memory import MemoryMeter
 from taccel_lab.benchmarks.peers import read_field
@@ -225,11 +225,13 @@ def test_results_are_checked(tmp_path: Path) -> None:
         read_result(path)
 
 
-def test_committed_results_follow_the_schema() -> None:
+def test_committed_results_follow_the_schema_and_no_two_rows_are_alike() -> None:
     for documents in read_results().values():
         for document in documents:
-            assert set(REQUIRED) <= set(document)
-            assert document["rows"]
+            rows = document["rows"]
+            assert rows and set(REQUIRED) <= set(document)
+            if document["suite"] in IDENTITY:
+                assert len({identity(document["suite"], row) for row in rows}) == len(rows)
 
 
 def test_the_pages_are_up_to_date() -> None:
