@@ -34,6 +34,12 @@ def build() -> Model:
     ).finalize()
 
 
+def box_gaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Largest separation along an axis of the boxes of primitives [n, k, 3] and [m, k, 3]."""
+    low_a, high_a, low_b, high_b = a.min(1), a.max(1), b.min(1), b.max(1)
+    return np.maximum(low_a[:, None] - high_b[None], low_b[None] - high_a[:, None]).max(axis=-1)
+
+
 def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
     """Node-face and edge-edge pairs of environment 0."""
     faces, edges = (part.of(0, part.pairs) for part in candidates.lists)
@@ -42,32 +48,41 @@ def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, 
     return pairs
 
 
-def boxes_within(a: np.ndarray, b: np.ndarray, reach: float) -> np.ndarray:
-    """Pairs of primitives [n, k, 3] and [m, k, 3] whose boxes are nearer than that, [2, pair]."""
-    gaps = np.maximum(a.min(1)[:, None] - b.max(1), b.min(1) - a.max(1)[:, None])
-    return np.argwhere(gaps.max(axis=-1) < reach).T
-
-
 def nearby(model: Model, x: np.ndarray, margin: float) -> tuple[set, set]:
-    """Pairs of nodes and faces, and of edges, that are nearer than the margin at positions x."""
-    surface = model.surface
-    faces, edges, radii = (a.numpy() for a in (surface.faces, surface.edges, surface.node_radii))
-    gel, *tools = model.bodies
-    near: tuple[set, set] = (set(), set())
-    for tool in tools:
-        for mine, other in ((gel, tool), (tool, gel)):
-            nodes = np.unique(faces[slice(*mine.faces)]) if mine is gel else np.arange(*mine.nodes)
-            i, j = boxes_within(
-                x[nodes][:, None], x[faces[slice(*other.faces)]], margin + BALL.radius_m
-            )
-            node, face = nodes[i], other.faces[0] + j
-            here = point_triangle_distances(x[node], x[faces[face]]) - radii[node] < margin
-            near[0].update(zip(node[here].tolist(), face[here].tolist(), strict=True))
-        first, second = edges[: gel.edges[1]], edges[slice(*tool.edges)]
-        i, j = boxes_within(x[first], x[second], margin)
-        here = edge_edge_distances(x[first[i]], x[second[j]]) < margin
-        near[1].update(zip(i[here].tolist(), (tool.edges[0] + j[here]).tolist(), strict=True))
-    return near
+    """Pairs whose boxes, in a frame where they are tight, are within the margin at positions x."""
+    faces, edges = model.surface.faces.numpy(), model.surface.edges.numpy()
+    gel, body, ball = model.bodies
+    soft, body_faces = faces[slice(*gel.faces)], faces[slice(*body.faces)]
+    nodes = np.unique(soft)
+    pairs = set()
+    gaps = box_gaps(x[nodes][:, None], x[body_faces])
+    pairs |= {(int(nodes[i]), int(body.faces[0] + j)) for i, j in np.argwhere(gaps < margin)}
+    vertices = np.arange(*body.nodes)
+    gaps = box_gaps(x[vertices][:, None], x[soft])
+    pairs |= {(int(vertices[i]), int(j)) for i, j in np.argwhere(gaps < margin)}
+    centre = ball.nodes[0]
+    gaps = box_gaps(x[centre][None, None], x[soft])[0] - BALL.radius_m
+    pairs |= {(centre, int(j)) for j in np.flatnonzero(gaps < margin)}
+    gaps = box_gaps(x[edges[slice(*gel.edges)]], x[edges[slice(*body.edges)]])
+    return pairs, {(int(i), int(body.edges[0] + j)) for i, j in np.argwhere(gaps < margin)}
+
+
+def true_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> dict:
+    """Distance of node-face pairs less a ball's radius, by ipctk."""
+    import ipctk
+
+    faces, radii = model.surface.faces.numpy(), model.surface.node_radii.numpy()
+    return {
+        (n, f): ipctk.point_triangle_distance(x[n], *x[faces[f]]) ** 0.5 - radii[n]
+        for n, f in pairs
+    }
+
+
+def edge_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> dict:
+    import ipctk
+
+    edges = model.surface.edges.numpy()
+    return {(a, b): ipctk.edge_edge_distance(*x[edges[a]], *x[edges[b]]) ** 0.5 for a, b in pairs}
 
 
 @settings(max_examples=25)
@@ -128,8 +143,12 @@ def test_no_pair_is_missed_on_the_way(
     node_face, edge_edge = found(candidates)
     missed = []
     for t in (0.0, 0.3, 0.7, 1.0):
-        near_faces, near_edges = nearby(model, x[0] + t * displacement[0], margin)
-        missed += [*(near_faces - node_face), *(near_edges - edge_edge)]
+        now = x[0] + t * displacement[0]
+        near_faces, near_edges = nearby(model, now, margin)
+        close = true_distances(model, now, near_faces - node_face)
+        missed += [pair for pair, d in close.items() if d < margin]
+        close = edge_distances(model, now, near_edges - edge_edge)
+        missed += [pair for pair, d in close.items() if d < margin]
     assert not missed
 
 
