@@ -20,7 +20,6 @@ COMMANDS = {
     "captures": "capture_sets:Captures",
     "images": "images:Images",
     "multi_gpu": "multi_gpu:MultiGpu",
-    "peers": "peers:Peers",
     "quick": "quick:Quick",
     "compare": "compare:Compare",
     "report": "report.pages:Report",

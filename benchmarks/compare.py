@@ -13,17 +13,15 @@ from taccel_lab.errors import InputError
 
 IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
-    "error": ("group", "value"),
-    "press_accuracy": ("family", "tool", "depth_mm", "poisson_ratio", "friction", "setting"),
-    "scaling": ("series", "size"),
-    "skips": ("skip",),
-    "peers": ("name", "envs"),
+    "learning": ("scene", "source", "envs", "pace"),
+    "press_accuracy": (
+        "family", "thickness_mm", "tool", "depth_mm", "poisson_ratio", "friction", "setting",
+    ),
     "multi_gpu": ("mode", "scaling", "gpus", "envs"),
     "stress": ("family",),
-    "study": ("designs",),
     "captures": ("set", "command", "figure"),
     "images": ("size", "sensors"),
-}
+}  # fmt: skip
 """What makes a row of a suite the same row."""
 MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")
 SILENT = (
@@ -60,6 +58,11 @@ class FigureChange:
         )
 
 
+def identity(suite: str, row: dict[str, Any]) -> tuple[str, ...]:
+    """What two rows of one suite share only if they are the same."""
+    return tuple(str(row.get(key)) for key in IDENTITY[suite])
+
+
 def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], list[FigureChange]]:
     """Remarks on what makes the two hard to compare, and the figures that changed.
 
@@ -78,9 +81,10 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
         for name in sorted({*first["settings"], *second["settings"]})
         if first["settings"].get(name) != second["settings"].get(name)
     ]
-    keys = IDENTITY.get(first["suite"], ("name",))
+    if first["suite"] not in IDENTITY:
+        raise InputError(f"results of {first['suite']!r} are not compared row by row")
     before, after = (
-        {tuple(str(row.get(key)) for key in keys): row for row in document["rows"]}
+        {identity(document["suite"], row): row for row in document["rows"]}
         for document in (first, second)
     )
     for title, one, other in (("only in the first", before, after), ("new", after, before)):

@@ -5,11 +5,19 @@ own process: what a person waits for."""
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import tempfile
+from pathlib import Path
 from typing import Any
 
-from taccel_lab.benchmarks.own_process import run_python
+import taccel_lab
 from taccel_lab.benchmarks.results import note
+from taccel_lab.errors import SimulationError
+
+ROOT = Path(taccel_lab.__file__).parents[1]
+"""Where the package is imported from."""
 
 STEPS = 12
 """Steps after the first one: until every kernel of the scene's motion has been needed."""
@@ -61,9 +69,14 @@ def measure_startup(scene: str, source: str, device: str, repeats: int = 3) -> d
 
 
 def _one(scene: str, source: str, device: str, cache: str) -> dict[str, float]:
-    printed = run_python(
-        f"timing the start of {scene}",
-        ["-c", _CODE, scene, source, device, str(STEPS)],
-        environment={"WARP_CACHE_PATH": cache, "CUDA_CACHE_DISABLE": "1"},
+    environment = {"WARP_CACHE_PATH": cache, "CUDA_CACHE_DISABLE": "1"}
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    run = subprocess.run(
+        [sys.executable, "-c", _CODE, scene, source, device, str(STEPS)],
+        env=os.environ | environment | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
     )
-    return json.loads(printed.strip().splitlines()[-1])
+    if run.returncode != 0:
+        raise SimulationError(f"timing the start of {scene} failed:\n{run.stderr[-2000:]}")
+    return json.loads(run.stdout.strip().splitlines()[-1])

@@ -86,13 +86,13 @@ def _mesh_error(results: Results) -> list[str]:
 
 
 def _speed(results: Results) -> list[str]:
-    in_step = _fps(results, "speed", lambda row: not row.get("lag", 0))
+    in_step = _fps(results, "speed", lambda row: not row["lag"])
     whole = {
         (row["pace"], row["envs"]): row
         for document in results.get("learning", [])
         if _on_h200(document)
         for row in document["rows"]
-        if row["scene"] == "peg" and "phase_thirds" in row and not row["observed"]
+        if row["scene"] == "peg" and not row["observed"]
     }
     counts = {envs for pace, envs in whole if ("own", envs) in whole and pace == "together"}
     if not counts & set(in_step):
@@ -113,7 +113,7 @@ def _speed(results: Results) -> list[str]:
 def _fps(results: Results, suite: str, of_interest: Any) -> dict[int, float]:
     """Of the scene ``peg`` on an H200, by environments."""
     return {
-        row["envs"]: row["fps"]["median"] if isinstance(row["fps"], dict) else row["fps"]
+        row["envs"]: row["fps"]["median"]
         for document in results.get(suite, [])
         if _on_h200(document)
         for row in document["rows"]

@@ -49,10 +49,8 @@ def draw_speed(results: Results) -> Figure:
     figure, axis = plt.subplots(figsize=(8.5, 6), layout="constrained")
     for document in results.get("speed", []):
         device = document["run"]["device"].replace("NVIDIA ", "")
-        for scene, lag in dict.fromkeys(
-            (row["scene"], row.get("lag", 0)) for row in document["rows"]
-        ):
-            rows = [r for r in document["rows"] if (r["scene"], r.get("lag", 0)) == (scene, lag)]
+        for scene, lag in dict.fromkeys((row["scene"], row["lag"]) for row in document["rows"]):
+            rows = [r for r in document["rows"] if (r["scene"], r["lag"]) == (scene, lag)]
             if len(rows) < 2:
                 continue
             x = [row["envs"] for row in rows]

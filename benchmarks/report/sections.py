@@ -56,7 +56,7 @@ def speed(document: Document) -> Iterator[str]:
     """FPS, memory and time to start."""
     rows = [
         [
-            row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
+            row["scene"] + (f", lag {row['lag']}" if row["lag"] else ""),
             f"{row['envs']:,}",
             spread(row["fps"]),
             number(row["ms_per_step"]["median"]),
@@ -107,10 +107,10 @@ def learning(document: Document) -> Iterator[str]:
         "of it resets (a step) and reading forces",
     ]
     head += ["Newton a step: mean, largest of those through at once", "residual over contact force"]
-    if any(row.get("observed") for row in document["rows"]):
+    if any(row["observed"] for row in document["rows"]):
         head += ["observed: us a step of each", "FPS without"]
         for line, row in zip(rows, document["rows"], strict=True):
-            line += _observed(row.get("observed"))
+            line += _observed(row["observed"])
     yield markdown_table(head, rows)
 
 
@@ -176,11 +176,11 @@ def peers(results: Results) -> str:
     field = read_field()["peg"]
     ours = []
     for document in results.get("speed", []):
-        rows = [row for row in document["rows"] if row["scene"] == "peg" and not row.get("lag", 0)]
+        rows = [row for row in document["rows"] if row["scene"] == "peg" and not row["lag"]]
         if not rows:
             continue
         worst = max(row["residual"]["worst_over_contact_force"] for row in rows)
-        part = "" if rows[0].get("is_whole_motion", True) else f"; first {rows[0]['steps']} steps"
+        part = "" if rows[0]["is_whole_motion"] else f"; first {rows[0]['steps']} steps"
         ours.append(
             {
                 "name": "**taccel-lab**",

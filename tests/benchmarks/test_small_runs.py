@@ -13,6 +13,7 @@ from taccel_lab.benchmarks.command_line import main, parse
 from taccel_lab.benchmarks.report.sections import VERIFICATION
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
+from taccel_lab.presses import PHYSICS, Accuracy
 
 
 def test_processes_do_the_same_steps_in_the_order_that_matters(
@@ -56,6 +57,8 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
 ) -> None:
     monkeypatch.setattr(press_accuracy, "DEPTHS_MM", (0.1,))
     monkeypatch.setattr(press_accuracy, "NEARER", 2)
+    coarse = {**PHYSICS, Accuracy.DEFAULT: PHYSICS[Accuracy.FAST]}
+    monkeypatch.setattr(press_accuracy, "PHYSICS", coarse)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
     assert main([*words, "--tools", "ball 1.5"]) == 0
     document = read_result(tmp_path / "press_accuracy.json")

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 import warp as wp
@@ -15,15 +13,15 @@ from tyro._docstrings import get_field_docstring
 
 from taccel_lab.benchmarks import quick
 from taccel_lab.benchmarks.command_line import COMMANDS, main, options_of, parse
-from taccel_lab.benchmarks.compare import compare
+from taccel_lab.benchmarks.compare import IDENTITY, compare, identity
 from taccel_lab.benchmarks.launches import LaunchCounter
 from taccel_lab.benchmarks.memory import MemoryMeter
-from taccel_lab.benchmarks.peers import parse_results, read_field
+from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from taccel_lab.benchmarks.speed import Speed
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +78,6 @@ def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
         (["speed", "--scene", "nonsense"], "scene must be of peg"),
         (["speed", "--envs", "0"], "at least 1"),
         (["speed", "--set", "dhat_m"], "form name=value"),
-        (["peers", "no_such_driver.py"], "is no file"),
         (["compare", "no_such.json", "no_such.json"], "does not exist"),
     ],
 )
@@ -207,6 +204,15 @@ def test_compare_finds_what_changed_beyond_the_spread(speed_result: Path) -> Non
     assert changes[0].percent == pytest.approx(200)
     with pytest.raises(InputError, match="suites differ"):
         compare(before, after | {"suite": "error"})
+    with pytest.raises(InputError, match="results of 'error' are not compared"):
+        compare(before | {"suite": "error"}, after | {"suite": "error"})
+
+
+def test_every_suite_that_measures_rows_says_which_are_the_same() -> None:
+    names = {
+        options_of(command).name for command in COMMANDS if hasattr(options_of(command), "name")
+    }
+    assert names == set(IDENTITY)
 
 
 def test_results_are_checked(tmp_path: Path) -> None:
@@ -219,11 +225,13 @@ def test_results_are_checked(tmp_path: Path) -> None:
         read_result(path)
 
 
-def test_committed_results_follow_the_schema() -> None:
+def test_committed_results_follow_the_schema_and_no_two_rows_are_alike() -> None:
     for documents in read_results().values():
         for document in documents:
-            assert set(REQUIRED) <= set(document)
-            assert document["rows"]
+            rows = document["rows"]
+            assert rows and set(REQUIRED) <= set(document)
+            if document["suite"] in IDENTITY:
+                assert len({identity(document["suite"], row) for row in rows}) == len(rows)
 
 
 def test_the_pages_are_up_to_date() -> None:
@@ -244,25 +252,6 @@ def test_sections_do_without_results() -> None:
 def test_a_page_without_markers_is_refused() -> None:
     with pytest.raises(InputError, match="begin speed"):
         render("# Page", SECTIONS, {})
-
-
-def test_drivers_of_others_are_read() -> None:
-    line = "RESULT uipc N=16 frames=200 total=1.9s FPS=1676.25 ms/frame median=9.5 stick_err=1e-05"
-    (row,) = parse_results(["hello", line])
-    assert (row["name"], row["envs"], row["fps"]) == ("uipc", 16, 1676.25)
-    with pytest.raises(SimulationError, match="without N or FPS"):
-        list(parse_results(["RESULT uipc total=3"]))
-
-
-def test_a_driver_is_run(tmp_path: Path) -> None:
-    driver = tmp_path / "driver.py"
-    driver.write_text("import sys; print('RESULT peer N=4 FPS=12.5', sys.argv[1])")
-    out = tmp_path / "peers.json"
-    command: list[Any] = ["peers", str(driver), "--arguments=--x=1", "--out", str(out)]
-    assert main(command) == 0
-    assert json.loads(out.read_text())["rows"][0]["fps"] == 12.5
-    driver.write_text("raise SystemExit(7)")
-    assert main(command) == 3
 
 
 def test_every_peer_has_its_conditions() -> None:

@@ -40,3 +40,11 @@ def assert_derivatives(
     assert scale > least[1]
     np.testing.assert_allclose(matrix, expected, atol=within[1] * scale)
     return change
+
+
+def assert_momenta_are_kept(x: Array, forces: Array) -> None:
+    """Forces [n, 3] at ``x`` have no resultant and no moment."""
+    scale = np.abs(forces).sum()
+    np.testing.assert_allclose(forces.sum(axis=0), 0, atol=1e-13 * scale)
+    moment = np.cross(x, forces).sum(axis=0)
+    np.testing.assert_allclose(moment, 0, atol=1e-13 * scale * np.abs(x).max())

@@ -59,46 +59,43 @@ def test_the_default_is_within_three_per_cent_and_says_so(depth_mm: float) -> No
     assert env.error_estimate().force_n[0] < 0.1 * force
 
 
+def rim_pressed(
+    gel: tuple[str, Material], tool_text: str, depth_mm: float, friction: float = 0.0
+) -> tuple[PressEnv, StepReport]:
+    """A press beside the middle of a sensor's gel."""
+    tool = parse_indenter(tool_text)
+    mesh = press_mesh(gel[0], {}, (0.7, -0.4), tool.contact(depth_mm))
+    env = PressEnv(mesh, gel[1], tool, np.array([[0.7, -0.4]]), friction_coefficient=friction)
+    return env, env.follow(PressPath(depth_mm))[-1]
+
+
+FLAT, DOME = ("flat_pad", Material(0.15e6, 0.4)), ("rtac", Material(0.055e6, 0.46))
+
+
 @pytest.mark.parametrize(
-    ("indenter", "depth_mm", "converged_n"),
-    # nu 0.4 on 25 x 25 x 4 mm; meshes like the default's with 30,000 and 80,000 nodes.
+    ("gel", "indenter", "converged_n"),
+    # Meshes like the default's with 30,000 and 80,000 nodes, on the dome with 43,693.
     [
-        ("cylinder:2", 0.1, 0.1237),
+        (FLAT, "cylinder:2", 0.1237),
         # With friction it is the fast one of a sharp edge below.
-        pytest.param("edge:90x6", 0.1, 0.0304, marks=pytest.mark.slow),
-        pytest.param("roller:2x6", 0.1, 0.0649, marks=pytest.mark.slow),
+        pytest.param(FLAT, "edge:90x6", 0.0304, marks=pytest.mark.slow),
+        pytest.param(FLAT, "roller:2x6", 0.0649, marks=pytest.mark.slow),
+        (DOME, "edge:90x6", 0.00515),
+        pytest.param(DOME, "roller:2x6", 0.01359, marks=pytest.mark.slow),
     ],
 )
-def test_tools_with_rims_are_too(indenter: str, depth_mm: float, converged_n: float) -> None:
-    """Even meshes of as many nodes are 13, 24 and 7 per cent off."""
-    tool = parse_indenter(indenter)
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(depth_mm))
-    env = PressEnv(mesh, Material(0.15e6, 0.4), tool, np.array([[0.7, -0.4]]))
-    env.move_to(depth_mm)
-    assert env.press_force[0, 2] == pytest.approx(converged_n, rel=0.03)
-    assert abs(env.press_force[0, 2] - converged_n) <= env.error_estimate().force_n[0]
-
-
-@pytest.mark.parametrize(
-    ("indenter", "converged_n"),
-    [("edge:90x6", 0.00515), pytest.param("roller:2x6", 0.01359, marks=pytest.mark.slow)],
-)
-def test_tools_with_rims_are_on_a_dome(indenter: str, converged_n: float) -> None:
-    """Against 43,693 nodes; meshes without outlines were 51 and 5 per cent off."""
-    tool = parse_indenter(indenter)
-    mesh = press_mesh("rtac", {}, (0.7, -0.4), tool.contact(0.1))
-    env = PressEnv(mesh, Material(0.055e6, 0.46), tool, np.array([[0.7, -0.4]]))
-    env.move_to(0.1)
+def test_tools_with_rims_are_too(
+    gel: tuple[str, Material], indenter: str, converged_n: float
+) -> None:
+    """Even meshes of as many nodes are 13, 24 and 7 per cent off, on the dome 51 and 5."""
+    env, _ = rim_pressed(gel, indenter, 0.1)
     assert env.press_force[0, 2] == pytest.approx(converged_n, rel=0.03)
     assert abs(env.press_force[0, 2] - converged_n) <= env.error_estimate().force_n[0]
 
 
 def test_a_sharp_edge_goes_deep() -> None:
     """Without guards between corners tets below the ends of the blade turn inside out."""
-    tool = parse_indenter("edge:90x6")
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(0.6))
-    env = PressEnv(mesh, Material(0.15e6, 0.4), tool, np.array([[0.7, -0.4]]))
-    env.follow(PressPath(0.6))
+    env, _ = rim_pressed(FLAT, "edge:90x6", 0.6)
     assert env.press_force[0, 2] == pytest.approx(0.3085, rel=0.03)
 
 
@@ -117,11 +114,7 @@ def test_no_tet_turns_inside_out_under_a_flat_pin() -> None:
 
 def test_friction_under_a_sharp_edge_settles() -> None:
     """Took 584 iterations in four parts while the way to the edge counted as sliding; 60 now."""
-    tool = parse_indenter("edge:90x6")
-    mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(0.1))
-    gel = Material(0.15e6, 0.4)
-    env = PressEnv(mesh, gel, tool, np.array([[0.7, -0.4]]), friction_coefficient=0.5)
-    report = env.move_to(0.1)
+    env, report = rim_pressed(FLAT, "edge:90x6", 0.1, friction=0.5)
     assert report.newton_iterations[0] < 200
     assert env.press_force[0, 2] == pytest.approx(0.0313, rel=0.01)
 

@@ -49,18 +49,6 @@ FACET_DIP_M = 0.25e-6
 
 
 @given(
-    x=st.floats(-2e-3, 2e-3),
-    y=st.floats(-2e-3, 2e-3),
-    z=st.floats(-5e-3, 5e-3),
-    radius=st.floats(5e-5, 5e-2),
-)
-def test_ball_over_a_plane(x: float, y: float, z: float, radius: float) -> None:
-    nodes, faces = grid_surface(np.full((4, 4), z), 2e-3)
-    touch = first_touch_m(Ball(radius), nodes, faces, np.array([x, y]))
-    assert touch == pytest.approx(z + radius, abs=1e-12)
-
-
-@given(
     at_x=st.floats(-3e-3, 3e-3), at_y=st.floats(-3e-3, 3e-3), radius=st.sampled_from([0.5e-3, 2e-3])
 )
 def test_ball_over_a_dome_off_centre(at_x: float, at_y: float, radius: float) -> None:

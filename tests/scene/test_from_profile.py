@@ -19,7 +19,6 @@ from taccel_lab.scene import Ball, Element, Material, MaterialField, MaxwellBran
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.markers import MarkerLayout
-from tests.support.dotted_profiles import LIGHT, with_painted_dots
 
 RADIUS_M, DEPTH_M = 4e-3, 3e-4
 
@@ -81,39 +80,6 @@ def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed) -> None:
     assert wrench[0, 2] < -0.1
     assert abs(float(wrench[1, 2])) < 1e-9
     assert float(wrench[2, 2]) == pytest.approx(float(wrench[0, 2]), rel=1e-3)
-
-
-def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
-    """Of a colour model that changes nothing: what moves in the image are the dots."""
-    profile, _, solver, state = pressed
-    grid, block = profile.grid(), profile.markers
-    points = block.grid().points_mm()
-    places = grid.pixel_from_gel(points[grid.contains(points)])
-    profile = with_painted_dots(profile, places, block.radius_mm / grid.mm_per_px_x)
-    background = profile.background_rgb
-    v, u = np.mgrid[: grid.height_px, : grid.width_px]
-    sensor = SignalTactile.from_profile(profile, solver=solver)
-    sensor.update(state)
-    rgb, levels, markers = (
-        array.numpy() for array in sensor.read("rgb", "rgb_levels", "markers_px")
-    )
-    # The gel that is not touched shows the background.
-    assert np.abs(rgb[1].astype(int) - background).max() <= 1
-    # Dots of a pressed one are dark where they are now, to a part of a pixel.
-    moved = np.linalg.norm(markers[0] - markers[1], axis=1)
-    farthest = int(np.argmax(moved))
-    reach = int(np.ceil(1.6 * block.radius_mm / grid.mm_per_px_x))
-    for env in (0, 1):
-        at = np.rint(markers[env, farthest]).astype(int)
-        part = np.s_[at[1] - reach : at[1] + reach + 1, at[0] - reach : at[0] + reach + 1]
-        dark = (LIGHT - levels[env][part])[..., 0]
-        middle = np.array([(dark * u[part]).sum(), (dark * v[part]).sum()]) / dark.sum()
-        assert middle == pytest.approx(markers[env, farthest], abs=0.15)
-    assert moved[farthest] > 0.5
-    assert np.abs(rgb[0] - levels[0]).max() <= 1.0
-    bare = SignalTactile.from_profile(profile, solver=solver, markers=None)
-    bare.update(state)
-    assert np.array_equal(bare.read("rgb")[0].numpy()[1], background)
 
 
 def test_options_go_first_and_a_count_is_needed(pressed) -> None:

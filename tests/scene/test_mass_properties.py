@@ -11,17 +11,13 @@ from hypothesis import strategies as st
 from taccel_lab.bodies.mass_properties import StatedMass, mass_properties, with_stated_mass
 from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 from taccel_lab.errors import InputError
+from tests.support.turns import random_turns
 
 RHO = 1234.0
 TET = TriangleMesh(
     np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float),
     np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
 )
-
-
-def rotation(seed: int) -> np.ndarray:
-    q = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    return q * np.sign(np.linalg.det(q))
 
 
 def moved(mesh: TriangleMesh, turn: np.ndarray, shift: np.ndarray) -> TriangleMesh:
@@ -105,7 +101,7 @@ def test_moving_a_body_moves_its_frame_only(
     seed: int, size: tuple[float, float, float], far: float
 ) -> None:
     mesh = box_mesh(size)
-    turn, shift = rotation(seed), np.random.default_rng(seed).normal(size=3) * 10**far
+    turn, shift = random_turns(seed, 1)[0], np.random.default_rng(seed).normal(size=3) * 10**far
     still, found = mass_properties(mesh, RHO), mass_properties(moved(mesh, turn, shift), RHO)
     # Moving rounds the vertices themselves to eps * shift, which the thinnest edge sees.
     loss = 1e-13 + 1e-15 * np.abs(shift).max() / min(size)
@@ -161,7 +157,7 @@ def test_bad_densities_are_refused() -> None:
 
 
 def test_stated_mass_of_an_even_solid_is_that_of_its_density() -> None:
-    mesh = moved(box_mesh((0.03, 0.02, 0.01)), rotation(3), np.array([0.1, -0.2, 0.3]))
+    mesh = moved(box_mesh((0.03, 0.02, 0.01)), random_turns(3, 1)[0], np.array([0.1, -0.2, 0.3]))
     even = mass_properties(mesh, 800.0)
     stated = StatedMass(even.mass_kg, even.center_m, even.inertia_kg_m2)
     found = with_stated_mass(mass_properties(mesh, 1.0), stated, mesh)

@@ -32,12 +32,12 @@ DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 
 def test_a_roller_touches_all_between_its_ends() -> None:
     """Its ends press many times as hard as its middle, which touches as well."""
-    tool = parse_indenter("roller:1.5x4")
-    mesh = press_mesh("gelsight_mini", {}, AT_MM, tool.contact(DEPTH_MM))
+    tool, physics = parse_indenter("roller:1.5x4"), PHYSICS[Accuracy.FAST]
+    mesh = press_mesh("gelsight_mini", {}, AT_MM, tool.contact(DEPTH_MM), physics.mesh)
     grid = PixelGrid(198, 148, 0.0872, 0.0872)
     press = simulate_press(
         mesh, Material(1.5e5, 0.48), tool, AT_MM, PressPath(DEPTH_MM), grid,
-        friction_coefficient=0.3,
+        friction_coefficient=0.3, physics=physics,
     )  # fmt: skip
     rows, columns = np.nonzero(press.contact_mask)
     box = (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
@@ -125,11 +125,11 @@ def test_a_file_lands_where_its_coordinates_say(tmp_path: Path) -> None:
     pyvista.make_tri_mesh(points, box.faces).save(path)
     grid = PixelGrid(160, 120, 0.1, 0.1)
     at_mm = (-1.0, 0.5)
-    indenter = parse_indenter(f"mesh:{path}@+z")
-    mesh = press_mesh("flat_pad", {}, at_mm, indenter.contact(0.3))
+    indenter, physics = parse_indenter(f"mesh:{path}@+z"), PHYSICS[Accuracy.FAST]
+    mesh = press_mesh("flat_pad", {}, at_mm, indenter.contact(0.3), physics.mesh)
     press = simulate_press(
         mesh, Material(1.5e5, 0.48), indenter, at_mm, PressPath(0.3), grid,
-        friction_coefficient=0.0,
+        friction_coefficient=0.0, physics=physics,
     )  # fmt: skip
     rows, columns = np.nonzero(press.contact_mask)
     assert grid.x_mm()[columns].mean() == pytest.approx(1.0, abs=0.06)

@@ -138,32 +138,3 @@ def test_without_memory_one_environment_is_given_up(monkeypatch: pytest.MonkeyPa
     assert (report.status[others] == EnvStatus.CONVERGED).all()
     monkeypatch.undo()
     assert_as_alone(solver, state, 0)
-
-
-def test_a_body_that_turns_far_is_searched_in_its_environment_alone() -> None:
-    """Beyond 80 degrees there is no bound on its path: everything there is a candidate."""
-
-    def turn(envs: list[int]) -> tuple[SolverIPC, State, StepReport]:
-        model = scene(MESH, KinematicBody(box_mesh((1e-3,) * 3), 0.5), env_count=len(envs))
-        solver = SolverIPC(model.finalize(), SolverConfig(dhat_m=DHAT, max_substep_halvings=0))
-        height = 0.5e-3
-        start = np.stack([pose(0, 0, height + 1.2e-4)[None] for _ in envs])
-        state = initial_state(solver.model, start)
-        end = np.stack(
-            [pose(0, 0, height + 0.5e-4, (0, 0, 1), np.degrees(2.0) * (env == 1))[None]
-             for env in envs]
-        )  # fmt: skip
-        return solver, state, solver.step(state, end)
-
-    together, state, report = turn([0, 1, 2])
-    alone, own, _ = turn([0])
-    assert report.converged[[0, 2]].all()
-    counts = [part.counts.numpy() for part in together.candidates.lists]
-    for count, its in zip(counts, alone.candidates.lists, strict=True):
-        assert 0 < count[0] == count[2] == its.counts.numpy()[0]
-    for part, its in zip(together.candidates.lists, alone.candidates.lists, strict=True):
-        for env in (0, 2):
-            assert part.rooms[env] == its.rooms[0]
-            np.testing.assert_array_equal(part.of(env, part.pairs), its.of(0, its.pairs))
-    for env in (0, 2):
-        np.testing.assert_array_equal(state.positions.numpy()[env], own.positions.numpy()[0])

@@ -84,7 +84,7 @@ def test_background_that_is_a_crop_of_the_presses(imported: Imported) -> None:
 
 
 def test_automatic_white_balance(imported: Imported) -> None:
-    folder = some_presses(imported("fots_calib")[0], 8)
+    folder = some_presses(imported("fots_calib")[0], 6)
     found = codes(check_captures(folder, fit_ball=False))
     assert {"light_drifts", "saturated"} <= set(found)
     assert {"coverage", "one_spot"} & set(found)
@@ -92,7 +92,7 @@ def test_automatic_white_balance(imported: Imported) -> None:
 
 
 def test_good_captures_are_usable(imported: Imported) -> None:
-    folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 6)
+    folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 5)
     check = check_captures(folder)
     assert check.usable
     assert not {"light_drifts", "labels_off", "mixed_sensors", "blurred"} & set(codes(check))
@@ -114,7 +114,7 @@ def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None
 
 
 def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
-    folder = some_presses(load_capture_folder(taxim_presses("gelsight_mini")), 8)
+    folder = some_presses(load_capture_folder(taxim_presses("gelsight_mini")), 6)
     assert folder.sensor == "gelsight_mini" and folder.ball_radius_mm is None
     check = check_captures(folder)
     found = codes(check)

@@ -10,7 +10,7 @@ inside its contact circle and an elastic half-space around it. What is not there
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -58,7 +58,8 @@ class RealSensor:
 
     family: str
     background: np.ndarray
-    presses: tuple[RealPress, ...]
+    presses: Callable[[], tuple[RealPress, ...]]
+    """Read where they are asked for."""
     press_mm_per_px: float | None = None
     """Scale of the presses where they are framed unlike the background."""
 
@@ -66,25 +67,30 @@ class RealSensor:
 def classic_gelsight() -> RealSensor:
     """Taxim's calibration presses (MIT)."""
     captures = load_captures(taxim_presses())
-    # Presses well inside the image, one in each part of it.
-    chosen = [captures.presses[i] for i in (5, 20, 30, 40)]
-    presses = []
-    for press in chosen:
-        assert press.circle is not None
-        presses.append(
-            RealPress(
+
+    def presses() -> Iterator[RealPress]:
+        """Well inside the image, one in each part of it."""
+        for press in (captures.presses[i] for i in (5, 20, 30, 40)):
+            assert press.circle is not None
+            yield RealPress(
                 captures.background,
                 press.image(),
                 (press.circle.u_px, press.circle.v_px),
                 press.circle.radius_px,
                 captures.ball_radius_mm,
             )
-        )
-    return RealSensor("gelsight", captures.background, tuple(presses))
+
+    return RealSensor("gelsight", captures.background, lambda: tuple(presses()))
 
 
 def gelsight_mini() -> RealSensor:
     """The Mini of R. Gao (NormalFlow, MIT)."""
+    background = _read(real_data("gsmini_normalflow/examples/data/background.png"))
+    # The picture shows the 25.25 mm of the gel over 310 px.
+    return RealSensor("gelsight_mini", background, _mini_presses, press_mm_per_px=0.0815)
+
+
+def _mini_presses() -> tuple[RealPress, ...]:
     folder = real_data("gsmini_ruihangao_calib/calib_ball")
     files = sorted(folder.glob("frame_*.jpg"))
     frames = [_read(path) for path in files]
@@ -96,13 +102,7 @@ def gelsight_mini() -> RealSensor:
         for frame, (u, v, radius) in found
         if 0.22 * width < u < 0.78 * width and 0.25 * height < v < 0.75 * height
     ]
-    background = _read(real_data("gsmini_normalflow/examples/data/background.png"))
-    return RealSensor(
-        "gelsight_mini",
-        background,
-        tuple(inside[::6][:4]),
-        press_mm_per_px=0.0815,  # The picture shows the 25.25 mm of the gel over 310 px.
-    )
+    return tuple(inside[::6][:4])
 
 
 def ninedtact() -> RealSensor:
@@ -112,7 +112,7 @@ def ninedtact() -> RealSensor:
     image = _read(folder / "depth_calibration/rectify_crop_sample.png")
     u, v, radius = _find_dent(rest, image, 0.15)
     press = RealPress(rest, image, (u, v), radius, 4.0, thin_gel=True)
-    return RealSensor("9dtact", rest, (press,))
+    return RealSensor("9dtact", rest, lambda: (press,))
 
 
 def _read(path: Path) -> np.ndarray:
@@ -139,9 +139,8 @@ def _find_dent(
 
 @dataclass(frozen=True)
 class Comparison:
-    """One sensor's scores, and background and first press, real and of the model."""
+    """Scores of one sensor's presses, and background and first press, real and of the model."""
 
-    background: BackgroundMatch
     presses: tuple[PressMatch, ...]
     real: tuple[np.ndarray, np.ndarray]
     model: tuple[np.ndarray, np.ndarray]
@@ -174,20 +173,21 @@ class _Bench:
 
 @cache
 def compared(read: Callable[[], RealSensor]) -> Comparison:
-    """Scores of one sensor."""
+    """Of one sensor."""
     sensor = read()
-    bench = _bench(sensor, sensor.background, None)
-    real = _resized(sensor.background, bench.size_px)
-    rest = bench.model().render()
-    background = compare_backgrounds(real, rest.rgb, rest.mask, blur_px=BLUR * max(bench.size_px))
-    framed = _bench(sensor, sensor.presses[0].background, sensor.press_mm_per_px)
-    untouched = framed.model()
+    presses = sensor.presses()
+    bench = _bench(sensor, presses[0].background, sensor.press_mm_per_px)
+    untouched = bench.model()
     preview = untouched.render()
-    found = [_compare_press(framed, untouched, preview, press) for press in sensor.presses]
-    real_press, model_press = found[0][1]
-    return Comparison(
-        background, tuple(match for match, _ in found), (real, real_press), (rest.rgb, model_press)
-    )
+    found = [_compare_press(bench, untouched, preview, press) for press in presses]
+    real, model = found[0][1]
+    return Comparison(tuple(match for match, _ in found), real, model)
+
+
+def compared_backgrounds(sensor: RealSensor) -> BackgroundMatch:
+    bench = _bench(sensor, sensor.background, None)
+    real, rest = _resized(sensor.background, bench.size_px), bench.model().render()
+    return compare_backgrounds(real, rest.rgb, rest.mask, blur_px=BLUR * max(bench.size_px))
 
 
 def _bench(sensor: RealSensor, image: np.ndarray, mm_per_px: float | None) -> _Bench:
@@ -219,7 +219,8 @@ def _bench(sensor: RealSensor, image: np.ndarray, mm_per_px: float | None) -> _B
 
 def _compare_press(
     bench: _Bench, untouched: OpticalModel, preview: PreviewImage, press: RealPress
-) -> tuple[PressMatch, tuple[np.ndarray, np.ndarray]]:
+) -> tuple[PressMatch, tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]:
+    """Its score, and background and press, real and of the model."""
     scale = bench.size_px[0] / press.image.shape[1]
     u, v = (scale * (c + 0.5) - 0.5 for c in press.center_px)
     radius = scale * press.radius_px
@@ -229,10 +230,9 @@ def _compare_press(
     contact = min(radius * mm_per_px, 0.98 * press.ball_mm)
     center = (float(at[0]), float(at[1]))
     top = pressed_top(bench.top, center, contact, press.ball_mm, thin=press.thin_gel)
-    model = untouched.render_formula(top).rgb
-    real = tuple(_resized(image, bench.size_px) for image in (press.background, press.image))
-    match = compare_press((real[0], real[1]), (preview.rgb, model), (u, v), radius)
-    return match, (real[1], model)
+    model = preview.rgb, untouched.render_formula(top).rgb
+    real = _resized(press.background, bench.size_px), _resized(press.image, bench.size_px)
+    return compare_press(real, model, (u, v), radius), (real, model)
 
 
 def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
@@ -262,7 +262,7 @@ def test_ball_presses_turn_the_colours_of_the_real_ones(
 
 
 def test_the_score_would_notice_lights_on_the_wrong_side() -> None:
-    found, press = compared(classic_gelsight), classic_gelsight().presses[0]
+    found, press = compared(classic_gelsight), classic_gelsight().presses()[0]
     scale = found.real[1].shape[1] / press.image.shape[1]
     circle = (scale * press.center_px[0], scale * press.center_px[1]), scale * press.radius_px
     right = compare_press(found.real, found.model, *circle)
@@ -277,6 +277,6 @@ def test_the_score_would_notice_lights_on_the_wrong_side() -> None:
 
 @pytest.mark.parametrize("read", [classic_gelsight, gelsight_mini])
 def test_backgrounds_beat_one_colour(read: Callable[[], RealSensor]) -> None:
-    background = compared(read).background
+    background = compared_backgrounds(read())
     assert background.psnr_db > background.flat_psnr_db + 0.5
     assert min(background.correlation) > 0.3

@@ -39,22 +39,9 @@ class Assembly:
         s.collisions.update(self.active, x, s.candidates)
         return int(s.collisions.counts.numpy()[0])
 
-    # Energies [J], shape [env_count] ---------------------------------------------------------
-
-    def elastic_energy(self, positions: np.ndarray) -> np.ndarray:
-        return sum(part.energy(self.active, self.nodal(positions)) for part in self.solver.elastic)
-
     def contact_energy(self, positions: np.ndarray) -> np.ndarray:
         self.collide(positions)
         return self.solver.contact.energy(self.active, self.nodal(positions))
-
-    # Gradients [N], shape [env_count, node_count, 3] -------------------------------------------
-
-    def elastic_gradient(self, positions: np.ndarray) -> np.ndarray:
-        out = self.nodal()
-        for part in self.solver.elastic:
-            part.add_gradient(self.active, self.nodal(positions), out)
-        return out.numpy()
 
     def contact_gradient(self, positions: np.ndarray) -> np.ndarray:
         self.collide(positions)
@@ -62,27 +49,6 @@ class Assembly:
         gaps = wp.full(self.model.env_count, np.inf, dtype=wp.float64, device=self.model.device)
         self.solver.contact.add_gradient(self.active, self.nodal(positions), out, gaps)
         return out.numpy()
-
-    # Matrices ----------------------------------------------------------------------------------
-
-    def elastic_hessian(self, positions: np.ndarray, mode: int) -> np.ndarray:
-        """Matrix over free nodes [N/m], shape [env_count, 3 free_count, 3 free_count]."""
-        system, modes = self.system(), self._modes(mode)
-        for part in self.solver.elastic:
-            part.add_hessian(self.active, self.nodal(positions), system, modes)
-        return self.dense(system.values)
-
-    def contact_system(
-        self, positions: np.ndarray, mode: int, prescribed: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side [N] for a motion ``prescribed`` of the nodes without row."""
-        self.collide(positions)
-        system, modes = self.system(prescribed), self._modes(mode)
-        self.solver.contact.add_hessian(self.active, self.nodal(positions), system, modes)
-        return self.dense(system.values), system.rhs.numpy()
-
-    def _modes(self, mode: int) -> wp.array:
-        return wp.full_like(self.active, mode)
 
     def system(self, prescribed: np.ndarray | None = None) -> NewtonSystem:
         """An empty Newton system."""

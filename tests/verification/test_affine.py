@@ -306,10 +306,3 @@ def test_a_rod_dragged_by_its_upper_end(direction: int) -> None:
     assert rubs == pytest.approx(-direction * MU * normal, rel=1e-3)
     assert normal == pytest.approx(expected, rel=1e-3)
     assert run.overlaps() == []
-
-
-# Wrecking ball ---------------------------------------------------------------------------------
-
-
-LINKS, LINK, BALL = 4, 25e-3, 15e-3
-CUBE, CUBE_GAP = 15e-3, 4e-5

@@ -171,11 +171,10 @@ def test_quadratic_tets_are_within_two_percent(cells: int) -> None:
     assert abs(result.force_error) < 0.02
     assert abs(result.outermost_m - HERTZ_RADIUS) < result.element_m
     assert result.residual_n < 1e-4 * result.force_n
-    if cells == 2:
+    if cells == 3:
+        result.check_radius(0.015)
         almost = pressed(2, poisson=0.499, element=Element.QUADRATIC)
         assert abs(almost.force_error) < 0.035
-    else:
-        result.check_radius(0.015)
 
 
 PUNCH, PUNCH_DEPTH, PUNCH_YOUNG = 1e-3, 5e-6, 1e5
@@ -247,13 +246,12 @@ def check(punch: Punched, tolerance: float) -> None:
 
 
 def test_force_stiffness_and_pressure_are_the_formulas() -> None:
-    fine, coarse = punched(3, 0.45), punched(2, 0.45)
-    check(fine, tolerance=0.025)
-    assert fine.slope_error < 0.6 * coarse.slope_error < 0.03
+    check(punched(3, 0.45), tolerance=0.025)
 
 
 @pytest.mark.slow
-def test_plane_strain_dhat_and_a_finer_punch() -> None:
+def test_plane_strain_dhat_and_other_punches() -> None:
+    assert punched(3, 0.45).slope_error < 0.6 * punched(2, 0.45).slope_error < 0.03
     check(punched(3, 0.3), tolerance=0.025)
     near, far = punched(3, 0.45), punched(3, 0.45, dhat_over_depth=0.2)
     assert far.slope_error == pytest.approx(near.slope_error, abs=4e-3)

@@ -22,7 +22,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, labelled
-from tests.verification.assembly import Assembly
+from tests.verification.elements import ElementForces
 
 YOUNG, NU, RATIO = 1.3e5, 0.42, 0.3
 MU, LAM = YOUNG / (2 * (1 + NU)), YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
@@ -64,7 +64,7 @@ def principal_stress(model: MaterialModel) -> Callable[[float, float, float], fl
     )
 
 
-def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, Assembly]:
+def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, ElementForces]:
     """Equilibrium with the bonded nodes at ``target``; the others start off it."""
     model = Scene(body).finalize()
     held = body.bonded()
@@ -76,7 +76,7 @@ def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, Assembly]:
     report = solver.step(state)
     assert report.converged.all(), report.summary()
     assert report.newton_iterations[0] > 1
-    return state.positions.numpy()[0], Assembly(model, SolverConfig(), NO_BODIES)
+    return state.positions.numpy()[0], ElementForces(model)
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) 
     end = x0 > x0.max() - 1e-9
     held = np.flatnonzero(end | (x0 < x0.min() + 1e-9))
     target = mesh.nodes_m * [stretch, w, w]
-    x, assembly = solved(SoftBody(mesh, material(model), held, element=Element.LINEAR), target)
+    x, forces = solved(SoftBody(mesh, material(model), held, element=Element.LINEAR), target)
     np.testing.assert_allclose(x, target, atol=1e-9 * SIZE[0])
-    pull = assembly.elastic_gradient(x[None])[0, end].sum(axis=0)
+    pull = forces.gradient(x[None])[0, end].sum(axis=0)
     area = SIZE[1] * SIZE[2]
     assert pull[0] == pytest.approx(stress * area, rel=1e-8)
     assert np.abs(pull[1:]).max() < 1e-9 * MU * area
@@ -132,11 +132,11 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
 
     def assembled(body_mesh, tet_material, positions) -> tuple:
         body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]), element=Element.LINEAR)
-        assembly = Assembly(Scene(body).finalize(), SolverConfig(), NO_BODIES)
+        forces = ElementForces(Scene(body).finalize())
         return (
-            assembly.elastic_energy(positions[None])[0],
-            assembly.elastic_gradient(positions[None])[0],
-            assembly.model.masses.numpy()[0],
+            forces.energy(positions[None])[0],
+            forces.gradient(positions[None])[0],
+            forces.model.masses.numpy()[0],
         )
 
     energy, gradient, masses = assembled(mesh, field, x)

@@ -272,26 +272,6 @@ def steps(solver: SolverIPC, state: State, depths: list[float]) -> None:
 PATH = [1e-4, 2e-4, 3e-4, 3e-4, 3e-4]
 
 
-def test_a_state_that_is_copied_goes_on_as_the_first() -> None:
-    """With another solver, beside another state, and after the first was put back."""
-    model = pressed()
-    solver, state = SolverIPC(model), initial_state(model, ball(1, -1e-4))
-    steps(solver, state, PATH[:3])
-    kept, loaded = state.copy(), force(solver)[0]
-    steps(solver, state, PATH[3:])
-    expected = state.positions.numpy().copy()
-    assert force(solver)[0] < 0.95 * loaded
-    other, second = SolverIPC(model), initial_state(model, ball(1, -1e-4))
-    steps(other, second, [5e-5])
-    steps(other, kept.copy(), PATH[3:4])
-    again = kept.copy()
-    steps(other, again, PATH[3:])
-    np.testing.assert_allclose(again.positions.numpy(), expected, rtol=0, atol=1e-12)
-    state.restore(kept)
-    steps(solver, state, PATH[3:])
-    np.testing.assert_allclose(state.positions.numpy(), expected, rtol=0, atol=1e-12)
-
-
 def test_a_step_that_fails_leaves_what_was_there() -> None:
     """And an environment that is not stepped does not relax."""
     model = pressed(2)

@@ -15,6 +15,7 @@ from taccel_lab.benchmarks.stress.families.common import (
     in_time,
     material,
     settings,
+    thrown_body,
 )
 from taccel_lab.benchmarks.stress.shapes import about, after, pose, soft_box, stiff_shape, wedge
 from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
@@ -119,17 +120,7 @@ def soft_edges(draw: Draw) -> StressCase:
     bodies = []
     for name, side in (("upper", 1), ("lower", -1)):
         heading = after(about((0, 0, 1), angle if side > 0 else 0.0), edge_up)
-        bodies.append(
-            SoftBody(
-                mesh,
-                material(draw, name),
-                FREE,
-                name=name,
-                element=draw.choose(f"{name} element", ELEMENTS),
-                friction_coefficient=friction(draw, f"friction of {name}"),
-                initial_pose=pose((0, 0, side * (half + gap / 2)), heading),
-                initial_velocity_m_s=(0.0, 0.0, -side * down / 2),
-            )
-        )
+        at = pose((0, 0, side * (half + gap / 2)), heading)
+        bodies.append(thrown_body(draw, name, mesh, at, (0.0, 0.0, -side * down / 2)))
     scene = Scene(bodies, time=stepping)
     return StressCase(scene, config, 5, closed=True)

@@ -9,7 +9,7 @@ from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.shapes import soft_ball, soft_box, with_slivers
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import Element, Material, MaterialModel, TimeScheme, TimeStepping
+from taccel_lab.scene import Element, Material, MaterialModel, SoftBody, TimeScheme, TimeStepping
 from taccel_lab.solvers import SolverConfig
 
 FREE = np.zeros(0, dtype=np.int64)
@@ -100,6 +100,22 @@ def free_body(draw: Draw, name: str, size: float) -> TetMesh:
     if draw.chance(f"{name} is a ball", 0.4):
         return soft_ball(size / 2, draw.whole(f"{name} cells", 2, 3))
     return free_block(draw, name, (size, size, size))
+
+
+def thrown_body(
+    draw: Draw, name: str, mesh: TetMesh, at: np.ndarray, velocity_m_s: tuple[float, float, float]
+) -> SoftBody:
+    """A soft body that flies."""
+    return SoftBody(
+        mesh,
+        material(draw, name),
+        FREE,
+        name=name,
+        element=draw.choose(f"{name} element", ELEMENTS),
+        friction_coefficient=friction(draw, f"friction of {name}"),
+        initial_pose=at,
+        initial_velocity_m_s=velocity_m_s,
+    )
 
 
 def _maybe_slivers(draw: Draw, name: str, mesh: TetMesh) -> TetMesh:

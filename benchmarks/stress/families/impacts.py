@@ -19,6 +19,7 @@ from taccel_lab.benchmarks.stress.families.common import (
     in_time,
     material,
     settings,
+    thrown_body,
 )
 from taccel_lab.benchmarks.stress.shapes import (
     STIFF_SHAPES,
@@ -151,18 +152,8 @@ def soft_on_soft(draw: Draw) -> StressCase:
         mesh, turn = free_body(draw, name, size), draw.rotation(f"turn of {name}")
         low, high = reach(mesh, turn)
         z = gap / 2 - low if side > 0 else -gap / 2 - high
-        bodies.append(
-            SoftBody(
-                mesh,
-                material(draw, name),
-                FREE,
-                name=name,
-                element=draw.choose(f"{name} element", ELEMENTS),
-                friction_coefficient=friction(draw, f"friction of {name}"),
-                initial_pose=pose((side * shift, 0, z), turn),
-                initial_velocity_m_s=(0.0, 0.0, -side * speed / 2),
-            )
-        )
+        at = pose((side * shift, 0, z), turn)
+        bodies.append(thrown_body(draw, name, mesh, at, (0.0, 0.0, -side * speed / 2)))
     steps = _steps(draw, gap, speed, stepping.dt_s)
     scene = Scene(bodies, time=stepping)
     return StressCase(scene, config, steps, closed=True)

@@ -37,7 +37,7 @@ def test_no_silent_failure(family: str, seed: int) -> None:
 
 def test_scenes_are_valid_and_the_same_in_every_run() -> None:
     for family in FAMILIES:
-        for seed in range(20, 26):
+        for seed in range(20, 24):
             case, parameters = make_case(family, seed)
             assert make_case(family, seed)[1] == parameters
             assert case.steps >= 1

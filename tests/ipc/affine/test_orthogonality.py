@@ -18,6 +18,7 @@ from taccel_lab.ipc.potentials.affine import AffinePotential
 from taccel_lab.scene import Scene
 from taccel_lab.state import initial_state
 from tests.ipc.dense_system import Dense, differences
+from tests.support.turns import random_turns
 
 SIZES = ((0.1, 0.02, 0.03), (0.04, 0.05, 0.06))
 YOUNG = (1e6, 3e7)
@@ -35,11 +36,6 @@ def assembly() -> Dense:
     return Dense(model, AffinePotential(model), initial_state(model).positions.numpy()[0])
 
 
-def rotations(rng: np.random.Generator) -> np.ndarray:
-    q = np.linalg.qr(rng.normal(size=(2, 3, 3)))[0]
-    return q * np.sign(np.linalg.det(q))[:, None, None]
-
-
 def controls(maps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Control nodes of both bodies at linear maps [2, 3, 3], shape [8, 3]."""
     lengths = assembly().model.affine.lengths.numpy()
@@ -51,7 +47,7 @@ def controls(maps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def strained(seed: int, amount: float) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    maps = rotations(rng) @ (np.eye(3) + amount * rng.uniform(-1, 1, size=(2, 3, 3)))
+    maps = random_turns(rng, 2) @ (np.eye(3) + amount * rng.uniform(-1, 1, size=(2, 3, 3)))
     return maps, controls(maps, rng)
 
 
@@ -95,7 +91,7 @@ def test_projection(seed: int, amount: float) -> None:
 @given(seed=st.integers(0, 2**31))
 def test_rotations_cost_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    maps = rotations(rng)
+    maps = random_turns(rng, 2)
     nodes = controls(maps, rng)
     found = assembly()
     size = YOUNG[1] * np.prod(SIZES[1])

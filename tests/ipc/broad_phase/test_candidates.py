@@ -19,7 +19,7 @@ from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.contact.gaps import edge_edge_distances, point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.model.kinematics import interpolate_poses
-from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, Surface
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
@@ -171,6 +171,20 @@ def test_pairs_far_away_are_left_out() -> None:
     away = wp.array(far, dtype=wp.transformd)
     candidates.update(wp.array([1], dtype=wp.int32), y, still, away, away, 1e-4)
     assert [part.counts.numpy()[0] for part in candidates.lists] == [0, 0]
+
+
+def test_thickness_comes_on_top_of_the_margin() -> None:
+    start = everywhere(1, pose(0, 0, 0.9e-3))
+    pairs = []
+    for thickness, margin in ((0.0, 1e-4), (5e-5, 5e-5), (0.0, 5e-5)):
+        tool = KinematicBody(BODY, name="mesh", surface=Surface(thickness_m=thickness))
+        model = scene(MESH, tool).finalize()
+        x, poses = initial_state(model, start).positions, wp.array(start, dtype=wp.transformd)
+        candidates = Candidates(model)
+        active = wp.array([1], dtype=wp.int32)
+        candidates.update(active, x, wp.zeros_like(x), poses, poses, margin)
+        pairs.append(found(candidates))
+    assert pairs[0] == pairs[1] != pairs[2]
 
 
 def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:

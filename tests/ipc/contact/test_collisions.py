@@ -125,22 +125,6 @@ def test_the_nodes_of_a_surface_measure_a_ball_and_its_faces_guard() -> None:
     assert assembly.collide(x) == int(in_reach) > 4
 
 
-def test_lists_grow_and_nothing_is_dropped() -> None:
-    assembly, x = set_down(
-        box_mesh((2e-3, 2e-3, 1e-3)), pose(0, 0, 0, (1, 1, 0), 3), 0.02 * DHAT, 1
-    )
-    expected = assembly.contact_energy(x)[0]
-    count = assembly.collide(x)
-    collisions, candidates = assembly.solver.collisions, assembly.solver.candidates
-    assert count > 3
-    collisions._allocate(3)
-    for part in candidates.lists:
-        part._allocate(2)
-    assert assembly.collide(x) == count
-    assert collisions.capacity >= count
-    assert assembly.contact_energy(x)[0] == pytest.approx(expected, rel=1e-12)
-
-
 def test_environments_at_rest_are_left_alone() -> None:
     mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
     model = scene(mesh, KinematicBody(box_mesh((1e-3, 1e-3, 1e-3))), env_count=2).finalize()

@@ -47,37 +47,6 @@ def test_smoothing_equals_ipctk() -> None:
         np.testing.assert_allclose(smoothing[:, column], expected, rtol=1e-12, atol=1e-15)
 
 
-def test_displacement_is_tangential() -> None:
-    weights, n, dx = contacts(1, 200)
-    _, u, *_ = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
-    relative = np.einsum("ci,cia->ca", weights, dx)
-    expected = relative - np.sum(relative * n, axis=1, keepdims=True) * n
-    np.testing.assert_allclose(u, expected, atol=1e-15 * np.abs(dx).max())
-    assert np.abs(u).max() > 0.0
-
-
-def test_derivatives_equal_finite_differences() -> None:
-    weights, n, dx = contacts(3, 300)
-    _, u, _, gradient, hessian = batch.friction_terms(weights, n, dx, MU_LAMBDA, EPS_U)
-    size = np.linalg.norm(u, axis=1)
-    step = 1e-5 * size
-    steady = np.abs(size / EPS_U - 1.0) > 1e-3
-    numeric, curvature = np.zeros((300, 3)), np.zeros((300, 3, 3))
-    for axis in range(3):
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = dx.copy()
-            moved[:, 0, axis] += sign * step  # node 0 has weight 1
-            terms = batch.friction_terms(weights, n, moved, MU_LAMBDA, EPS_U)
-            sides.append((terms[2], terms[3]))
-        numeric[:, axis] = (sides[0][0] - sides[1][0]) / (2 * step)
-        curvature[:, axis] = (sides[0][1] - sides[1][1]) / (2 * step[:, None])
-    np.testing.assert_allclose(gradient[steady], numeric[steady], atol=1e-7)
-    scale = np.abs(curvature).max(axis=(1, 2), keepdims=True)
-    assert np.abs((hessian - curvature) / scale)[steady].max() < 1e-7
-    assert scale.min() > 0.0
-
-
 def test_hessian_is_semidefinite_also_at_rest() -> None:
     weights, n, dx = contacts(4, 500)
     dx[:100] = 0.0

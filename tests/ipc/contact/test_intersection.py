@@ -107,24 +107,27 @@ def test_a_body_just_above_and_just_below_the_surface(
     assert np.abs(below[0].point_m[:2]).max() < 5e-3
 
 
-def test_bodies_that_do_not_cross_but_contain() -> None:
-    (swallowed,) = intersections(sphere_mesh(0.3e-3, 1e-4), pose(1e-4, 0, -1e-3))
-    assert kinds(swallowed) == [IntersectionKind.INSIDE]
-    (ball,) = intersections(Ball(0.3e-3), pose(1e-4, 0, -1e-3))
-    assert kinds(ball) == [IntersectionKind.INSIDE]
-    (around,) = intersections(box_mesh((9e-3, 9e-3, 9e-3)), pose(0, 0, -1e-3, (1, 0, 0), 20))
-    assert kinds(around) == [IntersectionKind.INSIDE]
-    (hollow,) = intersections(Ball(9e-3), pose(0, 0, -1e-3))
-    assert kinds(hollow) == [IntersectionKind.CROSSING]
+NEEDLE = TriangleMesh(
+    np.array([[0, 0, -1e-4], [1e-6, 0, 1e-3], [-1e-6, 1e-6, 1e-3], [0, -1e-6, 1e-3]]),
+    np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]),
+)
+"""Between the nodes of the gel."""
 
 
-def test_a_needle_between_the_nodes_is_seen() -> None:
-    needle = TriangleMesh(
-        np.array([[0, 0, -1e-4], [1e-6, 0, 1e-3], [-1e-6, 1e-6, 1e-3], [0, -1e-6, 1e-3]]),
-        np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]),
-    )
-    (found,) = intersections(needle, pose(3.1e-4, 2.7e-4, 0))
-    assert kinds(found) == [IntersectionKind.CROSSING]
+@pytest.mark.parametrize(
+    ("shape", "place", "kind"),
+    [
+        (sphere_mesh(0.3e-3, 1e-4), pose(1e-4, 0, -1e-3), IntersectionKind.INSIDE),
+        (Ball(0.3e-3), pose(1e-4, 0, -1e-3), IntersectionKind.INSIDE),
+        (SHAPES["large box"], pose(0, 0, -1e-3, (1, 0, 0), 20), IntersectionKind.INSIDE),
+        (Ball(9e-3), pose(0, 0, -1e-3), IntersectionKind.CROSSING),
+        (NEEDLE, pose(3.1e-4, 2.7e-4, 0), IntersectionKind.CROSSING),
+    ],
+)
+def test_bodies_that_contain_one_another_and_a_needle(
+    shape: TriangleMesh | Ball, place: np.ndarray, kind: IntersectionKind
+) -> None:
+    assert kinds(intersections(shape, place)[0]) == [kind]
 
 
 def test_inverted_tets_are_found() -> None:

@@ -20,6 +20,7 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.model import Model
 from taccel_lab.scene import Element, Material, Scene, SoftBody, Surface, TimeStepping
+from tests.support.turns import random_turns
 
 HALF_M, DEEP_M = 1e-3, 2e-3
 """Half the length of a ridge, and how far the rest of its tet lies behind it."""
@@ -73,12 +74,6 @@ def unit(rng: np.random.Generator, count: int) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def frames(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Random rotations, shape [count, 3, 3]."""
-    turned = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
-    return turned * np.linalg.det(turned)[:, None, None]
-
-
 @dataclass(frozen=True)
 class Ridges:
     """Ridges above one another, before they move."""
@@ -112,7 +107,7 @@ def crossing(
         for node, way in ((start + 2, side), (start + 3, -side)):
             x[:, node] = middle + way * HALF_M * across + side * DEEP_M * up
     x[:, :4] += gap_m[:, None, None] * up
-    turned = frames(rng, count)
+    turned = random_turns(rng, count)
     x = np.einsum("eij,enj->eni", turned, x)
     return Ridges(x, turned[:, :, 2], turned[:, :, 0])
 

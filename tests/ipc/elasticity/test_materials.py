@@ -14,6 +14,7 @@ from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.device.matrices import signed_svd_3x3, symmetric_eigen_3x3
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE, principal_block
+from tests.support.turns import random_turns
 
 MODELS = list(MaterialModel)
 FINITE = [MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIRCHHOFF]
@@ -72,11 +73,6 @@ def evaluate(
     return energy.numpy(), stress.numpy(), hessian
 
 
-def rotations(count: int, seed: int) -> np.ndarray:
-    turns = np.linalg.qr(np.random.default_rng(seed).normal(size=(count, 3, 3)))[0]
-    return turns * np.sign(np.linalg.det(turns))[:, None, None]
-
-
 STRETCHES = {
     "rigid": [1.0, 1.0, 1.0],
     "swollen": [1.6, 1.6, 1.6],
@@ -104,7 +100,7 @@ def deformations(kind: str) -> np.ndarray:
         f = np.eye(3) + scale * np.random.default_rng(7).normal(size=(200, 3, 3))
         return f[np.linalg.det(f) > 0.05][:60]
     s = np.array({**STRETCHES, **INVERTED}[kind])
-    return np.einsum("nij,j,nkj->nik", rotations(60, 3), s, rotations(60, 4))
+    return np.einsum("nij,j,nkj->nik", random_turns(3, 60), s, random_turns(4, 60))
 
 
 def cases() -> list[tuple[MaterialModel, str]]:
@@ -184,7 +180,7 @@ def test_small_strains_are_linear_elasticity(model: MaterialModel) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_rotations_change_nothing_but_the_frame(model: MaterialModel) -> None:
     f = deformations("large")
-    left, right = rotations(len(f), 5), rotations(len(f), 6)
+    left, right = random_turns(5, len(f)), random_turns(6, len(f))
     energy, stress, hessian = evaluate(model, f)
     turned = evaluate(model, left @ f @ right)
     np.testing.assert_allclose(turned[0], energy, rtol=1e-12)
@@ -299,7 +295,7 @@ def _eigen_kernel(
 
 @pytest.mark.parametrize("spread", [0.0, 1e-14, 1e-8, 1e-3, 1.0, 1e6])
 def test_eigenvectors_are_orthonormal_for_any_spectrum(spread: float) -> None:
-    q, wanted = rotations(200, 11), 1.0 + spread * np.random.default_rng(11).random((200, 3))
+    q, wanted = random_turns(11, 200), 1.0 + spread * np.random.default_rng(11).random((200, 3))
     a = np.einsum("nij,nj,nkj->nik", q, wanted, q)
     a = 0.5 * (a + a.swapaxes(1, 2))
     out = [wp.zeros(200, dtype=t, device="cpu") for t in (wp.vec3d, wp.mat33d)]

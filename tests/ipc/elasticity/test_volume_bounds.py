@@ -15,6 +15,7 @@ from taccel_lab.ipc.elasticity.volume_bounds import (
     least_coefficient,
     smallest_ratio,
 )
+from tests.support.turns import random_turns
 
 COUNT = 400
 
@@ -63,9 +64,7 @@ def sampled(corners: np.ndarray, order: int = 24) -> np.ndarray:
 
 def random_tets(spread: float) -> np.ndarray:
     rng = np.random.default_rng(int(100 * spread))
-    turns = np.linalg.qr(rng.normal(size=(COUNT, 3, 3)))[0]
-    turns *= np.sign(np.linalg.det(turns))[:, None, None]
-    return turns[:, None] + spread * rng.normal(size=(COUNT, 4, 3, 3))
+    return random_turns(rng, COUNT)[:, None] + spread * rng.normal(size=(COUNT, 4, 3, 3))
 
 
 @pytest.mark.parametrize("spread", [0.05, 0.2, 0.35, 0.6])

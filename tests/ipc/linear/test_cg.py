@@ -19,7 +19,7 @@ from taccel_lab.ipc.linear.cg.pipelined_cg import PATIENCE, PipelinedCG
 from taccel_lab.ipc.linear.cg.preconditioner import DiagonalInverses
 from taccel_lab.ipc.linear.problem.packed_rows import PackedRows
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows, scalars
-from taccel_lab.ipc.linear.system import LinearSystem, Solver
+from taccel_lab.ipc.linear.system import METHODS, LinearSystem, Solver
 from tests.ipc.linear.systems import contact_system
 
 CPU = wp.get_device("cpu")
@@ -32,7 +32,7 @@ SOLVERS = [
 ]
 
 
-@pytest.mark.parametrize("make", SOLVERS)
+@pytest.mark.parametrize("make", [*SOLVERS, METHODS["ssor"]])
 def test_gel_and_stiff_body_against_a_dense_solve(
     many_lanes: None, make: Callable[[LinearSystem], Solver]
 ) -> None:

@@ -29,77 +29,12 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from tests.ipc.linear.systems import (
-    BACKENDS,
     contact_system,
-    delaunay_pattern,
     list_extra,
-    random_spd,
 )
 from tests.support.blocks import block_mesh
 
 CPU = wp.get_device("cpu")
-
-
-def springs_between(
-    rng: np.random.Generator, places: np.ndarray, n: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks of stiff springs between rows that no element connects, and what each adds to both
-    diagonal blocks, [m, 3, 3] each."""
-    normals = rng.normal(size=(len(places), 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    stiffness = 10.0 ** rng.uniform(0, 3, len(places))
-    outer = stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
-    return -outer, outer
-
-
-@pytest.mark.parametrize("method", BACKENDS)
-def test_solvers_with_extra_blocks(method: str) -> None:
-    rng = np.random.default_rng(3)
-    pattern = delaunay_pattern(rng, 60, 5)
-    n = pattern.free_count
-    envs = 3
-    values = np.stack([random_spd(rng, pattern, 30.0) for _ in range(envs)])
-    counts = np.array([25, 0, 7])
-    places = np.zeros((envs, 40, 2), dtype=np.int32)
-    blocks = np.zeros((envs, 40, 3, 3))
-    for env, count in enumerate(counts):
-        pairs = rng.integers(0, n, (count, 2))
-        pairs[:, 0] += (pairs[:, 0] == pairs[:, 1]) & (pairs[:, 0] < n - 1)
-        pairs = np.sort(pairs, axis=1)[:, ::-1]
-        off, on = springs_between(rng, pairs, n)
-        places[env, :count], blocks[env, :count] = pairs, off
-        for (i, j), block in zip(pairs, on, strict=True):
-            values[env, pattern.diagonal[i]] += block
-            values[env, pattern.diagonal[j]] += block
-    rhs = rng.normal(size=(envs, n, 3))
-
-    system = LinearSystem(pattern, envs, CPU, method=method)
-    system.values.assign(values)
-    system.rhs.assign(rhs)
-    extra = system.extra
-    extra.counts.assign(np.full(envs, 40))
-    assert extra.fit()
-    assert (extra.rooms == 60).all()
-    list_extra(
-        extra,
-        [part[:count] for part, count in zip(places, counts, strict=True)],
-        [part[:count] for part, count in zip(blocks, counts, strict=True)],
-    )
-    assert not extra.fit()
-    system.tolerances.fill_(1e-10)
-    system.solve(wp.full(envs, 1, dtype=wp.int32, device=CPU), 5000)
-    report = system.report()
-    assert not report.breakdown.any()
-    assert (report.relative_residual <= 1.1e-10).all()
-    for env, count in enumerate(counts):
-        full = pattern.dense(values[env : env + 1])[0]
-        for (i, j), block in zip(places[env, :count], blocks[env, :count], strict=True):
-            full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
-            full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
-        assert np.linalg.eigvalsh(full)[0] > 0
-        expected = np.linalg.solve(full, rhs[env].ravel()).reshape(n, 3)
-        found = system.solution.numpy()[env]
-        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
 
 
 @wp.kernel(enable_backward=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frozen friction against finite differences, Coulomb's law, rolling and spinning."""
+"""Friction against finite differences, Coulomb's law, rolling and spinning."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.potentials.friction_change import add_friction_change
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
@@ -25,16 +26,19 @@ BODIES: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
     # The gel lies under one triangle of the plate, away from its diagonal.
     "plate": (box_mesh((12e-3, 12e-3, 1e-3)), pose(4e-3, -1e-3, 0.6e-3)),
     "ball": (Ball(RADIUS), pose(2e-4, -1e-4, RADIUS + 0.3 * DHAT)),
+    # It lies on faces and edges of the gel, and nodes of the gel on it.
+    "edge": (box_mesh((1e-3, 1e-3, 1e-3)), pose(1e-4, 2e-4, 0.95e-3, (1, 1, 0.2), 45)),
 }
 
 
 class Rubbing:
-    """A gel frozen against a body, then moved; one environment for each probe."""
+    """A gel frozen against a body, then moved; an environment for each probe of a coordinate, or
+    as many as there are to be."""
 
-    def __init__(self, name: str, turn_deg: float = 0.0) -> None:
+    def __init__(self, name: str, turn_deg: float = 0.0, count: int = 0) -> None:
         shape, placed = BODIES[name]
         body_count = 1 if isinstance(shape, Ball) else len(shape.vertices_m)
-        count = 6 * (MESH.node_count + body_count)
+        count = count or 6 * (MESH.node_count + body_count)
         model = scene(MESH, KinematicBody(shape, MU), env_count=count).finalize()
         before = everywhere(count, placed)
         config = SolverConfig(dhat_m=DHAT, friction_eps_m=EPS)
@@ -44,15 +48,17 @@ class Rubbing:
         self.poses = self.assembly.poses
         self.end_poses = wp.array(everywhere(count, turned), dtype=wp.transformd)
         assert self.assembly.collide(self.start) > 0
+        assert self.assembly.solver.friction is not None
         self.friction = self.assembly.solver.friction
-        assert self.friction is not None
         dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
         self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts, dts)
-        start = self.assembly.nodal(self.start)
-        self.friction.lag(self.assembly.active, start, start)
+        self.freeze(self.start)
+
+    def freeze(self, positions: np.ndarray) -> None:
+        x, start = self.assembly.nodal(positions), self.assembly.nodal(self.start)
+        self.friction.lag(self.assembly.active, x, start)
 
     def motion(self, positions: np.ndarray):
-        assert self.friction is not None
         return self.friction.motion(
             self.assembly.nodal(positions),
             self.assembly.nodal(self.start),
@@ -61,11 +67,9 @@ class Rubbing:
         )
 
     def energy(self, positions: np.ndarray) -> np.ndarray:
-        assert self.friction is not None
         return self.friction.energy(self.assembly.active, self.motion(positions))
 
     def gradient(self, positions: np.ndarray) -> np.ndarray:
-        assert self.friction is not None
         out = self.assembly.nodal()
         self.friction.add_gradient(self.assembly.active, self.motion(positions), out)
         return out.numpy()
@@ -93,7 +97,6 @@ def test_gradient_and_hessian_are_the_derivatives(name: str, turn: float, size: 
     x = slid(case, size)
     # The matrix leaves out subtracted duplicates, so that it stays positive.
     assembly, friction = case.assembly, case.friction
-    assert friction is not None
     signed = friction.frozen.mu_lambdas.numpy().copy()
     assert (signed < 0).any() == (name == "bumpy")
     friction.frozen.mu_lambdas.assign(np.maximum(signed, 0.0))
@@ -131,7 +134,7 @@ def test_nothing_slides_when_all_move_together() -> None:
     assert np.abs(case.gradient(case.same(x))[0]).max() < 1e-9 * scale
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", ["bumpy", "plate", "ball"])
 def test_friction_on_gel_and_body_balance(name: str) -> None:
     case = rubbing(name)
     gradient = case.gradient(case.same(slid(case, EPS)))[0]
@@ -165,3 +168,39 @@ def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
     # All faces in reach count, so that the drag is not that of the lowest point alone.
     np.testing.assert_allclose(spinning, sliding, rtol=0.15, atol=0.05 * abs(sliding[0]))
     assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding), f"gap {gap}"
+
+
+DIRECTIONS = 6
+
+
+@pytest.mark.parametrize("size", [0.2 * EPS, 5 * EPS])
+@pytest.mark.parametrize("name", ["bumpy", "edge", "ball"])
+def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
+    name: str, size: float
+) -> None:
+    case, step = Rubbing(name, count=2 * DIRECTIONS), 1e-10
+    active, rng = case.assembly.active, np.random.default_rng(2)
+    x = case.start[0] + rng.uniform(-size, size, case.start[0].shape)
+    ways = np.repeat(rng.uniform(-1.0, 1.0, (DIRECTIONS, *x.shape)), 2, axis=0)
+    signs = np.tile([1.0, -1.0], DIRECTIONS)[:, None, None]
+
+    def difference(step: float) -> np.ndarray:
+        """Along each direction, [direction, node, 3]."""
+        forces = case.gradient(x + step * signs * ways)
+        return (forces[::2] - forces[1::2]) / (2 * step)
+
+    assert case.assembly.collide(case.same(x)) > 0
+    case.freeze(x + step * signs * ways)
+    whole = difference(step)
+    case.freeze(case.same(x))
+    mu_lambdas = case.friction.frozen.mu_lambdas
+    signed = mu_lambdas.numpy().copy()
+    mu_lambdas.assign(np.maximum(signed, 0.0))
+    left_out = whole - difference(1e-9)
+    mu_lambdas.assign(signed)
+    found, sharpness = case.assembly.nodal(), wp.full(len(signs), 1.0, dtype=wp.float64)
+    motion = case.motion(case.same(x))
+    add_friction_change(case.friction, active, motion, sharpness, case.assembly.nodal(ways), found)
+    scale = np.abs(left_out).max()
+    assert scale > 0.01 * np.abs(whole).max()
+    np.testing.assert_allclose(found.numpy()[::2], left_out, atol=1e-3 * scale)

@@ -22,6 +22,7 @@ from taccel_lab.scene import (
 )
 from tests.ipc.derivatives import assert_derivatives
 from tests.support.blocks import block_mesh
+from tests.support.turns import strained
 from tests.support.variants import variants
 from tests.verification.elements import ElementForces
 
@@ -59,14 +60,6 @@ def rest_of(made: ElementForces) -> np.ndarray:
     return made.model.rest_positions.numpy()[0]
 
 
-def deformed(x: np.ndarray, seed: int, amount: float) -> np.ndarray:
-    """Random nodal motion of ``amount`` [m] plus a rotation and a stretch."""
-    rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    return (x * [1.1, 0.95, 0.9]) @ turn.T + rng.uniform(-amount, amount, x.shape)
-
-
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", KINDS)
 @pytest.mark.parametrize("poisson", variants([0.49], [0.3, 0.49]))
@@ -80,7 +73,7 @@ def test_gradient_and_hessian_are_the_derivatives(
     made = forces(
         gel(MESH, element, law, poisson, np.repeat(rest[None], count, axis=0)), env_count=count
     )
-    x = deformed(rest_of(made), 2, 2e-5)
+    x = strained(rest_of(made), 2, 2e-5)
     hessian = made.hessian(np.repeat(x[None], count, axis=0), PSD_NONE)[0]
     assert_derivatives(x, made.free, STEP, made.energy, made.gradient, hessian, (1e-3, 1))
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-12 * np.abs(hessian).max())
@@ -120,7 +113,7 @@ def test_projected_matrix_is_positive_and_differs_where_it_must(
     mesh = block_mesh((2, 2, 1), SIZE, 0.2)
     made = forces(gel(mesh, element, law))
     # A compressed block: without projection the matrix is indefinite.
-    x = (deformed(rest_of(made), 3, 5e-5) * 0.7)[None]
+    x = (strained(rest_of(made), 3, 5e-5) * 0.7)[None]
     exact = made.hessian(x, PSD_NONE)[0]
     projected = made.hessian(x, PSD_CLAMP)[0]
     scale = np.abs(exact).max()
@@ -162,7 +155,7 @@ def test_bodies_of_one_law_and_element_share_a_group() -> None:
     made = forces(first, second, third)
     assert [group.bodies for group in made.model.elastic] == [[(0, 0, 6), (1, 6, 18)], [(2, 0, 6)]]
     rest = rest_of(made)
-    x = deformed(rest, 4, 2e-5)
+    x = strained(rest, 4, 2e-5)
     parts = [forces(body) for body in (first, second, third)]
     ranges = np.cumsum([0] + [part.model.node_count for part in parts])
     separate = [
@@ -194,7 +187,7 @@ def test_motion_of_the_mount_pulls_on_the_free_nodes(element: Element) -> None:
     scene = Scene(body, KinematicBody(None, name="finger"))
     made = ElementForces(scene.finalize())
     rest = rest_of(made)
-    x = deformed(rest, 6, 2e-5)
+    x = strained(rest, 6, 2e-5)
     bonded = np.setdiff1d(np.arange(len(rest)), made.free)
     motion = np.zeros_like(x)
     motion[bonded] = np.random.default_rng(7).normal(size=(len(bonded), 3))
