@@ -44,6 +44,14 @@ def _equal_captures_are_judged_once(_all_imported: None) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _figures_are_drawn_in_this_process() -> Iterator[None]:
+    """A press draws in a process beside it, which takes longer to load than these presses take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
+        yield
+
+
 class Cli:
     """Runs ``taccel-lab`` in this process; the first argument may be several words."""
 

@@ -32,6 +32,8 @@ from tests.support.small_captures import write_captures
 from tests.support.small_data_sets import saved_profile
 from tests.viewer.browser import chromium_page
 
+pytestmark = pytest.mark.rasterised
+
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""

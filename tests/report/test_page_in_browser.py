@@ -19,7 +19,7 @@ from taccel_lab.report.page import write_page
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.viewer.browser import chromium_page, picture, shared_browser, wait_for  # noqa: F401
 
-pytestmark = pytest.mark.usefixtures("shared_browser")
+pytestmark = [pytest.mark.rasterised, pytest.mark.usefixtures("shared_browser")]
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
