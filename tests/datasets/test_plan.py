@@ -145,7 +145,8 @@ def test_what_was_drawn_once_is_drawn_for_ever() -> None:
     assert [part.episodes for part in made.parts] == KEPT_PARTS
 
 
-def test_a_great_many_touches_are_not_kept_in_memory() -> None:
+def test_a_great_many_touches_are_not_kept_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("taccel_lab.datasets.plan._TOLD_EVERY", 1_000)
     told: list[tuple[int, int]] = []
     made = plan("flat_pad", dataset={"episodes": 3_000}, **NO_IMAGES)
     tracemalloc.start()
