@@ -17,6 +17,8 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import cv2
+import numpy as np
 import pytest
 import warp as wp
 import warp._src.build as native
@@ -107,6 +109,37 @@ def _catalogue_is_meshed_once() -> Iterator[None]:
     it depends on the pad alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(profile, "sound_gel_mesh", lru_cache(sound_gel_mesh))
+        yield
+
+
+RASTERISED = pytest.StashKey[bool]()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before the fixtures of the test, which may draw."""
+    item.config.stash[RASTERISED] = item.get_closest_marker("rasterised") is not None
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _figures_are_not_rasterised(pytestconfig: pytest.Config) -> Iterator[None]:
+    """Figures are made, but noise stands for their pixels, which few tests look at: those of a
+    press take twice as long as the press. ``rasterised`` marks those that look."""
+    from matplotlib.figure import Figure
+
+    save = Figure.savefig
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    stand_in = cv2.imencode(".png", noise)[1].tobytes()
+
+    def savefig(figure: Figure, file: Any, **options: Any) -> None:
+        if pytestconfig.stash[RASTERISED] or options.get("format", "png") != "png":
+            save(figure, file, **options)
+        elif isinstance(file, (str, Path)):
+            Path(file).write_bytes(stand_in)
+        else:
+            file.write(stand_in)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", savefig)
         yield
 
 

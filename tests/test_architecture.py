@@ -98,31 +98,26 @@ import {modules}
 """
 
 
-def test_the_core_and_the_presses_of_studies_need_warp_numpy_and_scipy_alone() -> None:
-    """Compute nodes have neither CAD nor command line: presses and renders must run there."""
-    absent = [name for name in HEAVY if name not in ("warp", "scipy")]
-    absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"]
-    modules = "taccel_lab.presses, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render"
-    code = _BARE.format(
-        absent=absent,
-        modules=f"{modules}, taccel_lab.studies.evaluate, taccel_lab.benchmarks.speed",
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+BARE_ROOMS = {
+    # Compute nodes have neither CAD nor command line: presses and renders must run there.
+    "taccel_lab.presses, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render, "
+    "taccel_lab.studies.evaluate, taccel_lab.benchmarks.speed": [
+        *(name for name in HEAVY if name not in ("warp", "scipy")),
+        *("pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"),
+    ],
+    # Only environments need the extra ``learning``; the main job's installation has none.
+    "taccel_lab.cli.app, taccel_lab.cli.demo, taccel_lab.cli.calibrate.blocks, "
+    "taccel_lab.api.press, taccel_lab.calibration.calibrate, taccel_lab.learning.force.fit": [
+        *("gymnasium", "onnx", "h5py", "pyarrow", "newton")
+    ],
+}
+"""Modules, and what they load without."""
 
 
-def test_calibration_and_force_networks_need_no_gymnasium() -> None:
-    """Only environments need the extra ``learning``; the main job's installation has none."""
-    code = _BARE.format(
-        absent=["gymnasium", "onnx", "h5py", "pyarrow", "newton"],
-        modules="taccel_lab.cli.app, taccel_lab.cli.demo, taccel_lab.cli.calibrate.blocks, "
-        "taccel_lab.api.press, taccel_lab.calibration.calibrate, taccel_lab.learning.force.fit",
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+@pytest.mark.parametrize(("modules", "absent"), BARE_ROOMS.items(), ids=["core", "calibration"])
+def test_what_a_bare_machine_runs_needs_no_more(modules: str, absent: list[str]) -> None:
+    code = _BARE.format(absent=absent, modules=modules)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -133,7 +133,8 @@ def loaded_by(code: str, names: tuple[str, ...]) -> str:
 
 @pytest.mark.skipif(usable_cores() < 2, reason="on one core the command draws itself")
 def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
-    words = ["press", "flat_pad", "--depth-mm", "0.2", "--accuracy", "fast", "--out"]
+    words = ["press", "flat_pad", "--depth-mm", "0.2", "--accuracy", "fast"]
+    words += ["--element", "linear", "--out"]
     code = f"from taccel_lab.cli.app import main\nmain({[*words, str(tmp_path / 'out')]!r})"
     assert loaded_by(code, (*HEAVY, "matplotlib")) == "set()"
     assert (tmp_path / "out" / "height_map.png").exists()

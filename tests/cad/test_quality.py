@@ -116,6 +116,7 @@ def test_gate_names_place_and_figure() -> None:
     assert result.violations[0].text == "the mesh has no WINDOW faces"
 
 
+@pytest.mark.rasterised
 def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     pad = GelPad(crown_radius_x_mm=80, crown_radius_y_mm=80)
     part, mesh = labelled_solid(pad), gel_mesh(pad, 1.5)

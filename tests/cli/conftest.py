@@ -20,9 +20,13 @@ from typing import Any
 import pytest
 
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.profile import save_profile
 from tests.calibration.judged_once import detect_once, judge_slopes_once
+from tests.sensors.imported_profiles import imported
 from tests.support.commands import Done, done, refusal
 from tests.support.small_captures import never, write_captures, write_profile
+from tests.support.synthetic_presses import synthetic_captures
+from tests.support.synthetic_presses import write_captures as save_captures
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -41,6 +45,14 @@ def _equal_captures_are_judged_once(_all_imported: None) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         detect_once(patch)
         judge_slopes_once(patch)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _figures_are_drawn_in_this_process() -> Iterator[None]:
+    """A press draws in a process beside it, which takes longer to load than these presses take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
         yield
 
 
@@ -98,6 +110,33 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_captures(folder / "captures")
     write_profile(folder / "profile")
     return folder
+
+
+STUDY = """
+[study]
+name = "two"
+sensor = "flat_pad"
+metrics = ["pixel_size"]
+[sweep]
+kind = "grid"
+[parameters.mm_per_px]
+values = [0.05, 0.06]
+"""
+
+
+@pytest.fixture(scope="session")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Sound inputs by the words that stand for them in tables of commands."""
+    folder = tmp_path_factory.mktemp("places")
+    save_profile(imported(), folder / "profile")
+    captures = save_captures(folder / "captures", synthetic_captures(count=3)[0])
+    (folder / "study.toml").write_text(STUDY)
+    return {
+        "PROFILE": str(folder / "profile"),
+        "CAPTURES": str(captures),
+        "IMAGE": str(captures / "background.png"),
+        "STUDY": str(folder / "study.toml"),
+    }
 
 
 @pytest.fixture

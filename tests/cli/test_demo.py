@@ -63,7 +63,7 @@ def kept(captures: Path, words: list[str]) -> tuple[bytes, int]:
     page = kept / "report" / "background" / "report.html"
     command = [sys.executable, "-m", "taccel_lab.cli.app", *words]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as running:
-        until = time.monotonic() + 120
+        until = time.monotonic() + 400
         while not (page.is_file() and (kept / "calibration.json").is_file()):
             assert running.poll() is None and time.monotonic() < until
             time.sleep(0.02)

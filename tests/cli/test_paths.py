@@ -16,19 +16,8 @@ from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.study_folder import STUDY_MARKER
 from tests.cli.conftest import Cli
-from tests.sensors.imported_profiles import imported
-from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
+from tests.support.synthetic_presses import GRID, flat_profile
 
-STUDY = """
-[study]
-name = "two"
-sensor = "flat_pad"
-metrics = ["pixel_size"]
-[sweep]
-kind = "grid"
-[parameters.mm_per_px]
-values = [0.05, 0.06]
-"""
 COMMANDS = {
     "press": "press gelsight --depth-mm 0.5 --out OUT",
     "preview": "preview gelsight --out OUT",
@@ -47,20 +36,6 @@ COMMANDS = {
     "demo": "demo --out OUT",
     "task run": "task run touch-insertion --out OUT",
 }
-
-
-@pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("outputs")
-    save_profile(imported(), folder / "profile")
-    write_captures(folder / "captures", synthetic_captures(count=3)[0])
-    (folder / "study.toml").write_text(STUDY)
-    return {
-        "PROFILE": str(folder / "profile"),
-        "CAPTURES": str(folder / "captures"),
-        "IMAGE": str(folder / "captures" / "background.png"),
-        "STUDY": str(folder / "study.toml"),
-    }
 
 
 def words_of(command: str, places: dict[str, str], out: Path | str, tmp_path: Path) -> list[str]:

@@ -98,6 +98,7 @@ def check_press_figures(values: dict[str, Any], steps: int) -> None:
     assert figures["step_count"] == len(figures["steps"]) == steps
 
 
+@pytest.mark.rasterised
 def test_press_on_a_sensor_of_the_catalogue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,10 +27,7 @@ from taccel_lab.cli import app
 from taccel_lab.cli.console import be_quiet, notes, results, say_first_look, working
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.processes.start_warp import first_step
-from taccel_lab.profile import save_profile
-from tests.sensors.imported_profiles import imported
 from tests.support.commands import run
-from tests.support.synthetic_presses import synthetic_captures, write_captures
 from tests.support.variants import variants
 
 SENTENCE = "write thickness_mm under [design], radius_mm under [indenter]; [/] [red] 3/4"
@@ -157,14 +154,6 @@ def json_commands() -> Iterator[str]:
         for word, command in inner.items():
             if "json" in {f.name for f in dataclasses.fields(command)}:  # type: ignore[arg-type]
                 yield f"{name} {word}".strip()
-
-
-@pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    folder = tmp_path_factory.mktemp("json")
-    save_profile(imported(), folder / "profile")
-    write_captures(folder / "captures", synthetic_captures(count=3)[0])
-    return {"PROFILE": str(folder / "profile"), "CAPTURES": str(folder / "captures")}
 
 
 @pytest.mark.parametrize("command", sorted(CHEAP))

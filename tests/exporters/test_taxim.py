@@ -205,7 +205,8 @@ def test_taxim_presses_an_object_into_it(mini: SensorProfile, tmp_path: Path) ->
 
 def test_the_map_of_the_gel_is_its_thickness_in_pixels(mini: SensorProfile, tmp_path: Path) -> None:
     profile = mini.with_block(mini.camera.replace(mm_per_px_y=1.21 * mini.camera.mm_per_px_x))
-    export_profile(profile, "taxim", tmp_path / "out")
+    write_table(TableFile(lamp_table(9), None), tmp_path / TABLE_FILE)
+    export_profile(profile, "taxim", tmp_path / "out", table=tmp_path / TABLE_FILE)
     gel = np.load(tmp_path / "out" / "gelmap.npy")
     assert gel.shape == (240, 320)
     # Of the one scale that Taxim knows: the mean of both, as a product.

@@ -25,14 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, to_jsonable, write_image, write_json
 from taccel_lab.files.file_cache import CACHE_VARIABLE, cached_arrays
 from taccel_lab.files.file_lock import hold
-
-
-def tree(folder: Path) -> dict[str, str]:
-    """Every file below ``folder``, hidden ones too, with its contents."""
-    return {
-        str(path.relative_to(folder)): path.read_text() if path.is_file() else "folder"
-        for path in sorted(folder.rglob("*"))
-    }
+from tests.support.small_captures import everything_below
 
 
 def test_file_appears_at_the_end(tmp_path: Path) -> None:
@@ -63,7 +56,7 @@ def test_failed_file_leaves_the_earlier_one(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError), atomic_file(target) as staging:
         staging.write_text("half")
         raise RuntimeError
-    assert tree(tmp_path) == {"a.txt": "old"}
+    assert everything_below(tmp_path) == {"a.txt": b"old"}
 
 
 def test_a_full_disk_is_told_by_the_files_name(tmp_path: Path) -> None:

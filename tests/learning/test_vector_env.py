@@ -114,44 +114,45 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(part, wanted[name], rtol=2e-3, atol=2e-3, err_msg=name)
 
 
+def both(
+    mode: AutoresetMode, count: int, seed: int, randomised: bool
+) -> tuple[TactileVectorEnv, SyncVectorEnv]:
+    """Ours and gymnasium's of single environments, which have begun alike."""
+    task = short_task()
+    ours = make(task, count, autoreset_mode=mode, randomised=randomised)
+    singles = [lambda: SingleEnv(task, randomised=randomised)] * count
+    theirs = SyncVectorEnv(singles, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is mode
+    same(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])
+    return ours, theirs
+
+
+def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray) -> np.ndarray:
+    """What was terminated and truncated, [2, count]; all else agrees."""
+    seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
+    wanted = theirs.step(actions)
+    same(seen, wanted[0])
+    np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
+    ends = np.stack([terminated.numpy(), truncated.numpy()])
+    np.testing.assert_array_equal(ends, wanted[2:4])
+    return ends
+
+
 def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
     """Of single environments with the seeds 5, 6, 7; two end at other moments than the third."""
-    task = short_task()
-    mode = AutoresetMode.NEXT_STEP
-    ours = make(task, 3, randomised=True)
-    theirs = SyncVectorEnv([lambda: SingleEnv(task, randomised=True)] * 3, autoreset_mode=mode)
-    assert ours.metadata["autoreset_mode"] is mode
-    same(ours.reset(seed=5)[0], theirs.reset(seed=5)[0])
+    ours, theirs = both(AutoresetMode.NEXT_STEP, 3, 5, True)
     actions = np.array([DOWN, [0.4, 0.1, -0.2, 0.3], [0.0, 0.0, -0.7, 0.0]], dtype=np.float32)
-    ends = np.zeros((2, 3), dtype=int)
-    for _ in range(18):
-        seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
-        wanted = theirs.step(actions)
-        same(seen, wanted[0])
-        np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
-        np.testing.assert_array_equal(terminated.numpy(), wanted[2])
-        np.testing.assert_array_equal(truncated.numpy(), wanted[3])
-        ends += [wanted[2], wanted[3]]
+    ends = np.sum([step_both(ours, theirs, actions) for _ in range(18)], axis=0)
     assert ends[0, 0] >= 2 and ends[0, 2] >= 1 and ends[1, 1] >= 2
     assert ends[0, 0] > ends[0, 2]
 
 
 def test_disabled_is_that_of_gymnasiums_own_vector_environment() -> None:
-    task = short_task()
-    mode = AutoresetMode.DISABLED
-    ours = make(task, 2, autoreset_mode=mode)
-    theirs = SyncVectorEnv([lambda: SingleEnv(task)] * 2, autoreset_mode=mode)
-    same(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    ours, theirs = both(AutoresetMode.DISABLED, 2, 1, False)
     actions = np.array([DOWN, [0.0] * 4], dtype=np.float32)
     resets = 0
     for _ in range(14):
-        seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
-        wanted = theirs.step(actions)
-        same(seen, wanted[0])
-        np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
-        np.testing.assert_array_equal(terminated.numpy(), wanted[2])
-        np.testing.assert_array_equal(truncated.numpy(), wanted[3])
-        ended = terminated | truncated
+        ended = torch.tensor(step_both(ours, theirs, actions).any(axis=0))
         if ended.any():
             with pytest.raises(InputError, match=r"environments \d.* have no episode"):
                 ours.step(torch.tensor(actions))

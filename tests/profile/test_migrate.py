@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -132,18 +133,21 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     assert "does not say how uncertain" in figures["warnings"][0]
 
 
-def test_version_6_has_no_force_model() -> None:
-    """The stored folder is that of version 5, whose networks say how uncertain heights are."""
-    profile = old(6)
-    assert profile.force is None and profile.force_weights is None
-    assert profile.blocks() == load_profile(OLD / "v5").blocks()
-
-
-def test_version_7_does_not_know_how_captures_were_recorded() -> None:
-    """The stored folder is that of version 6, which had a force model to have."""
-    profile = old(7)
-    assert profile.sensor.recorded == ()
-    assert profile.blocks() == load_profile(OLD / "v6").blocks()
+@pytest.mark.parametrize(
+    ("version", "lacks"),
+    [
+        (6, lambda profile: profile.force is None and profile.force_weights is None),
+        (7, lambda profile: profile.sensor.recorded == ()),
+        (9, lambda profile: profile.view_names() == ("main",)),
+    ],
+)
+def test_versions_that_only_lack_what_came_later(
+    version: int, lacks: Callable[[SensorProfile], bool]
+) -> None:
+    """The stored folder is that of the version before."""
+    profile = old(version)
+    assert lacks(profile)
+    assert profile.blocks() == load_profile(OLD / f"v{version - 1}").blocks()
 
 
 def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
@@ -161,13 +165,6 @@ def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
     by_grey = SurfaceReader(profile, method="depth").read(image)
     assert by_grey.height_sigma_m is None
     assert "does not say how uncertain" in by_grey.figures(profile.grid())["warnings"][0]
-
-
-def test_version_9_has_one_camera() -> None:
-    """The stored folder is that of version 8."""
-    profile = old(9)
-    assert profile.view_names() == ("main",)
-    assert profile.blocks() == load_profile(OLD / "v8").blocks()
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:

@@ -27,14 +27,15 @@ from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.page import task_page
 from taccel_lab.tasks.result import TaskResult, TaskTrial
 from tests.learning.force.small_touches import planned, write_touches
+from tests.report.test_page_in_browser import WIDER
 from tests.support.fake_kit import study
 from tests.support.small_captures import write_captures
 from tests.support.small_data_sets import saved_profile
 from tests.viewer.browser import chromium_page
 
+pytestmark = pytest.mark.rasterised
+
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
-WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
-  .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
 PARTLY_SHOWN = """() => [...document.querySelectorAll('section *')].filter(e => {
     const box = e.getBoundingClientRect(), card = e.closest('section').getBoundingClientRect();
     return box.width > 0 && (box.right > card.right + 1 || box.left < card.left - 1);

@@ -36,6 +36,7 @@ from taccel_lab.report.live_page import (
 from taccel_lab.report.mesh_view import MOST_FACES, MeshView, mesh_view
 from taccel_lab.report.style import new_figure
 
+pytestmark = pytest.mark.rasterised
 GRID = PixelGrid(80, 60, 0.1, 0.1, 39.5, 29.5)
 
 

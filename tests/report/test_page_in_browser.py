@@ -19,11 +19,13 @@ from taccel_lab.report.page import write_page
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.viewer.browser import chromium_page, picture, shared_browser, wait_for  # noqa: F401
 
-pytestmark = pytest.mark.usefixtures("shared_browser")
+pytestmark = [pytest.mark.rasterised, pytest.mark.usefixtures("shared_browser")]
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
 GROUND = "() => getComputedStyle(document.body).backgroundColor"
+SMALL = (640, 600)
+"""Of pages whose gel is drawn again and again, without a GPU [px]."""
 MOST_SHEETS = 5
 """Of a page with 14 blocks, whose tables took 23 sheets when all of them lay open."""
 
@@ -110,7 +112,7 @@ def test_a_click_opens_a_picture_and_another_closes_it(address: str) -> None:
 
 
 def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> None:
-    with chromium_page(address, (1280, 900)) as page:
+    with chromium_page(address, SMALL) as page:
         canvas = canvas_of(page)
         box = canvas.bounding_box()
         left, top, right, bottom = (
@@ -154,7 +156,7 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
 
 
 def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> None:
-    with chromium_page(address, (1280, 900)) as page:
+    with chromium_page(address, SMALL) as page:
         box = canvas_of(page).bounding_box()
         page.mouse.move(box["x"] + 200, box["y"] + 150)
         # Also after a click into it: whoever turned the gel scrolls on.

@@ -74,6 +74,7 @@ def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.rasterised
 def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
     """Two moduli of one pad: one simulation, forces in proportion, pictures, a report."""
     table = {

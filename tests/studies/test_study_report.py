@@ -106,6 +106,7 @@ def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
         outcome.folder.read(first)
 
 
+@pytest.mark.rasterised
 def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
     outcome, values = report(tmp_path, parameters=SQUARE)
     assert drawn(tmp_path) == {

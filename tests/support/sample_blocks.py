@@ -17,8 +17,10 @@ from taccel_lab.profile import (
     CoatingBlock,
     GelBlock,
     LayerMaterial,
+    LightEntry,
     MarkersBlock,
     MaterialBlock,
+    OpticsBlock,
     Provenance,
     SensorBlock,
     SensorProfile,
@@ -64,6 +66,8 @@ class SampleBlocks:
     gel: GelBlock
     material: MaterialBlock
     mesh: TetMesh
+    optics: OpticsBlock
+    light: LightEntry
     window: WindowBlock
     coating: CoatingBlock
     markers: MarkersBlock
@@ -101,9 +105,16 @@ def sample_blocks() -> SampleBlocks:
             provenance=ASSUMED,
         ),
         mesh=TetMesh(nodes, tets, faces, np.arange(len(faces)) % 4, tet_layers=np.array([1, 0])),
+        optics=OpticsBlock(
+            width_px=12, height_px=9, fx_px=400.0, fy_px=399.0, cx_px=5.25, cy_px=4.0,
+            distortion=(-0.1, 0.02, 0.0, 0.001), position_mm=(0.0, 0.5, -12.0), provenance=ASSUMED,
+        ),
+        light=LightEntry(
+            position_mm=(-9.0, 0.0, -3.0), direction=(1.0, 0.0, 0.0), rgb=(0.0, 1.0, 0.0)
+        ),
         window=WindowBlock(thickness_mm=2.0, size_mm=(4.0, 3.0), provenance=ASSUMED),
         coating=CoatingBlock(albedo_rgb=(0.5, 0.4, 0.5), specular=0.1, provenance=ASSUMED),
         markers=MarkersBlock(
             rows=3, columns=4, pitch_x_mm=1.5, pitch_y_mm=1.6, radius_mm=0.3, provenance=ASSUMED
         ),
-    )
+    )  # fmt: skip

@@ -18,10 +18,8 @@ from taccel_lab.profile import (
     ColorBlock,
     DepthResponseBlock,
     ForceBlock,
-    LightEntry,
     LightsBlock,
     NormalsBlock,
-    OpticsBlock,
     SensorProfile,
     save_profile,
 )
@@ -114,27 +112,10 @@ def _profile() -> SensorProfile:
         material=shared.material,
         camera=CameraBlock.from_grid(GRID, ASSUMED),
         mesh=shared.mesh,
-        optics=OpticsBlock(
-            width_px=12,
-            height_px=9,
-            fx_px=400.0,
-            fy_px=399.0,
-            cx_px=5.25,
-            cy_px=4.0,
-            distortion=(-0.1, 0.02, 0.0, 0.001),
-            position_mm=(0.0, 0.5, -12.0),
-            provenance=ASSUMED,
-        ),
+        optics=shared.optics,
         window=shared.window,
         coating=shared.coating,
-        lights=LightsBlock(
-            led=(
-                LightEntry(
-                    position_mm=(-9.0, 0.0, -3.0), direction=(1.0, 0.0, 0.0), rgb=(0.0, 1.0, 0.0)
-                ),
-            ),
-            provenance=ASSUMED,
-        ),
+        lights=LightsBlock(led=(shared.light,), provenance=ASSUMED),
         markers=shared.markers,
         background=BackgroundBlock(provenance=ASSUMED),
         background_rgb=rng.integers(0, 256, (9, 12, 3), dtype=np.uint8),
