@@ -160,8 +160,9 @@ class Sweep(StrictModel):
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
     """Of a random sweep."""
-    method: Literal["LD_SLSQP", "LN_COBYLA", "GP", "TPE", "NSGA2"] = "LD_SLSQP"
-    """Optimiser: NLopt's SLSQP or COBYLA, or one of Optuna's."""
+    method: Literal["LD_SLSQP", "LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
+    """Optimiser: NLopt's SLSQP or COBYLA, or one of Optuna's. Where a study does not say,
+    ``make_study`` takes SLSQP for figures that are smooth."""
     tolerance: Number = Field(default=1e-3, gt=0, lt=1)
     """Step, as a part of each parameter's range, at which NLopt is done."""
 

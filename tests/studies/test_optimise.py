@@ -16,6 +16,7 @@ from taccel_lab.studies.optimise import OptimiserState, optimise
 from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.spec import Constraint, Objective, Sweep
+from taccel_lab.studies.study import default_kit, read_study
 from tests.support.fake_kit import logged, study
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)
@@ -122,7 +123,7 @@ def test_cobyla_goes_on_where_figures_have_no_slope(axes: Any, figures: Any) -> 
 
 def test_neighbours_are_evaluated_together_and_counted() -> None:
     asked: list[int] = []
-    sweep = Sweep(kind="optimize", count=7)
+    sweep = Sweep(kind="optimize", count=7, method="LD_SLSQP")
     state = optimise(
         XY, Objective(minimize="m"), [], sweep, bowl, lambda designs: asked.append(len(designs))
     )
@@ -261,3 +262,14 @@ def test_an_optimised_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert resumed.complete and resumed.new == len(whole.rows) - 7
     assert [row.parameters for row in resumed.rows] == [row.parameters for row in whole.rows]
     assert logged(parts) == logged(tmp_path / "whole")
+
+
+def test_slopes_are_the_default_for_smooth_figures_alone() -> None:
+    examples = Path(__file__).parents[2] / "studies" / "examples"
+    methods = {
+        name: read_study(examples / f"{name}.toml", default_kit()).spec.sweep.method
+        for name in ("mini_optimised", "led_angles", "softest_gel")
+    }
+    assert methods == {
+        "mini_optimised": "LD_SLSQP", "led_angles": "LN_COBYLA", "softest_gel": "LN_COBYLA",
+    }  # fmt: skip
