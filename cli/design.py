@@ -116,12 +116,9 @@ class Design:
     def _serve(self, family: SensorFamily, overrides: Mapping[str, Any]) -> None:
         from taccel_lab.cli.console import notes
         from taccel_lab.files.output_folder import require_replaceable
-        from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.report.live_page import serve_until_stopped, viser_module
+        from taccel_lab.report.live_page import serve_until_stopped
         from taccel_lab.viewer.design_page import design_page
 
-        start_warp()
-        viser_module()
         # Each kind of file gets a folder of its own there: what else is in it stays.
         require_replaceable(self.out / "everything")
 

@@ -26,6 +26,11 @@ from taccel_lab.studies.press_job import PressJob, press_jobs
 from taccel_lab.studies.presses import StandardPress
 from taccel_lab.studies.unknowns import Unknowns
 
+_KEPT = 16
+"""Whole presses that a process remembers: optimisers come back to a gel with another modulus."""
+_recent: dict[tuple[str, str], Simulated] = {}
+"""By key and device, the newest last."""
+
 
 @dataclass
 class _Design:
@@ -78,15 +83,20 @@ def evaluate_designs(
             for key in keys:
                 owners.setdefault(key, design)
         prepared.append(design)
-    done: dict[str, Simulated] = {}
-    progress("meshed", 0, len(jobs))
-    for batch in _batches(jobs, batch_size(device)):
+    done = {key: _recent[key, device] for key in jobs if (key, device) in _recent}
+    progress("meshed", len(done), len(jobs))
+    to_do = {key: job for key, job in jobs.items() if key not in done}
+    for batch in _batches(to_do, batch_size(device)):
         for job, simulated in zip(batch, simulate(batch, device), strict=True):
             done[job.key] = simulated
+            if not simulated.record.cause:
+                _recent[job.key, device] = simulated
             owner = owners[job.key].result
             owner.simulations += 1
             owner.seconds += simulated.seconds
         progress(f"press {batch[0].press.name}", len(done), len(jobs))
+    while len(_recent) > _KEPT:
+        del _recent[next(iter(_recent))]
     for design in prepared:
         started = time.perf_counter()
         _conclude(design, done, metrics, unit_spread, device)

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optimiser-driven sweeps with NLopt's COBYLA: every design tried is a row, none is tried twice.
+"""Optimiser-driven sweeps with NLopt: every design tried is a row, none is tried twice.
+
+**SLSQP** goes along derivatives, which are differences to a neighbour of each parameter. Neighbours
+are tried together with their design: those of a modulus share its simulation. Parameters and
+figures are logarithms where they can be, in which figures of presses are nearly straight.
+**COBYLA** needs none, and goes on where there are none: parameters in steps, figures that are
+missing or do not move.
 
 The variables are the axes mapped to [0, 1]. Objective and constraints are divided by the size of
 their first value, so that algorithms which weigh them against each other are not misled by units.
-COBYLA draws nothing: a resumed study replays its stored designs and goes on where it stopped.
+Neither draws anything: a resumed study replays its stored designs and goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -17,14 +23,19 @@ from taccel_lab.studies.axis import Axis
 from taccel_lab.studies.ranking import TOLERANCE
 from taccel_lab.studies.spec import Constraint, Objective, Sweep
 
-COBYLA = "LN_COBYLA"
-"""NLopt's, the one method here without Optuna: local, takes constraints itself."""
+STEP = 0.02
+"""To a neighbour, as a part of a range: presses stop at residuals of 1e-4, far below what figures
+change by over it."""
+SMALLEST_GAIN = 1e-3
+"""Relative change of the objective at which SLSQP is done: a tenth of what presses tell apart."""
 CONSTRAINT_TOLERANCE = 1e-6
 """Violation, as a part of the bound, that is none to NLopt."""
 
 Figures = Mapping[str, float | None]
 Try = Callable[[dict[str, Any]], Figures]
 """Figures of the design with these values; a missing one is None."""
+Prepare = Callable[[Sequence[dict[str, Any]]], None]
+"""Evaluates several designs together before they are tried one by one."""
 
 
 @dataclass
@@ -43,13 +54,19 @@ def optimise(
     constraints: Sequence[Constraint],
     sweep: Sweep,
     attempt: Try,
+    prepare: Prepare = lambda designs: None,
 ) -> OptimiserState:
-    """Try designs until COBYLA is content or ``sweep.count`` different ones are tried."""
+    """Try designs until the method is content or ``sweep.count`` different ones are tried."""
     import nlopt
 
     problem = _Problem(axes, objective, constraints, sweep.count or 1, attempt)
     start = [_start(axis) for axis in axes]
-    stopped = _search(nlopt, problem, sweep, start)
+    stopped = ""
+    if sweep.method == "LD_SLSQP":
+        stopped = _follow_slopes(nlopt, _Slopes(problem, prepare), sweep, start)
+        start = problem.best or start
+    if not stopped:
+        stopped = _search(nlopt, problem, sweep, start)
     if constraints and not problem.found_feasible and not problem.used_up:
         # COBYLA weighs cost against constraints and may give up early on unkept ones: the
         # violation alone is minimised then, and the search goes on from a design that keeps them.
@@ -60,6 +77,24 @@ def optimise(
             stopped += "; then a search for the least violation ended"
     problem.state.stopped = stopped
     return problem.state
+
+
+def _follow_slopes(nlopt: Any, slopes: _Slopes, sweep: Sweep, start: list[float]) -> str:
+    """Run SLSQP; returns why it stopped, empty where a derivative is missing."""
+    optimizer = nlopt.opt(nlopt.LD_SLSQP, len(start))
+    optimizer.set_xtol_abs(sweep.tolerance)
+    optimizer.set_ftol_abs(SMALLEST_GAIN)
+    guard = _Guard(optimizer.force_stop)
+    optimizer.set_min_objective(lambda x, gradient: guard(slopes.value, x, gradient, None))
+    for place in range(len(slopes.problem.sides)):
+        optimizer.add_inequality_constraint(
+            lambda x, gradient, place=place: guard(slopes.value, x, gradient, place),
+            CONSTRAINT_TOLERANCE,
+        )
+    try:
+        return _drive(nlopt, optimizer, guard, sweep, slopes.places_of(start))
+    except _NoSlopeError:
+        return ""
 
 
 def _search(nlopt: Any, problem: _Problem, sweep: Sweep, start: list[float]) -> str:
@@ -106,6 +141,10 @@ def _drive(nlopt: Any, optimizer: Any, guard: _Guard, sweep: Sweep, start: list[
     if guard.error is not None:
         raise guard.error
     return stopped
+
+
+class _NoSlopeError(Exception):
+    """There is no derivative here."""
 
 
 class _OutOfDesigns(Exception):
@@ -160,7 +199,7 @@ class _Problem:
         count: int,
         attempt: Try,
     ) -> None:
-        self._axes, self._objective, self._count = axes, objective, count
+        self.axes, self.objective, self._count = axes, objective, count
         self._attempt = attempt
         self._known: dict[tuple[Any, ...], Figures] = {}
         self._scales: dict[str, float] = {}
@@ -169,6 +208,9 @@ class _Problem:
         self._least = math.inf
         self.least_violating: list[float] = []
         """Place of the design that comes nearest to the constraints."""
+        self.best: list[float] = []
+        """Place of the best design that keeps them."""
+        self._least_cost = math.inf
         self.state = OptimiserState()
         self.sides = [
             (constraint, side)
@@ -177,15 +219,26 @@ class _Problem:
             if getattr(constraint, side) is not None
         ]
 
-    def _figures(self, x: Sequence[float]) -> Figures:
-        values = tuple(axis.at(float(unit)) for axis, unit in zip(self._axes, x, strict=True))
+    def swept(self, x: Sequence[float]) -> dict[str, Any]:
+        """Values of the axes at a place."""
+        return {a.name: a.at(float(unit)) for a, unit in zip(self.axes, x, strict=True)}
+
+    def figures(self, x: Sequence[float]) -> Figures:
+        """Of the design at a place."""
+        swept = self.swept(x)
+        values = tuple(swept.values())
         if values not in self._known:
             if self.used_up:
                 raise _OutOfDesigns
-            swept = {axis.name: value for axis, value in zip(self._axes, values, strict=True)}
             self.state.tried.append(swept)
             self._known[values] = self._attempt(swept)
         return self._known[values]
+
+    def untried(self, places: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
+        """Designs at places that are not known yet, as many as may still be tried."""
+        new = {tuple(s.values()): s for s in map(self.swept, places)}
+        left = [swept for values, swept in new.items() if values not in self._known]
+        return left[: self._count - len(self._known)]
 
     @property
     def used_up(self) -> bool:
@@ -206,19 +259,23 @@ class _Problem:
 
     def cost(self, x: Sequence[float]) -> float:
         """The objective, less is better."""
-        figures = self._figures(x)
-        self.violation(x)
-        value = figures.get(self._objective.metric)
+        figures = self.figures(x)
+        violation = self.violation(x)
+        value = figures.get(self.objective.metric)
+        if value is not None and violation <= TOLERANCE:
+            cost = self.objective.sign * value
+            if cost < self._least_cost:
+                self._least_cost, self.best = cost, [float(unit) for unit in x]
         name = "objective"
         if value is None:
             return self._penalty(figures, name)
-        return self._seen(name, self._objective.sign * value / self._scale(name, value))
+        return self._seen(name, self.objective.sign * value / self._scale(name, value))
 
     def excess(self, x: Sequence[float], place: int) -> float:
         """How far a constraint is exceeded; at most 0 where it is kept."""
         constraint, side = self.sides[place]
         bound = float(getattr(constraint, side))
-        figures = self._figures(x)
+        figures = self.figures(x)
         value = figures.get(constraint.metric)
         name = f"{constraint.metric} {side}"
         if value is None:
@@ -242,3 +299,66 @@ class _Problem:
         """
         worst = self._worst.get(name, 1.0)
         return self._missing.setdefault((id(figures), name), worst + max(abs(worst), 1.0))
+
+
+class _Slopes:
+    """The problem as SLSQP sees it: figures with their derivatives."""
+
+    def __init__(self, problem: _Problem, prepare: Prepare) -> None:
+        self.problem, self._prepare = problem, prepare
+
+    def places_of(self, units: Sequence[float]) -> list[float]:
+        """Variables of units: where the logarithm of a value lies between those of the ends."""
+        found = []
+        for axis, unit in zip(self.problem.axes, units, strict=True):
+            bent = axis.low > 0 and not axis.log and not axis.whole and axis.values is None
+            found.append(
+                math.log(axis.at(unit) / axis.low) / math.log(axis.high / axis.low)
+                if bent
+                else unit
+            )
+        return found
+
+    def _units_of(self, places: Sequence[float]) -> list[float]:
+        found = []
+        for axis, place in zip(self.problem.axes, places, strict=True):
+            if axis.whole or axis.values is not None:
+                raise _NoSlopeError
+            bent = axis.low > 0 and not axis.log
+            found.append(
+                axis.unit_of(axis.low * (axis.high / axis.low) ** place) if bent else place
+            )
+        return found
+
+    def value(self, x: Sequence[float], gradient: Any, place: int | None) -> float:
+        """The objective, or the excess of a constraint; ``gradient`` is filled in where it has
+        room. Its designs are evaluated together."""
+        around = [self._units_of(x)]
+        steps = []
+        for k in range(len(x)):
+            beside = [float(v) for v in x]
+            steps.append(STEP if beside[k] + STEP <= 1 else -STEP)
+            beside[k] += steps[-1]
+            around.append(self._units_of(beside))
+        self._prepare(self.problem.untried(around))
+        here, *others = (self._measure(units, place) for units in around)
+        slopes = [(there - here) / step for there, step in zip(others, steps, strict=True)]
+        if place is None and not any(slopes):
+            raise _NoSlopeError
+        if gradient.size:
+            gradient[:] = slopes
+        return here
+
+    def _measure(self, units: Sequence[float], place: int | None) -> float:
+        problem = self.problem
+        if place is None:
+            problem.cost(units)
+            value, bound = problem.figures(units).get(problem.objective.metric), 1.0
+            sign = problem.objective.sign
+        else:
+            constraint, side = problem.sides[place]
+            value, bound = problem.figures(units).get(constraint.metric), getattr(constraint, side)
+            sign = 1.0 if side == "max" else -1.0
+        if value is None or value <= 0 or bound <= 0:
+            raise _NoSlopeError
+        return sign * math.log(value / bound)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -144,7 +145,7 @@ def run_study(
     folder.require_usable()
     begun = time.perf_counter()
     if shard is not None and study.spec.sweep.kind == "optimize" and not _by_optuna(study):
-        raise InputError("COBYLA tries one design after the other; shards need GP, TPE or NSGA2")
+        raise InputError("NLopt goes on from what it saw; shards need GP, TPE or NSGA2")
     with folder.locked(shard):
         _require_same_sensor(study, folder)
         if source:
@@ -250,16 +251,27 @@ class _Run:
         count = spec.sweep.count or 1
         self._listener.begins(count, 0, count)
 
+        def prepare(designs: Sequence[dict[str, Any]]) -> None:
+            points = [self._study.point(swept) for swept in designs]
+            there = [point for point in points if self._take_row(point)]
+            for point in there:
+                self._listener.finished(self._rows[point.id])
+            to_do = [self._wanted(point) for point in points if point not in there]
+            if self._limit is not None:
+                to_do = to_do[: self._limit - self._new]
+            self._evaluate(pool, gather_batches(self._study.family, to_do, self._device))
+            self._order += [p.id for p in points if p.id in self._rows and p.id not in self._order]
+
         def attempt(swept: dict[str, Any]) -> dict[str, float | None]:
             point = self._study.point(swept)
-            if not self._take_row(point):
-                if self._limit is not None and self._new >= self._limit:
-                    raise _LimitReached
-                self._evaluate(pool, [self._wanted(point)])
-            else:
-                self._listener.finished(self._rows[point.id])
             if point.id not in self._order:
-                self._order.append(point.id)
+                if (
+                    self._limit is not None
+                    and self._new >= self._limit
+                    and not self._take_row(point)
+                ):
+                    raise _LimitReached
+                prepare([swept])
             return self._rows[point.id].figures
 
         try:
@@ -277,7 +289,7 @@ class _Run:
                 self._take_tried(state)
             else:
                 state = optimise(
-                    self._study.axes, spec.goals[0], spec.constraints, spec.sweep, attempt
+                    self._study.axes, spec.goals[0], spec.constraints, spec.sweep, attempt, prepare
                 )
         except _LimitReached:
             if _by_optuna(self._study):

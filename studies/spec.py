@@ -148,6 +148,10 @@ class Tie(StrictModel):
     offset: Number = 0.0
 
 
+LOCAL = ("LD_SLSQP", "LN_COBYLA")
+"""NLopt's methods, for one objective: they take constraints themselves."""
+
+
 class Sweep(StrictModel):
     """How designs are chosen."""
 
@@ -156,10 +160,11 @@ class Sweep(StrictModel):
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
     """Of a random sweep."""
-    method: Literal["LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
-    """Optimiser: NLopt's COBYLA, or one of Optuna's."""
+    method: Literal["LD_SLSQP", "LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
+    """Optimiser: NLopt's SLSQP or COBYLA, or one of Optuna's. Where a study does not say,
+    ``make_study`` takes SLSQP for figures that are smooth."""
     tolerance: Number = Field(default=1e-3, gt=0, lt=1)
-    """Step, as a part of each parameter's range, at which COBYLA is done."""
+    """Step, as a part of each parameter's range, at which NLopt is done."""
 
     @model_validator(mode="after")
     def _check_kind(self) -> Sweep:
@@ -175,8 +180,8 @@ class Sweep(StrictModel):
         ):
             if name in given and self.kind != kind:
                 raise ValueError(f"{name} belongs to kind = {kind!r}, not {self.kind!r}")
-        if "tolerance" in given and self.method != "LN_COBYLA":
-            raise ValueError(f"tolerance belongs to method = 'LN_COBYLA', not {self.method!r}")
+        if "tolerance" in given and self.method not in LOCAL:
+            raise ValueError(f"tolerance belongs to {' and '.join(LOCAL)}, not {self.method!r}")
         return self
 
 
@@ -297,7 +302,7 @@ class StudySpec(StrictModel):
             raise ValueError("kind = 'optimize' needs [objective] minimize or maximize = a metric")
         if len({goal.metric for goal in self.goals}) < len(self.goals):
             raise ValueError("two objectives name one metric")
-        if len(self.goals) > 1 and self.sweep.method == "LN_COBYLA":
+        if len(self.goals) > 1 and self.sweep.method in LOCAL:
             raise ValueError(
                 "several objectives need kind = 'optimize' and method GP, TPE or NSGA2"
             )

@@ -194,6 +194,14 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
                 raise InputError(f"[tied.{name}] {other} is a choice; only numbers can be tied")
     presses = _presses(spec, kit)
     spec, metrics = _readings(spec, kit, presses)
+    aims = [item.metric for item in (*spec.goals, *spec.constraints)]
+    sweep = spec.sweep
+    if (
+        sweep.kind == "optimize"
+        and "method" not in sweep.model_fields_set
+        and all(metrics[name].smooth for name in aims)
+    ):
+        spec = spec.model_copy(update={"sweep": sweep.model_copy(update={"method": "LD_SLSQP"})})
     study = Study(spec, family, tuple(axes), presses, metrics, kit)
     designs: list[DesignPoint] = []
     if spec.sweep.kind != "optimize":

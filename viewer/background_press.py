@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.processes.child_process import ChildProcess
 from taccel_lab.processes.process_pool import THREAD_LIMITS
-from taccel_lab.viewer.design_press import BallPress, PressAnswer, SupersededError, press_ball
+from taccel_lab.viewer.ball_press import BallPress, PressAnswer, SupersededError
 
 if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 class BackgroundPress:
     """Presses by default; only the newest one that was asked for counts.
 
-    The process starts with the first wish and waits, warm, for the next ones. Wishes come from one
-    thread.
+    The process starts at once, so that it loads the solver while the page is built, and waits,
+    warm, for wishes. They come from one thread.
     """
 
     def __init__(self) -> None:
-        self._child: ChildProcess | None = None
+        self._child: ChildProcess | None = _start()
         self._number = 0
         self.steps = (0, 0)
         """Steps of the press that are done, and how many it has; none before the first."""
@@ -37,7 +37,7 @@ class BackgroundPress:
         self._number += 1
         self.steps = (0, 0)
         if self._child is None:
-            self._child = ChildProcess(_serve, environment=dict.fromkeys(THREAD_LIMITS, "1"))
+            self._child = _start()
         try:
             # Nobody else may read earlier answers, and a full pipe would hold both processes up.
             while self._child.pipe.poll():
@@ -79,11 +79,17 @@ class BackgroundPress:
             self._child = None
 
 
+def _start() -> ChildProcess:
+    return ChildProcess(_serve, environment=dict.fromkeys(THREAD_LIMITS, "1"))
+
+
 def _serve(pipe: Connection) -> None:
     """Presses, for as long as the page lives."""
     from taccel_lab.processes.start_warp import start_warp
 
     start_warp()
+    from taccel_lab.viewer.design_press import press_ball
+
     while True:
         wish = pipe.recv()
         while pipe.poll():

@@ -6,32 +6,35 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, check_quality, measure_quality
+from taccel_lab.cad.mesh.kept_mesh import SoundMesh, is_formula, kept_mesh
+from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, check_quality
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.optics.render import OpticalModel
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.viewer.background_press import BackgroundPress
-from taccel_lab.viewer.design_press import (
+from taccel_lab.viewer.ball_press import (
     BallPress,
     PressAnswer,
     SupersededError,
     formula_force_n,
-    press_ball,
     scaled,
 )
+from taccel_lab.viewer.kept_press import kept_press
 
 if TYPE_CHECKING:
+    from taccel_lab.files.file_cache import CachedFile
     from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
-PIECES = ("formula", "solid", "quick", "quality", "rest", "pressed", "drawing", "exact")
+PIECES = ("formula", "solid", "quick", "rest", "pressed", "drawing", "exact")
 """Of an answer, in the order in which they are begun; the last one is worked on beside all others,
 so that it may come before some of them."""
 PICTURES = ("rest", "pressed")
@@ -88,14 +91,25 @@ class DesignAnswers:
 
     def __init__(self, family: SensorFamily) -> None:
         self.family = family
-        self._meshes = lru_cache(_KEPT)(gel_mesh)
-        self._qualities = lru_cache(_KEPT)(lambda pad: _quality(pad, self._meshes(pad)))
+        self._catalogue = self._empty(Choice({}))
+        self._meshes = lru_cache(_KEPT)(self._sound_mesh)
         self._drawings = lru_cache(_KEPT)(_drawing)
         self._presses: dict[Any, tuple[float, PressAnswer]] = {}
         self._pictures: dict[Any, np.ndarray] = {}
         self._beside = BackgroundPress()
         self._begun: tuple[Any, float] | None = None
         """Key and modulus of the press that is under way beside this."""
+
+    def begin(self, choice: Choice) -> None:
+        """Have the default press of a design simulated beside this, before its answer is wanted.
+
+        Raises InputError as of ``answer``.
+        """
+        self._begin_exact(self._empty(choice))
+
+    def mesh(self, pad: Pad) -> TetMesh:
+        """The mesh of a gel as designed. Raises InputError where there is none."""
+        return self._meshes(pad)[0]
 
     def close(self) -> None:
         """End what is under way beside; no answer may be under way here."""
@@ -115,9 +129,8 @@ class DesignAnswers:
             InputError: Parameters that the family refuses, in its own words, or no mesh of the gel.
         """
         began = time.perf_counter()
-        parameters = self.family.parameters(choice.overrides)
-        pad = parameters.pad()
-        found = DesignAnswer(parameters, choice.press.limited(pad.thickness_mm))
+        found = self._empty(choice)
+        parameters, pad = found.parameters, found.parameters.pad()
         self._begin_exact(found)
 
         def tell(piece: str) -> None:
@@ -151,9 +164,6 @@ class DesignAnswers:
         def quick() -> None:
             found.quick = self._quick(found, superseded)
 
-        def quality() -> None:
-            found.quality, found.refused = self._qualities(pad)
-
         def rest() -> None:
             found.rest_rgb = self._picture(found, None)
 
@@ -165,10 +175,12 @@ class DesignAnswers:
 
         found.formula_n = formula_force_n(parameters, found.press)
         tell("formula")
-        found.mesh = self._meshes(pad)
+        look()
+        found.mesh, found.quality, edge_mm = self._meshes(pad)
+        checked = check_quality(found.mesh, found.quality, QualityGate().at_edge(edge_mm))
+        found.refused = [violation.text for violation in checked.violations]
         tell("solid")
         find("quick", quick)
-        find("quality", quality)
         if parameters.optics() is not None:
             find("rest", rest)
             find("pressed", pressed)
@@ -179,13 +191,40 @@ class DesignAnswers:
                 raise SupersededError
         return found
 
+    def _sound_mesh(self, pad: Pad) -> SoundMesh:
+        """As ``taccel-lab design`` writes it; the catalogue's comes from an earlier run."""
+        if pad == self._catalogue.parameters.pad():
+            return kept_mesh(pad, sound_gel_mesh)
+        return sound_gel_mesh(pad)
+
+    def _empty(self, choice: Choice) -> DesignAnswer:
+        parameters = self.family.parameters(choice.overrides)
+        return DesignAnswer(parameters, choice.press.limited(parameters.pad().thickness_mm))
+
     def _begin_exact(self, answer: DesignAnswer) -> None:
-        """Have the default press simulated beside this, unless it is known or under way."""
+        """Have the default press simulated beside this, unless it is known or under way.
+
+        That of the catalogue too where an earlier run kept it: the solver is loaded with it, for
+        the first change.
+        """
         key, modulus = _press_key(answer, False)
         if key in self._presses or (self._begun is not None and self._begun[0] == key):
             return
+        if (file := self._kept_file(answer)) is not None and (kept := file.read()) is not None:
+            self._presses[key] = modulus, kept
         self._begun = key, modulus
         self._beside.begin(answer.parameters, answer.press)
+
+    def _kept_file(self, answer: DesignAnswer) -> CachedFile[PressAnswer] | None:
+        """Where the default press of the catalogue's design is kept, None of other designs."""
+        key = _press_key(answer, False)
+        if key != _press_key(self._catalogue, False) or not is_formula(answer.parameters.pad()):
+            return None
+        with suppress(InputError):  # Nor is there a home folder everywhere.
+            file = kept_press(key)
+            file.path  # noqa: B018
+            return file
+        return None
 
     def _exact(self, answer: DesignAnswer, wait_s: float) -> PressAnswer | None:
         """The default press, if it is there or comes within a time."""
@@ -201,11 +240,18 @@ class DesignAnswers:
                 return None
             _keep(self._presses, key, (self._begun[1], made))
             self._begun = None
+            if (file := self._kept_file(answer)) is not None:
+                with suppress(InputError):  # A cache that cannot be written keeps nothing.
+                    file.write(made)
         known, made = self._presses[key]
         return scaled(made, modulus / known)
 
     def _quick(self, answer: DesignAnswer, superseded: Callable[[], bool]) -> PressAnswer:
         """The coarse press, simulated unless it is known."""
+        # The solver takes as long to load as all else of a page, which is there before it.
+        start_warp()
+        from taccel_lab.viewer.design_press import press_ball
+
         key, modulus = _press_key(answer, True)
         if key not in self._presses:
             made = press_ball(answer.parameters, answer.press, quick=True, superseded=superseded)
@@ -215,6 +261,9 @@ class DesignAnswers:
 
     def _picture(self, answer: DesignAnswer, press: PressAnswer | None) -> np.ndarray:
         """What the camera sees, uint8 [height, width, 3], of the untouched gel or of a press."""
+        start_warp()
+        from taccel_lab.optics.render import OpticalModel
+
         design, markers = answer.parameters.optics(), answer.parameters.markers()
         assert design is not None and answer.mesh is not None
         pad = repr(answer.parameters.pad())
@@ -255,10 +304,3 @@ def _drawing(name: str, pad: Pad) -> np.ndarray:
     from taccel_lab.cad.parts.pad_solid import labelled_solid
 
     return pad_drawing(labelled_solid(pad), title=f"{name}: gel").picture(DRAWING_PX)
-
-
-def _quality(pad: Pad, mesh: TetMesh) -> tuple[MeshQuality, list[str]]:
-    """Figures of a mesh, and the limits of the gate that it breaks, in words."""
-    quality = measure_quality(mesh, pad)
-    result = check_quality(mesh, quality, QualityGate())
-    return quality, [violation.text for violation in result.violations]

@@ -15,7 +15,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.toml_file import read_toml
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.design import design_sensor
 
 DESIGN_TOML = "design.toml"
 EXPORTS = {
@@ -44,6 +43,8 @@ def export(
             text = tomli_w.dumps({"sensor": family.name, "parameters": dict(overrides)})
             (folder / DESIGN_TOML).write_text(text, encoding="utf-8")
         return {"parameters": out / "parameters" / DESIGN_TOML}
+    from taccel_lab.sensors.design import design_sensor
+
     name, parts = EXPORTS[kind]
     return design_sensor(family, overrides, out / name, parts=parts).files
 

@@ -12,22 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, viser_module
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.scene import sphere_mesh
 from taccel_lab.sensors.base import all_optics
-from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.design_answer import PICTURES, Choice, DesignAnswer, DesignAnswers
-from taccel_lab.viewer.design_controls import DesignControls
-from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
-from taccel_lab.viewer.design_press import (
+from taccel_lab.viewer.ball_press import (
     BallPress,
     PressAnswer,
     SupersededError,
     height_profile_mm,
 )
+from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.design_answer import PICTURES, Choice, DesignAnswer, DesignAnswers
+from taccel_lab.viewer.design_controls import DesignControls
+from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
 from taccel_lab.viewer.design_words import (
     force_table,
     heading,
@@ -71,23 +70,27 @@ def design_page(
 
     Raises InputError as of ``live_page``, or for parameters that the family refuses.
     """
-    family.parameters(overrides)
-    with live_page(f"Design: {family.name}", options, say) as server:
-        page = DesignPage(server, family, overrides, out)
-        try:
-            yield page
-        finally:
-            page.close()
+    answers = DesignAnswers(family)
+    try:
+        answers.begin(Choice(overrides))
+        with live_page(f"Design: {family.name}", options, say) as server:
+            page = DesignPage(server, answers, overrides, out)
+            try:
+                yield page
+            finally:
+                page.work.close()
+    finally:
+        answers.close()
 
 
 class DesignPage:
     """Controls, the work behind them, and what is shown of its answers."""
 
     def __init__(
-        self, server: ViserServer, family: SensorFamily, overrides: Mapping[str, Any], out: Path
+        self, server: ViserServer, answers: DesignAnswers, overrides: Mapping[str, Any], out: Path
     ) -> None:
-        self._server, self._family, self._out = server, family, out
-        self._answers = DesignAnswers(family)
+        self._server, self._family, self._out = server, answers.family, out
+        self._answers = answers
         self._moved = ""
         self._stepping = False
         """Whether undo or redo is setting the controls."""
@@ -138,7 +141,7 @@ class DesignPage:
             gui.add_button("Enlarge", color="gray").on_click(self._enlarge)
         with tabs.add_tab("Look"):
             pad = self._family.parameters(overrides).pad()
-            states = _untouched(gel_mesh(pad))
+            states = _untouched(self._answers.mesh(pad))
             self._view = GelView(self._server, states, self._sensor)
         with tabs.add_tab("Export"):
             add_note(gui, f"Files go to {self._out}.")
@@ -203,11 +206,6 @@ class DesignPage:
         self._command.value = command_line(self._family, choice.overrides, self._out)
         self.work.ask(choice)
 
-    def close(self) -> None:
-        """End all work; the page stays as it is."""
-        self.work.close()
-        self._answers.close()
-
     def _work(self, choice: Choice, superseded: Callable[[], bool]) -> None:
         """In the thread of the work: answer one choice, as far as it is still wanted."""
         try:
@@ -247,13 +245,12 @@ class DesignPage:
         elif piece == "solid":
             assert answer.mesh is not None
             self._draw()
+            self._quality.content = quality_table(answer)
             seen = all_optics(answer.parameters)
             if seen:
                 design, further = seen[0], [one.camera for one in seen[1:]]
                 back = 1e3 * float(answer.mesh.nodes_m[:, 2].min())
                 draw_optics(self._server, design, back, None, further)
-        elif piece == "quality":
-            self._quality.content = quality_table(answer)
         elif piece == "drawing":
             self._drawing_note.content = answer.failed.get(piece, "")
             self._drawing.image = BLANK if answer.drawing_rgb is None else answer.drawing_rgb
@@ -273,13 +270,13 @@ class DesignPage:
     def _draw(self) -> None:
         """The gel in the middle of the page."""
         answer = self.shown
-        if answer is None or answer.mesh is None:
+        if answer is None:
             return
         press = answer.exact or answer.quick
-        if press is None or self._middle.value == SOLID:
-            self._view.show_states(_untouched(answer.mesh, _images(answer)))
-        else:
+        if press is not None and self._middle.value == PRESS:
             self._view.show_states(_states(press, answer), 1)
+        elif answer.mesh is not None:
+            self._view.show_states(_untouched(answer.mesh, _images(answer)))
 
     def _enlarge(self, event: Any) -> None:
         """In the browser that asked for it; other ones go on as they were."""

@@ -22,7 +22,6 @@ _WORDS = {
     "formula": "formula",
     "solid": "solid",
     "quick": "coarse press",
-    "quality": "mesh quality",
     "rest": "picture",
     "pressed": "picture of the press",
     "drawing": "drawing",

@@ -177,10 +177,8 @@ class GelView:
             self._remove(name)
             return
         self._surfaces[name] = surface
-        mesh = painted(surface, limits, colors)
-        handle = self._server.scene.add_mesh_trimesh(
-            name, mesh, cast_shadow=False, receive_shadow=False
-        )
+        shown = painted(surface, limits, colors)
+        handle = self._server.scene.add_glb(name, shown, cast_shadow=False, receive_shadow=False)
         handle.on_click(self._probe)
 
     def _probe(self, event: Any) -> None:

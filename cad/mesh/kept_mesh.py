@@ -7,10 +7,7 @@ half a second for a mesh that is the same each time.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -21,7 +18,14 @@ from taccel_lab.cad import parameters, parts
 from taccel_lab.cad.mesh.mesh_pad import SurfacePad
 from taccel_lab.cad.mesh.quality import MeshQuality
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.files.file_cache import CachedFile, as_array, from_array, load_arrays, save_arrays
+from taccel_lab.files.file_cache import (
+    CachedFile,
+    as_array,
+    from_array,
+    load_arrays,
+    save_arrays,
+    source_digest,
+)
 from taccel_lab.geometry import TetMesh
 
 SoundMesh = tuple[TetMesh, MeshQuality, float]
@@ -35,31 +39,26 @@ _SOURCES = (parameters.__file__, *(p.__path__[0] for p in (meshers, parts, geome
 def kept_mesh(pad: Pad, make: Callable[[Pad], SoundMesh]) -> SoundMesh:
     """The mesh of ``pad`` from the cache folder, or ``make(pad)``, which is then kept where that
     folder can be written. A pad that is no formula of this package's is made each time."""
-    if isinstance(pad, SurfacePad) or not type(pad).__module__.startswith("taccel_lab.cad."):
+    if not is_formula(pad):
         return make(pad)
     file = CachedFile("meshes", _recipe(pad), _load, _save)
     return file.read_or_make(lambda: make(pad), optional=True)
+
+
+def is_formula(pad: Pad) -> bool:
+    """Whether a pad is one of this package, which its values say all of."""
+    return type(pad).__module__.startswith("taccel_lab.cad.") and not isinstance(pad, SurfacePad)
 
 
 def _recipe(pad: Pad) -> dict[str, Any]:
     import scipy
 
     return {
-        "mesher": _source_digest(),
+        "mesher": source_digest(*_SOURCES),
         "libraries": [np.__version__, scipy.__version__],
         "pad": f"{type(pad).__module__}.{type(pad).__qualname__}",
         "values": pad.values(),
     }
-
-
-@cache
-def _source_digest() -> str:
-    """Of the code that meshes are made by: other code makes other meshes."""
-    digest = hashlib.sha256()
-    for path in map(Path, _SOURCES):
-        for source in [path] if path.is_file() else sorted(path.rglob("*.py")):
-            digest.update(source.read_bytes())
-    return digest.hexdigest()
 
 
 def _save(file: BinaryIO, result: SoundMesh) -> None:

@@ -43,6 +43,8 @@ class Metric:
     """Load at which it is read, where it is read at a load."""
     runs_task: bool = False
     """Whether a whole task is simulated for it, which takes longer than all presses."""
+    smooth: bool = False
+    """Whether it has derivatives by dimensions and moduli, so that optimisers may follow them."""
 
     @property
     def base(self) -> str:
@@ -74,6 +76,7 @@ def metric(
     also: tuple[str, ...] = (),
     each_tool: bool = True,
     runs_task: bool = False,
+    smooth: bool = False,
 ) -> Callable[[_Compute], _Compute]:
     """Register the decorated function as a metric.
 
@@ -87,7 +90,7 @@ def metric(
         at_load = "{load}" in description
         METRICS[name] = Metric(
             name, unit, description, better, presses, compute, also, at_load, each_tool,
-            runs_task=runs_task,
+            runs_task=runs_task, smooth=smooth,
         )  # fmt: skip
         return compute
 

@@ -10,7 +10,7 @@ from taccel_lab.studies.metrics.base import metric
 @metric(
     "bond_stress", "kPa",
     "largest von Mises stress at the bond under {tool} at {load}", "lower",
-    ("sphere",),
+    ("sphere",), smooth=True,
 )  # fmt: skip
 def bond_stress(evidence: Evidence) -> float:
     """Peak over the bonded nodes; stress at a node is the mean of its elements."""

@@ -20,7 +20,7 @@ MOST_AHEAD = 1.5
 @metric(
     "force_range", "N",
     "force of {tool} before bottoming, at a depth of 40 % of the gel's thickness",
-    "higher", ("sphere",),
+    "higher", ("sphere",), smooth=True,
 )  # fmt: skip
 def force_range(evidence: Evidence) -> float:
     """By power laws between the steps.

@@ -7,7 +7,7 @@ from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import metric
 
 
-@metric("gel_modulus", "MPa", "Young's modulus of the gel's first layer", "none", ())
+@metric("gel_modulus", "MPa", "Young's modulus of the gel's first layer", "none", (), smooth=True)
 def gel_modulus(evidence: Evidence) -> float:
     """Also of a gel that is given by its Shore hardness."""
     return evidence.parameters.layer_materials()[0].young_modulus_pa * 1e-6

@@ -17,7 +17,7 @@ from taccel_lab.studies.metrics.base import metric
 @metric(
     "sensitivity_um", "um/N",
     "largest motion of the contact face along the press of {tool} at {load}, over the load",
-    "higher", ("sphere",),
+    "higher", ("sphere",), smooth=True,
 )  # fmt: skip
 def sensitivity_um(evidence: Evidence) -> float:
     """Peak of the dent over the load."""

@@ -28,7 +28,7 @@ def stiffness_punch(evidence: Evidence) -> float:
 
 @metric(
     "stiffness_secant", "N/mm", "load over depth of {tool} at {load}", "none",
-    ("sphere",),
+    ("sphere",), smooth=True,
 )  # fmt: skip
 def stiffness_secant(evidence: Evidence) -> float:
     """F / d at the load."""

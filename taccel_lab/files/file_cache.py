@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
 
@@ -148,6 +149,17 @@ def as_array(values: Any) -> np.ndarray:
 def from_array(kept: np.ndarray) -> Any:
     """The plain values of ``as_array``."""
     return json.loads(kept.tobytes())
+
+
+@cache
+def source_digest(*paths: str) -> str:
+    """SHA-256 of the Python files that are ``paths`` or below them: other code makes other
+    results."""
+    digest = hashlib.sha256()
+    for path in map(Path, paths):
+        for source in [path] if path.is_file() else sorted(path.rglob("*.py")):
+            digest.update(source.read_bytes())
+    return digest.hexdigest()
 
 
 def content_key(recipe: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv
 from taccel_lab.solvers import EnvStatus, StepReport
-from taccel_lab.studies import press_batch
+from taccel_lab.studies import evaluate, press_batch
 from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS
@@ -38,7 +38,8 @@ def gelsight(name: str, **parameters: object) -> DesignPoint:
     return DesignPoint(name, "gelsight", dict(parameters))
 
 
-def test_designs_share_what_is_the_same(tmp_path: Path) -> None:
+def test_designs_share_what_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluate, "_recent", {})
     told: list[tuple[str, int, int]] = []
     results = evaluate_designs(
         [
@@ -69,6 +70,9 @@ def test_designs_share_what_is_the_same(tmp_path: Path) -> None:
     assert kept["contact_faces"].max() < len(kept["contact_rest_m"])
     curves = json.loads((tmp_path / "b" / "presses.json").read_text())
     assert curves == to_jsonable(b.curves)
+    # Nor is a gel that was pressed before simulated anew for another modulus.
+    (later,) = evaluate_designs([gelsight("e", young_modulus_mpa=0.3)], [SPHERE], SIMPLE)
+    assert later.simulations == 0 and later.figures == b.figures
 
 
 def test_a_design_that_cannot_be_built_leaves_the_others_alone() -> None:
@@ -109,6 +113,7 @@ def test_a_press_that_does_not_converge_leaves_its_batch_alone(
             return report
 
     monkeypatch.setattr(press_batch, "PressEnv", Failing)
+    monkeypatch.setattr(evaluate, "_recent", {})
     easy, hard = evaluate_designs(
         [gelsight("easy"), gelsight("hard", thickness_mm=6)],
         [SPHERE],

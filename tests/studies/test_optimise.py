@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps by COBYLA and Optuna on formulas: optima, constraints, replays, several processes."""
+"""Sweeps by NLopt and Optuna on formulas: optima, constraints, replays, several processes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from taccel_lab.studies.optimise import OptimiserState, optimise
 from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.spec import Constraint, Objective, Sweep
+from taccel_lab.studies.study import default_kit, read_study
 from tests.support.fake_kit import logged, study
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)
@@ -30,9 +31,13 @@ def bowl(values: dict[str, Any]) -> dict[str, float | None]:
 
 
 def search(
-    constraints: list[Constraint], axes=(X, Y), count: int = 150, figures=bowl
+    constraints: list[Constraint],
+    axes=(X, Y),
+    count: int = 150,
+    figures=bowl,
+    method: Any = "LN_COBYLA",
 ) -> OptimiserState:
-    sweep = Sweep(kind="optimize", count=count, method="LN_COBYLA")
+    sweep = Sweep(kind="optimize", count=count, method=method)
     return optimise(axes, Objective(minimize="m"), constraints, sweep, figures)
 
 
@@ -63,6 +68,67 @@ SUM = Constraint(metric="sum", min=4.5)
 def best_kept(state: OptimiserState) -> float:
     kept = [v for v in state.tried if SUM.violation(v["x"] + v["y"]) < 5e-3]
     return min(float(bowl(v)["m"] or 0) for v in kept)
+
+
+XY = Axis(X.parameter, None, 0.5, 4), Y
+"""Above zero, where logarithms are."""
+
+
+def pressed(values: dict[str, Any]) -> dict[str, float | None]:
+    """Powers of thickness x and modulus y near those of a pressed GelSight Mini, and a bend."""
+    x, y = values["x"], values["y"]
+    return {"m": y**-0.6 * x**0.3, "sum": 2 * y * x**1.2 / (1 + x / 40)}
+
+
+def test_slopes_lead_to_the_optimum_in_half_of_cobylas_simulations() -> None:
+    most = Constraint(metric="m", max=0.8)
+
+    def found(method: Any) -> list[dict[str, Any]]:
+        sweep = Sweep(kind="optimize", count=40, method=method, tolerance=0.01)
+        return optimise(XY, Objective(minimize="sum"), [most], sweep, pressed).tried
+
+    slopes, without = found("LD_SLSQP"), found("LN_COBYLA")
+    least = min(float(pressed(v)["sum"] or 0) for v in (*slopes, *without) if kept(v, most))
+
+    def simulations(tried: list[dict[str, Any]]) -> int:
+        near = (kept(v, most) and float(pressed(v)["sum"] or 0) < 1.01 * least for v in tried)
+        first = next((number for number, ok in enumerate(near, 1) if ok), len(tried))
+        # Designs that differ in the modulus alone share one.
+        return len({v["x"] for v in tried[:first]})
+
+    assert simulations(slopes) <= 0.5 * simulations(without)
+    assert min(bowl(v)["m"] or 0 for v in search([], XY, method="LD_SLSQP").tried) < 510
+
+
+def kept(values: dict[str, Any], constraint: Constraint) -> bool:
+    return constraint.violation(float(pressed(values)["m"] or 0)) <= 1e-3 * 0.8
+
+
+@pytest.mark.parametrize(
+    ("axes", "figures"),
+    [
+        ((X, N), lambda v: {"m": bowl({"x": v["x"]})["m"], "sum": v["n"] + v["x"]}),
+        (XY, lambda v: {"m": 700.0, "sum": v["x"] + v["y"]}),
+        (XY, lambda v: {"m": None, "sum": 9.0} if v["x"] > 2 else bowl(v)),
+    ],
+)
+def test_cobyla_goes_on_where_figures_have_no_slope(axes: Any, figures: Any) -> None:
+    found = search([SUM], axes, figures=figures, method="LD_SLSQP")
+    least = search([SUM], axes, figures=figures).tried
+    kept = [v for v in (*found.tried, *least) if SUM.violation(figures(v)["sum"] or 0) < 5e-3]
+    best = min(float(figures(v)["m"] or math.inf) for v in kept)
+    mine = [float(figures(v)["m"] or math.inf) for v in kept if v in found.tried]
+    assert min(mine) <= 1.02 * best
+
+
+def test_neighbours_are_evaluated_together_and_counted() -> None:
+    asked: list[int] = []
+    sweep = Sweep(kind="optimize", count=7, method="LD_SLSQP")
+    state = optimise(
+        XY, Objective(minimize="m"), [], sweep, bowl, lambda designs: asked.append(len(designs))
+    )
+    assert asked[:3] == [3, 3, 1] and len(state.tried) == 7
+    assert state.stopped == "the count of designs was used up"
 
 
 @pytest.mark.parametrize(("method", "within"), [("GP", 0.03), ("TPE", 1.0), ("NSGA2", 3.0)])
@@ -196,3 +262,14 @@ def test_an_optimised_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert resumed.complete and resumed.new == len(whole.rows) - 7
     assert [row.parameters for row in resumed.rows] == [row.parameters for row in whole.rows]
     assert logged(parts) == logged(tmp_path / "whole")
+
+
+def test_slopes_are_the_default_for_smooth_figures_alone() -> None:
+    examples = Path(__file__).parents[2] / "studies" / "examples"
+    methods = {
+        name: read_study(examples / f"{name}.toml", default_kit()).spec.sweep.method
+        for name in ("mini_optimised", "led_angles", "softest_gel")
+    }
+    assert methods == {
+        "mini_optimised": "LD_SLSQP", "led_angles": "LN_COBYLA", "softest_gel": "LN_COBYLA",
+    }  # fmt: skip

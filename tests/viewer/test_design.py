@@ -15,20 +15,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.files.file_cache import CACHE_VARIABLE
+from taccel_lab.geometry import QuadraticMesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.viewer.background_press import BackgroundPress
-from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
-from taccel_lab.viewer.design_controls import slider_places
-from taccel_lab.viewer.design_export import TOML, command_line, export, packed, read_design
-from taccel_lab.viewer.design_press import (
+from taccel_lab.viewer.ball_press import (
     BallPress,
     PressAnswer,
     SupersededError,
     formula_force_n,
-    press_ball,
 )
+from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers, _press_key
+from taccel_lab.viewer.design_controls import slider_places
+from taccel_lab.viewer.design_export import TOML, command_line, export, packed, read_design
+from taccel_lab.viewer.design_press import press_ball
 from taccel_lab.viewer.design_words import heading, stiffness_words
 from taccel_lab.viewer.history import History
 from taccel_lab.viewer.newest_first import NewestFirst
@@ -70,10 +73,10 @@ def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() 
     default = sensor_family("flat_pad").parameters()
     stiff = default.values()["young_modulus_mpa"]
     with answers_of("flat_pad") as answers:
-        pieces, first = pieces_until(answers, Choice({}, PRESS), "quality")
+        pieces, first = pieces_until(answers, Choice({}, PRESS), "quick")
         softer = Choice({"young_modulus_mpa": stiff / 2}, PRESS)
         _, soft = pieces_until(answers, softer, "quick")
-    assert [one for one in pieces if one != "step"] == ["formula", "solid", "quick", "quality"]
+    assert [one for one in pieces if one != "step"] == ["formula", "solid", "quick"]
     assert first.quick is not None and soft.quick is not None
     assert soft.quick.force_n == pytest.approx(first.quick.force_n / 2, rel=1e-12)
     assert soft.quick.positions_m is first.quick.positions_m
@@ -83,6 +86,32 @@ def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() 
     # The formula, for a flat pad with friction left out, is near.
     assert first.formula_n == pytest.approx(first.quick.force_n, rel=0.2)
     assert first.quality is not None and first.quality.min_dihedral_deg > 5
+
+
+def test_the_press_of_the_catalogue_is_kept_between_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from taccel_lab.viewer.kept_press import kept_press
+
+    with answers_of("flat_pad") as answers:
+        _, found = pieces_until(answers, Choice({}), "quick")
+    assert found.quick is not None and isinstance(found.quick.mesh, QuadraticMesh)
+    monkeypatch.setenv("WARP_CACHE_PATH", str(wp.config.kernel_cache_dir))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    kept_press(_press_key(found, False)).write(found.quick)
+    with answers_of("flat_pad") as answers:
+        pieces, again = pieces_until(answers, Choice({}), "solid")
+        _, softer = pieces_until(answers, Choice({"young_modulus_mpa": 0.05}), "solid")
+        other, _ = pieces_until(answers, Choice({"thickness_mm": 4.5}), "solid")
+    assert pieces == ["formula", "exact", "solid"] and other == ["formula", "solid"]
+    kept = again.exact
+    assert kept is not None and softer.exact is not None
+    assert kept.force_n == found.quick.force_n
+    for name in ("positions_m", "pressures_pa", "forces_n", "von_mises_pa", "ball_mm"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(found.quick, name))
+    for name in ("nodes_m", "tets", "faces", "face_regions"):
+        np.testing.assert_array_equal(getattr(kept.mesh, name), getattr(found.quick.mesh, name))
+    assert softer.exact.force_n == pytest.approx(kept.force_n * 0.05 / _modulus(found))
 
 
 def test_a_newer_wish_ends_the_work_between_steps() -> None:
@@ -137,7 +166,7 @@ def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
     answer = DesignAnswer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
     answer.seconds = {"formula": 0.04, "solid": 0.2}
     answer.exact_steps = (1, 2)
-    assert answer.missing == ["quick", "quality", "rest", "pressed", "drawing", "exact"]
+    assert answer.missing == ["quick", "rest", "pressed", "drawing", "exact"]
     assert stage_words(answer) == (
         "*Next: coarse press and press at default accuracy (step 2 of 2) … (0.2 s)*"
     )
@@ -145,7 +174,7 @@ def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
         "| coarse | … | |  |",
         "| default | … | | step 2 of 2 |",
     ]
-    answer.seconds |= {"quick": 0.5, "quality": 0.6, "rest": 0.8, "pressed": 1.0, "drawing": 1.2}
+    answer.seconds |= {"quick": 0.5, "rest": 0.8, "pressed": 1.0, "drawing": 1.2}
     answer.failed = {"quick": "it did not converge"}
     assert stage_words(answer).splitlines() == [
         "*Next: press at default accuracy (step 2 of 2) … (1.2 s)*",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -179,7 +181,13 @@ def test_values_meet_the_ends_of_the_colour_map() -> None:
         shares(np.array([-1.0, 0, 1, 2, 9, np.nan]), (0, 2)), [0, 0, 0.5, 1, 1, 0]
     )
     surface = SectionSurface(np.eye(3), np.array([[0, 1, 2]]), np.array([0.0, 1.0, 2.0]))
-    mesh = painted(surface, (0, 2), map_rgb("viridis"))
+    shown = io.BytesIO(painted(surface, (0, 2), map_rgb("viridis")))
+    mesh: Any = trimesh.load(shown, file_type="glb", force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices, surface.points)
+    np.testing.assert_array_equal(mesh.faces, surface.faces)
+    np.testing.assert_array_equal(
+        np.asarray(mesh.visual.material.baseColorTexture)[0], map_rgb("viridis")
+    )
     np.testing.assert_allclose(mesh.visual.uv[:, 0], [0.5 / 256, 0.5, 255.5 / 256])
 
 

@@ -98,12 +98,14 @@ def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
 @contextmanager
 def design_page(out: Path, options: PageOptions = HERE) -> Iterator[tuple[Any, DesignPage]]:
     """A page of the flat pad with its server; closing it ends what is under way."""
+    answers = DesignAnswers(sensor_family("flat_pad"))
     with live_page("Design", options) as server:
-        page = DesignPage(server, sensor_family("flat_pad"), {}, out)
+        page = DesignPage(server, answers, {}, out)
         try:
             yield server, page
         finally:
-            page.close()
+            page.work.close()
+            answers.close()
 
 
 @pytest.fixture

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ball on a design page and what it gave; without solver and Warp, so that a page opens at once.
+
+``design_press`` simulates it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.cad.parts.dome_pad import DomePad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.presses.bonded_layer import layer_force_n
+
+if TYPE_CHECKING:
+    from taccel_lab.sensors.base import FamilyParameters
+
+DEPTH_SHARE = 0.4
+"""Deepest press of the page, as a part of the gel's thickness."""
+
+
+class SupersededError(Exception):
+    """A newer wish has come; what is under way is of no use any more."""
+
+
+@dataclass(frozen=True)
+class BallPress:
+    """A ball pressed into the middle of the gel."""
+
+    radius_mm: float = 3.0
+    depth_mm: float = 0.5
+
+    def limited(self, thickness_mm: float) -> BallPress:
+        """As deep as the page presses a gel of that thickness."""
+        return replace(self, depth_mm=min(self.depth_mm, DEPTH_SHARE * thickness_mm))
+
+
+@dataclass(frozen=True)
+class PressAnswer:
+    """What a press gave."""
+
+    force_n: float
+    error_n: float
+    """Estimated error of the force; NaN where there is no estimate."""
+    mesh: TetMesh | QuadraticMesh
+    positions_m: np.ndarray
+    """[node, 3]."""
+    pressures_pa: np.ndarray
+    """[node]."""
+    forces_n: np.ndarray
+    """Of the ball on the nodes, [node, 3]."""
+    von_mises_pa: np.ndarray
+    """[node]."""
+    ball_mm: np.ndarray
+    """Middle of the ball at the end, [3]."""
+
+
+def formula_force_n(parameters: FamilyParameters, press: BallPress) -> float:
+    """Force by the exact linear solution of a bonded flat layer [N], see ``layer_force_n``: without
+    friction, crown or rim; NaN for domes."""
+    pad, gel = parameters.pad(), parameters.material()
+    if isinstance(pad, DomePad):
+        return math.nan
+    found = layer_force_n(
+        "sphere",
+        np.array([press.depth_mm]),
+        press.radius_mm,
+        pad.thickness_mm,
+        gel.poisson_ratio,
+        gel.young_modulus_pa,
+    )
+    return float(found[0])
+
+
+def height_profile_mm(
+    answer: PressAnswer, positions_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """x and z [mm] of the contact face along y = 0, by ascending x; ``positions_m``: [node, 3]."""
+    faces = answer.mesh.region_faces(Region.CONTACT)
+    points = 1e3 * positions_m
+    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    first, second = points[edges[:, 0]], points[edges[:, 1]]
+    # A hair beside the middle, where rows of nodes lie.
+    below, above = first[:, 1] - 1e-6, second[:, 1] - 1e-6
+    crossing = below * above < 0
+    share = (below / np.where(crossing, below - above, 1.0))[crossing, None]
+    found = first[crossing] + share * (second[crossing] - first[crossing])
+    order = np.argsort(found[:, 0])
+    return found[order, 0], found[order, 2]
+
+
+def scaled(answer: PressAnswer, factor: float) -> PressAnswer:
+    """The press of a gel whose moduli are all ``factor`` times these: the same shape, and all loads
+    times that factor, as nothing else in a press has the dimension of a stress."""
+    if not factor > 0:
+        raise InputError("moduli must be above 0")
+    return replace(
+        answer,
+        force_n=factor * answer.force_n,
+        error_n=factor * answer.error_n,
+        pressures_pa=factor * answer.pressures_pa,
+        forces_n=factor * answer.forces_n,
+        von_mises_pa=factor * answer.von_mises_pa,
+    )
