@@ -83,7 +83,7 @@ def _depth_sentence(result: NormalCalibration) -> str:
         text += (
             f" On {found.count} simulated presses of other tools that no network saw depths are "
             f"off by {found.rmse_mm:.3f} mm rms in the dent (median press "
-            f"{found.median_press_mm:.3f}, worst {found.worst_press_mm:.3f} mm)."
+            f"{found.median_press_share:.0%} of its depth, worst {found.worst_press_mm:.3f} mm)."
         )
     return text
 

@@ -34,11 +34,13 @@ from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_
 
 TASK = "drawing synthetic presses"
 DEPTHS = (0.1, 1.3)
-"""Depths over that of the deepest ball, as far as ``MOST`` of the gel; drawn so that all orders of
-size are as frequent. Who presses something else on a sensor presses about as hard as he did balls.
+"""Depths over that of the deepest ball; drawn so that all orders of size are as frequent. Who
+presses something else on a sensor presses about as hard as he did balls.
 """
-MOST = 0.5
-"""Of the thickness of the gel."""
+LEAST, MOST = 0.03, 0.3
+"""Of the thickness of the gel: depths begin at the first at the latest, and end at the second.
+Networks that train on deeper tools read shallow ones half as far off again, and deep ones no
+better (``docs/ablations.md``)."""
 SOLVED_TO = 3e-2
 """Share of the depth that presses are solved to: heights are then within 0.8 um (rms), slopes in
 the mean within 0.07 degrees."""
@@ -169,8 +171,9 @@ class SyntheticPresses:
         grid, rng = self.scene.grid, self.rng
         step = (grid.mm_per_px_x, grid.mm_per_px_y)
         low, high = (share * self.deepest_mm for share in DEPTHS)
+        low = min(low, LEAST * self.pad.thickness_mm)
         high = min(high, MOST * self.pad.thickness_mm)
-        depth_mm = float(np.exp(rng.uniform(np.log(min(low, high)), np.log(high))))
+        depth_mm = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
         rise_mm = press_layer(
             tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO

@@ -28,11 +28,12 @@ from taccel_lab.calibration.normals.samples import (
     circle_angle_rad,
     true_normals,
 )
-from taccel_lab.calibration.normals.synthetic_presses import ImageNoise
+from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share, layer_surfaces
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normal_model import NormalModel, expected_shapes
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
@@ -54,6 +55,22 @@ BALL_MM, LAYER = 3.0, BondedLayer(4.0, 0.46)
 SLOPE_PER_LEVEL = 0.02
 """Of the sensor drawn here: red tells the slope along x, green that along y."""
 SCENE = CaptureScene(np.full((56, 60, 3), 120.0, dtype=np.float32), AREA, BALL_MM)
+
+
+@pytest.mark.parametrize(("deepest_mm", "low_mm", "high_mm"), [(2.6, 0.12, 1.2), (0.5, 0.05, 0.65)])
+def test_tools_go_as_deep_as_the_balls_and_no_deeper_than_helps(
+    deepest_mm: float, low_mm: float, high_mm: float
+) -> None:
+    """Where balls went 2.6 mm deep, networks that saw tools from 0.26 to 2 mm read those of 0.3 mm
+    1.6 times as far off as ones that see 0.12 to 1.2 mm."""
+    weights = {"layer0.weight": np.zeros((3, 6)), "layer0.bias": np.zeros(3)}
+    colors = ColorModel(ColorModelConfig(60, 56, hidden=()), weights)
+    drawn = SyntheticPresses(
+        SCENE, LAYER, colors, ImageNoise(1.0, 0.0, 0.0), deepest_mm, np.random.default_rng(0)
+    )
+    depths_mm = [-1e3 * press.rise_m.min() for press in drawn.presses(30)]
+    assert max(depths_mm) < 1.03 * high_mm  # A press is solved to 3 % of its depth.
+    assert min(depths_mm) < 1.8 * low_mm
 
 
 def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
