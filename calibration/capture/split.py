@@ -13,14 +13,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-
-if TYPE_CHECKING:
-    from taccel_lab.calibration.capture.captures import CapturedPress
 
 HOLDOUT_EVERY = 4
 """One press in so many is held out unless a command says otherwise."""
@@ -28,6 +25,29 @@ SAME_PLACE_RADII = 0.25
 """Labels closer than this many median contact radii are of one place."""
 LARGEST_PLACE = 0.5
 """A place with more than this part of the presses cannot be held out, nor everything but it be."""
+
+
+class Circle(Protocol):
+    """Where a label says the contact is [px]."""
+
+    @property
+    def u_px(self) -> float: ...
+
+    @property
+    def v_px(self) -> float: ...
+
+    @property
+    def radius_px(self) -> float: ...
+
+
+class NamedPress(Protocol):
+    """What a split may know of a press: no image."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def circle(self) -> Circle | None: ...
 
 
 @dataclass(frozen=True)
@@ -56,7 +76,7 @@ class PressSplit:
 
 
 def split_presses(
-    presses: Sequence[CapturedPress], holdout_every: int, stated: Sequence[str] | None, source: str
+    presses: Sequence[NamedPress], holdout_every: int, stated: Sequence[str] | None, source: str
 ) -> PressSplit:
     """Hold out one press in ``holdout_every``, whole places at a time; 0 holds none out.
 
@@ -99,7 +119,7 @@ def split_presses(
     return _split(presses, held, by)
 
 
-def _taken(presses: Sequence[CapturedPress], stated: Sequence[str], source: str) -> PressSplit:
+def _taken(presses: Sequence[NamedPress], stated: Sequence[str], source: str) -> PressSplit:
     names = [press.name for press in presses]
     wanted = set(stated)
     held = [i for i, name in enumerate(names) if name in wanted]
@@ -115,7 +135,7 @@ def _taken(presses: Sequence[CapturedPress], stated: Sequence[str], source: str)
 
 
 def _split(
-    presses: Sequence[CapturedPress], held: Sequence[int], by: Literal["place", "press", "manifest"]
+    presses: Sequence[NamedPress], held: Sequence[int], by: Literal["place", "press", "manifest"]
 ) -> PressSplit:
     chosen = set(held)
     return PressSplit(
@@ -126,7 +146,7 @@ def _split(
     )
 
 
-def _places(presses: Sequence[CapturedPress]) -> list[list[int]]:
+def _places(presses: Sequence[NamedPress]) -> list[list[int]]:
     """Indices of the presses of each place."""
     labelled = [i for i, press in enumerate(presses) if press.circle is not None]
     alone = [[i] for i, press in enumerate(presses) if press.circle is None]
@@ -150,6 +170,6 @@ def _places(presses: Sequence[CapturedPress]) -> list[list[int]]:
     return places + alone
 
 
-def _lot(presses: Sequence[CapturedPress], place: Sequence[int]) -> str:
+def _lot(presses: Sequence[NamedPress], place: Sequence[int]) -> str:
     names = "\n".join(sorted(presses[i].name for i in place))
     return hashlib.sha256(names.encode()).hexdigest()
