@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -166,3 +167,16 @@ def test_files_that_pages_name_are_written(page: Path) -> None:
     for out, files in outputs(page).items():
         named_here = re.findall(rf"(?<![\w/.-]){re.escape(out)}/([\w.-]*\w)", text)
         assert set(named_here) <= files, f"no command of {page.name} writes these into {out}"
+
+
+@cache
+def sources() -> list[str]:
+    folders = [path for path in ROOT.iterdir() if path.is_dir() and path.name[0] not in "._"]
+    return [str(path) for folder in folders for path in folder.rglob("*.py")]
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=named)
+def test_source_files_that_pages_name_are_there(page: Path) -> None:
+    named_here = re.findall(r"`([\w/]+/\w+\.py)`", page.read_text(encoding="utf-8"))
+    gone = [name for name in named_here if not any(path.endswith(f"/{name}") for path in sources())]
+    assert not gone, f"{page.name} names files that are not there: {', '.join(gone)}"
