@@ -48,9 +48,10 @@ def _equal_captures_are_judged_once(_all_imported: None) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def _figures_are_drawn_in_this_process() -> Iterator[None]:
-    """A press draws in a process beside it, which takes longer to load than these presses take."""
+    """A press draws in a process beside it, which takes longer to load than these presses take. Of
+    each module, as files of other folders follow in the same process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
         yield

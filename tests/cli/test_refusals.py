@@ -106,7 +106,7 @@ def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[st
         ("--steps 0", "steps must be at least 1, got 0"),
         ("--holdout-every 1", "holdout_every must be 0 or at least 2, got 1"),
         ("--holdout-every 6", r"captures\.toml holds 5 presses, too few to hold out"),
-        ("--base absent", r"absent/profile\.toml: no such profile folder"),
+        ("--base absent", "'absent' is neither a profile folder nor a sensor of the catalogue"),
     ],
 )
 def test_bad_options_of_calibrate(here: Path, capsys: Capsys, options: str, words: str) -> None:
