@@ -18,9 +18,9 @@ from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays, so
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.viewer.ball_press import PressAnswer
 
-_SOURCES = (
+SOURCES = (
     "bodies", "cad", "geometry", "ipc", "model", "outputs", "presses", "scene", "sensors",
-    "solvers", "viewer/ball_press.py", "viewer/design_press.py",
+    "signals", "solvers", "state.py", "viewer/ball_press.py", "viewer/design_press.py",
 )  # fmt: skip
 """Of this package, the code that presses are made by."""
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
@@ -31,7 +31,7 @@ def kept_press(key: Any) -> CachedFile[PressAnswer]:
     """The file of a press; ``key``: its design and load, whose ``repr`` says all of them."""
     root = Path(taccel_lab.__file__).parent
     recipe = {
-        "solver": source_digest(*(str(root / name) for name in _SOURCES)),
+        "solver": source_digest(*(str(root / name) for name in SOURCES)),
         "libraries": [version(name) for name in _LIBRARIES],
         "press": repr(key),
     }

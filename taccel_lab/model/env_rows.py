@@ -21,7 +21,10 @@ _THREADS = 1 << 18
 def lane_count(device: wp.Device, env_count: int, most: int) -> int:
     """Lanes an environment, which take its entries in turn, where one has so many at most.
 
-    A thread an entry costs its start in environments that stand still, too."""
+    So a launch depends neither on a count that the host would have to read, nor on the capacity of
+    a list: it can be part of a captured graph, and lists may grow. And a thread an entry costs its
+    start in environments that stand still, too. The CPU, which runs threads one after the other,
+    has one lane."""
     if device.is_cpu:
         return 1
     return max(1, min(most, max(32, _THREADS // env_count)))

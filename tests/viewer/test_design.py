@@ -6,6 +6,8 @@ from __future__ import annotations
 import io
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 import zipfile
@@ -112,6 +114,19 @@ def test_the_press_of_the_catalogue_is_kept_between_runs(
     for name in ("nodes_m", "tets", "faces", "face_regions"):
         np.testing.assert_array_equal(getattr(kept.mesh, name), getattr(found.quick.mesh, name))
     assert softer.exact.force_n == pytest.approx(kept.force_n * 0.05 / _modulus(found))
+
+
+def test_a_kept_press_knows_all_code_that_makes_it() -> None:
+    from taccel_lab.viewer.kept_press import SOURCES
+
+    code = "import sys, taccel_lab.viewer.design_press; print(*sys.modules, sep='\\n')"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[1] for name in run.stdout.split() if name.startswith("taccel_lab.")}
+    # Messages, files, processes and bounds of parameters move no number.
+    loaded -= {"errors", "files", "lazy_names", "printable", "processes", "profile", "progress"}
+    assert loaded - {"summary", "viewer"} == {
+        s.removesuffix(".py") for s in SOURCES if "/" not in s
+    }
 
 
 def test_a_newer_wish_ends_the_work_between_steps() -> None:

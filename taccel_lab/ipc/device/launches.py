@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How work is launched: over lists of unknown length, side by side, in shared memory.
-
-Launches over lists whose length only the device knows.
-
-A fixed number of lanes an environment takes the entries in turn, so that a launch neither depends
-on a count that the host would have to read, nor on the capacity of the list: it can be part of a
-captured graph, and lists may grow. The CPU, which runs threads one after the other, has one lane.
+"""How work is launched: side by side, captured as a graph, in shared memory.
 
 Work that may run side by side: parallel branches of a captured graph.
 
