@@ -180,3 +180,13 @@ def test_source_files_that_pages_name_are_there(page: Path) -> None:
     named_here = re.findall(r"`([\w/]+/\w+\.py)`", page.read_text(encoding="utf-8"))
     gone = [name for name in named_here if not any(path.endswith(f"/{name}") for path in sources())]
     assert not gone, f"{page.name} names files that are not there: {', '.join(gone)}"
+
+
+def test_pages_name_all_results_and_no_others() -> None:
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    results = {path.stem for path in (ROOT / "benchmarks" / "results").glob("*.json")}
+    stems = {name: re.sub("_(h[12]00|cpu)$", "", name) for name in results}
+    quoted = set(re.findall(r"`(?:benchmarks/results/)?(\w+)(?:\.json)?`", pages))
+    assert not [name for name, stem in stems.items() if not {name, stem} & quoted]
+    kept = pages.split("\n## Measured once\n")[1].split("\n### ")[0]
+    assert set(re.findall(r"`([a-z]+(?:_\w+)?)`", kept)) <= {*results, *stems.values()}
