@@ -77,13 +77,10 @@ def check_ball(captures: CaptureSet, found: FittedTogether) -> BallCheck | None:
     if found.fit is None or len(found.samples) < MIN_PRESSES:
         return None
     start = found.fit
-    circles = [contact.circle for contact in start.contacts]
 
     def fitted(factor: float) -> PhotometricFit:
         ball_px = [factor * ball for ball in found.ball_px]
-        return fit_contacts(
-            found.samples, circles, ball_px, blur_px=start.blur_px, iterations=ROUNDS
-        )
+        return fit_contacts(found.samples, start, ball_px, iterations=ROUNDS)
 
     fits = {factor: fitted(factor) for factor in FACTORS if factor >= 1.0}
     check = _judged(captures.ball_radius_mm, found.ball_px, fits)

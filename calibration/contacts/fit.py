@@ -39,7 +39,6 @@ from taccel_lab.calibration.contacts.grey import find_grey_contact
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.photometric import (
     FittedContact,
-    MapTerms,
     PhotometricFit,
     fit_contacts,
 )
@@ -80,7 +79,7 @@ MOSTLY = 0.5
 """Share of a picture that has to be far from its contact for the light to be that of all of it."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
-ROUNDS = (8, 16)
+ROUNDS = (6, 10)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
 """Contact radius over ball radius that is assumed when nobody says what the ball is."""
@@ -305,8 +304,7 @@ class FittedTogether:
         """The contacts with what their circles may be off by (``circle_covariances``)."""
         if self.fit is None:
             return []
-        terms = MapTerms.for_presses(len(self.samples))
-        covariances = circle_covariances(self.samples, self.ball_px, self.fit, terms)
+        covariances = circle_covariances(self.samples, self.ball_px, self.fit)
         return [
             replace(contact, covariance=covariance)
             for contact, covariance in zip(self.fit.contacts, covariances, strict=True)
@@ -361,8 +359,7 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[PhotometricFit, list[RingSamples]]:
-    circles = [start.first.circle for start in starts]
-    terms = MapTerms.for_presses(len(starts))
+    circles: Sequence[ContactCircle] = [start.first.circle for start in starts]
     blur = float(np.hypot(starts[0].first.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
@@ -373,7 +370,7 @@ def _refine(
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < MIN_LABELLED_VISIBLE:
                 raise _LostContactError(start)
-        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
+        fit = fit_contacts(samples, fit or circles, ball_px, blur_px=blur, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
     return fit, samples
