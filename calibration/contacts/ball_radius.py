@@ -23,7 +23,7 @@ from taccel_lab.report.remark import Remark
 
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
 """Ball radii that are tried, over the stated one."""
-ROUNDS = 8
+ROUNDS = 5
 MIN_PRESSES = 4
 WORSE = 0.08
 """Rise of the residual that our model of the sink-in does not explain: on real presses of balls of
