@@ -241,12 +241,15 @@ class _Scene:
         """Pixels of the working size that the gel's sinking beside a contact does not reach."""
         return circle.far(self.size.grid, SUNK_RADII, self.mask)
 
-    def change(self, image: np.ndarray, beside: ContactCircle | None = None) -> ColorChange:
-        """Of an image in the camera's pixels, in the light far from a contact, or of all of it."""
-        light_by = None if beside is None else self.far(beside)
-        return color_change(
-            self.size.picture(image), self.background, self.size.grid, self.mask, light_by
-        )
+    def change(
+        self,
+        image: np.ndarray,
+        light_by: np.ndarray | None = None,
+        drift: LightDrift | None = None,
+    ) -> ColorChange:
+        """``color_change`` of an image in the camera's pixels."""
+        picture = self.size.picture(image)
+        return color_change(picture, self.background, self.size.grid, self.mask, light_by, drift)
 
     def whole_circle(self, circle: ContactCircle) -> ContactCircle:
         """A circle of the picture of square pixels, in the camera's."""
@@ -259,8 +262,6 @@ class _First:
 
     circle: ContactCircle
     contrast_levels: float
-    beside: ContactCircle | None
-    """The light is that beside it; of the whole picture where None."""
     drift: LightDrift
     smoothing_px: float
 
@@ -282,7 +283,7 @@ class _Start:
 
     @property
     def change(self) -> ColorChange:
-        return self.kept or self.scene.change(self.read(), self.first.beside)
+        return self.kept or self.scene.change(self.read(), drift=self.first.drift)
 
 
 @dataclass(frozen=True)
@@ -327,9 +328,8 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     far = scene.far(seen)
     usable = far.size if scene.mask is None else scene.mask.sum()
     # The contact has a say in the light of a picture that it mostly fills.
-    beside = seen if far.sum() < MOSTLY * usable and enough_pixels(far) else None
-    if beside is not None:
-        change = scene.change(read(), beside)
+    if far.sum() < MOSTLY * usable and enough_pixels(far):
+        change = scene.change(read(), light_by=far)
         strength = change.strength()
         center, radius = first_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
@@ -347,7 +347,7 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
     circle = ContactCircle(float(center[0]), float(center[1]), radius)
-    return _First(circle, contrast, beside, change.drift, change.smoothing_px)
+    return _First(circle, contrast, change.drift, change.smoothing_px)
 
 
 def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
