@@ -376,6 +376,12 @@ def _refine(
     return fit, samples
 
 
+def _rim_share(change: ColorChange, circle: ContactCircle) -> float:
+    """Share of the rays from a contact's centre that see its rim."""
+    center = np.array([circle.u_px, circle.v_px])
+    return float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
+
+
 def _accept(
     start: _Start,
     contact: FittedContact,
@@ -390,10 +396,9 @@ def _accept(
     height, width = change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    inliers = float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
     # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
     round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
-        inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
+        contact.explained >= MIN_EXPLAINED and _rim_share(change, circle) >= MIN_INLIER_FRACTION
     )
     gathered = gathered_share(change.strength(), center, circle.radius_px)
     if (
@@ -402,8 +407,8 @@ def _accept(
         or not MIN_RADIUS_PX <= circle.radius_px <= limit
     ):
         raise InputError(
-            f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
-            f"radius {own.radius_px:.1f} px; a ball's slope explains "
+            f"{start.name}: no round contact found; {_rim_share(change, circle):.0%} of the rays "
+            f"agree on a circle of radius {own.radius_px:.1f} px; a ball's slope explains "
             f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
             f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {pixels * MIN_RADIUS_PX:g} to "
             f"{pixels * limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "

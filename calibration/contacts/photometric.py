@@ -166,6 +166,7 @@ def fit_contacts(
     blur_px: float | None = None,
     terms: MapTerms | None = None,
     iterations: int = ITERATIONS,
+    settled: float = 1.0,
     sink_in: float = SINK_IN_SCALE,
 ) -> PhotometricFit:
     """Refine the circles of presses of one sensor.
@@ -173,11 +174,12 @@ def fit_contacts(
     ``samples`` are colour changes around the circles of ``start``. A fit goes on with its map and
     blur, and with gains of the presses, which are 1 in the first. ``ball_px`` is the radius of each
     press's ball in pixels, ``blur_px`` the guess of the picture's blur (by default that of the
-    fit), ``sink_in`` another damping length of the slope's law.
+    fit), ``sink_in`` another damping length of the slope's law. The fit ends where the circles of
+    the share ``settled`` of the presses rest.
     """
     fit = _JointFit(samples, start, ball_px, blur_px, terms, sink_in)
     for _ in range(iterations):
-        if fit.round() < CONVERGED_PX:
+        if np.quantile(fit.round(), settled) < CONVERGED_PX:
             break
     return fit.result()
 
@@ -220,8 +222,8 @@ class _JointFit:
             for press, gain, offset in zip(self.presses, before.gains, before.offsets, strict=True):
                 press.gain, press.offset = gain, offset
 
-    def round(self) -> float:
-        """One step of presses, blur and map together; the largest of a circle [px]."""
+    def round(self) -> np.ndarray:
+        """One step of presses, blur and map together; of each circle [px], shape [press_count]."""
         for i, press in enumerate(self.presses):
             press.seen = self._see(press)
             self.sums[i] = np.sum(press.seen.left**2)
@@ -239,7 +241,7 @@ class _JointFit:
         square = self.blur_px**2 + 2 * self.blur_px * change[0]
         self.blur_px = float(np.sqrt(np.clip(square, self.blur_px**2 / 4, 16 * self.blur_px**2)))
         self.map = self.map + change[1:].reshape(self.map.shape)
-        return float(np.abs(steps[:, :3]).max())
+        return np.abs(steps[:, :3]).max(axis=1)
 
     def _solve(self, lowest: np.ndarray, highest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steps of blur and map, and of the presses, shape [press_count, 9], within limits.

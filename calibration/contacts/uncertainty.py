@@ -28,6 +28,8 @@ from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE
 OTHER_SINK_IN_SCALE = 2.0
 OTHER_ROUNDS = 12
 """Rounds of Gauss-Newton at most: where colours say little of a radius, it moves slowly."""
+SETTLED = 0.5
+"""Share of the presses whose circles rest then: typical ones say what a model moves."""
 MIN_SIGMA_PX = 0.05
 """Resampling moves circles of perfect presses by that much."""
 CHANNELS = 3
@@ -51,8 +53,9 @@ def circle_covariances(
         sink_in: float = SINK_IN_SCALE,
     ) -> np.ndarray:
         other = fit_contacts(
-            samples, before, ball_px, terms=terms, iterations=OTHER_ROUNDS, sink_in=sink_in
-        )
+            samples, before, ball_px, terms=terms, iterations=OTHER_ROUNDS, sink_in=sink_in,
+            settled=SETTLED,
+        )  # fmt: skip
         return circle_array([contact.circle for contact in other.contacts]) - start
 
     def moved_without(channel: int) -> np.ndarray:
