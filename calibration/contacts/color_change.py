@@ -54,17 +54,18 @@ def color_change(
     grid: PixelGrid,
     mask: np.ndarray | None = None,
     light_by: np.ndarray | None = None,
+    drift: LightDrift | None = None,
 ) -> ColorChange:
     """Drift-free smoothed difference of ``image`` to ``background``.
 
     Both are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false have no
-    effect. The drift is that of the whole image, most of which shows untouched gel, or without a
-    gradient that of the pixels ``light_by``, bool, shape [height_px, width_px].
+    effect. A ``drift`` that is not given is that of the whole image, most of which shows untouched
+    gel, or without a gradient that of the pixels ``light_by``, bool, shape [height_px, width_px].
     """
     if mask is not None and mask.all():
         mask = None
     sigma = float(np.clip(min(image.shape[:2]) * SMOOTHING_SHARE, 0.7, 4.0))
-    drift = fit_light(
+    drift = drift or fit_light(
         image, background, mask if light_by is None else light_by, gradient=light_by is None
     )
     change = smoothed(without_light(image, background, drift), mask, sigma)

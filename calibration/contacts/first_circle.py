@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -15,6 +17,8 @@ GREY_SHARE = 0.1
 """Weight of a change that is the same all round, the only one on a grey sensor."""
 SHADOW_LEVEL = 0.45
 """Colour change, as a part of the strongest, that shadows beside a contact stay below."""
+SOUGHT_PX = 8
+"""Discs are compared in pictures so coarse that their radius is that to twice that."""
 
 
 def first_circle(change: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, float]:
@@ -44,23 +48,40 @@ def _standing_out(strength: np.ndarray) -> tuple[np.ndarray, float]:
     highest = max(np.percentile(strength, 99.5), 0.6 * float(strength.max()))
     strong = np.maximum(strength - SHADOW_LEVEL * highest, 0.0)
     small = cv2.resize(strong.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    best = (-np.inf, np.zeros(2), 0.0)
-    for radius in np.geomspace(max(2.0, MIN_RADIUS_PX / factor), min(size) / 2.2, 24):
-        reach = int(np.ceil(1.4 * radius))
-        distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
-        disc = distance <= radius
-        ring = (distance > radius) & (distance <= 1.4 * radius)
-        kernel = disc / disc.sum() - ring / ring.sum()
-        # Outside the image the gel is taken as untouched, so a cut disc scores less.
-        # The weight keeps a bright speck from winning over a whole contact.
-        score = np.sqrt(radius) * cv2.filter2D(
-            small, cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT
-        )
-        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-        if score[row, column] > best[0]:
-            center = (np.array([column, row]) + 0.5) * factor - 0.5
-            best = (float(score[row, column]), center, float(radius * factor))
-    return best[1], best[2]
+    # How far discs stand out is told by coarser pictures; where the best one is, by this one.
+    radii = np.geomspace(max(2.0, MIN_RADIUS_PX / factor), min(size) / 2.2, 24)
+    best = radii[np.argmax([_scores(small, radius, SOUGHT_PX).max() for radius in radii])]
+    scores = _scores(small, best)
+    row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    center = (np.array([column, row]) + 0.5) * factor - 0.5
+    return center, float(best * factor)
+
+
+def _scores(picture: np.ndarray, radius: float, fewest_px: float = np.inf) -> np.ndarray:
+    """How far a disc of this radius stands out at each pixel, or where its radius is at least twice
+    ``fewest_px``, at those of a picture that much coarser.
+
+    The weight keeps a bright speck from winning over a whole contact.
+    """
+    coarser = max(1, int(radius / fewest_px))
+    if coarser > 1:
+        size = (picture.shape[1] // coarser, picture.shape[0] // coarser)
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    # Outside the image the gel is taken as untouched, so a cut disc scores less.
+    kernel = _ringed_disc(radius / coarser)
+    return np.sqrt(radius) * cv2.filter2D(
+        picture, cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT
+    )
+
+
+@lru_cache(maxsize=256)
+def _ringed_disc(radius: float) -> np.ndarray:
+    """Kernel of the mean over a disc less that over the ring of 1.4 times its radius."""
+    reach = int(np.ceil(1.4 * radius))
+    distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    disc = distance <= radius
+    ring = (distance > radius) & (distance <= 1.4 * radius)
+    return disc / disc.sum() - ring / ring.sum()
 
 
 def without_specks(strength: np.ndarray, share: float) -> np.ndarray:

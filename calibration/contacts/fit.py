@@ -39,7 +39,6 @@ from taccel_lab.calibration.contacts.grey import find_grey_contact
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.photometric import (
     FittedContact,
-    MapTerms,
     PhotometricFit,
     fit_contacts,
 )
@@ -80,7 +79,7 @@ MOSTLY = 0.5
 """Share of a picture that has to be far from its contact for the light to be that of all of it."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
-ROUNDS = (8, 16)
+ROUNDS = (6, 10)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
 """Contact radius over ball radius that is assumed when nobody says what the ball is."""
@@ -242,12 +241,15 @@ class _Scene:
         """Pixels of the working size that the gel's sinking beside a contact does not reach."""
         return circle.far(self.size.grid, SUNK_RADII, self.mask)
 
-    def change(self, image: np.ndarray, beside: ContactCircle | None = None) -> ColorChange:
-        """Of an image in the camera's pixels, in the light far from a contact, or of all of it."""
-        light_by = None if beside is None else self.far(beside)
-        return color_change(
-            self.size.picture(image), self.background, self.size.grid, self.mask, light_by
-        )
+    def change(
+        self,
+        image: np.ndarray,
+        light_by: np.ndarray | None = None,
+        drift: LightDrift | None = None,
+    ) -> ColorChange:
+        """``color_change`` of an image in the camera's pixels."""
+        picture = self.size.picture(image)
+        return color_change(picture, self.background, self.size.grid, self.mask, light_by, drift)
 
     def whole_circle(self, circle: ContactCircle) -> ContactCircle:
         """A circle of the picture of square pixels, in the camera's."""
@@ -260,8 +262,6 @@ class _First:
 
     circle: ContactCircle
     contrast_levels: float
-    beside: ContactCircle | None
-    """The light is that beside it; of the whole picture where None."""
     drift: LightDrift
     smoothing_px: float
 
@@ -283,7 +283,7 @@ class _Start:
 
     @property
     def change(self) -> ColorChange:
-        return self.kept or self.scene.change(self.read(), self.first.beside)
+        return self.kept or self.scene.change(self.read(), drift=self.first.drift)
 
 
 @dataclass(frozen=True)
@@ -305,8 +305,7 @@ class FittedTogether:
         """The contacts with what their circles may be off by (``circle_covariances``)."""
         if self.fit is None:
             return []
-        terms = MapTerms.for_presses(len(self.samples))
-        covariances = circle_covariances(self.samples, self.ball_px, self.fit, terms)
+        covariances = circle_covariances(self.samples, self.ball_px, self.fit)
         return [
             replace(contact, covariance=covariance)
             for contact, covariance in zip(self.fit.contacts, covariances, strict=True)
@@ -329,9 +328,8 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     far = scene.far(seen)
     usable = far.size if scene.mask is None else scene.mask.sum()
     # The contact has a say in the light of a picture that it mostly fills.
-    beside = seen if far.sum() < MOSTLY * usable and enough_pixels(far) else None
-    if beside is not None:
-        change = scene.change(read(), beside)
+    if far.sum() < MOSTLY * usable and enough_pixels(far):
+        change = scene.change(read(), light_by=far)
         strength = change.strength()
         center, radius = first_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
@@ -349,7 +347,7 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
     circle = ContactCircle(float(center[0]), float(center[1]), radius)
-    return _First(circle, contrast, beside, change.drift, change.smoothing_px)
+    return _First(circle, contrast, change.drift, change.smoothing_px)
 
 
 def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
@@ -361,8 +359,7 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[PhotometricFit, list[RingSamples]]:
-    circles = [start.first.circle for start in starts]
-    terms = MapTerms.for_presses(len(starts))
+    circles: Sequence[ContactCircle] = [start.first.circle for start in starts]
     blur = float(np.hypot(starts[0].first.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
@@ -373,10 +370,16 @@ def _refine(
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < MIN_LABELLED_VISIBLE:
                 raise _LostContactError(start)
-        fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
+        fit = fit_contacts(samples, fit or circles, ball_px, blur_px=blur, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
     return fit, samples
+
+
+def _rim_share(change: ColorChange, circle: ContactCircle) -> float:
+    """Share of the rays from a contact's centre that see its rim."""
+    center = np.array([circle.u_px, circle.v_px])
+    return float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
 
 
 def _accept(
@@ -393,10 +396,9 @@ def _accept(
     height, width = change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    inliers = float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
     # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
     round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
-        inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
+        contact.explained >= MIN_EXPLAINED and _rim_share(change, circle) >= MIN_INLIER_FRACTION
     )
     gathered = gathered_share(change.strength(), center, circle.radius_px)
     if (
@@ -405,8 +407,8 @@ def _accept(
         or not MIN_RADIUS_PX <= circle.radius_px <= limit
     ):
         raise InputError(
-            f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
-            f"radius {own.radius_px:.1f} px; a ball's slope explains "
+            f"{start.name}: no round contact found; {_rim_share(change, circle):.0%} of the rays "
+            f"agree on a circle of radius {own.radius_px:.1f} px; a ball's slope explains "
             f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
             f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {pixels * MIN_RADIUS_PX:g} to "
             f"{pixels * limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "

@@ -23,6 +23,9 @@ from scipy.ndimage import gaussian_filter1d
 
 MAX_CONTACT_RATIO = 0.97
 """Largest contact radius that the law takes, in ball radii: at 1 the ball's slope is infinite."""
+LARGEST_RATIO = 0.995
+WIDER_PX = 0.2
+"""Finite difference over the contact's radius, up to ``LARGEST_RATIO`` ball radii."""
 SINK_IN_SCALE = 1.25
 """Damping length over ``sqrt(R^2 - a^2)``."""
 TABLE_STEPS = 280
@@ -32,36 +35,34 @@ TABLE_STEPS = 280
 class SlopeLaw:
     """Tables over the distance from the press's centre."""
 
-    distance_px: np.ndarray
-    """Equally spaced from 0, shape [n]."""
-    normal: np.ndarray
-    """Horizontal part of the unit normal, 0..1, shape [n]."""
-    drop: np.ndarray
-    """How far the gel has sunk, in ball radii, shape [n]."""
+    step_px: float
+    """Distance from one entry to the next; the first is at 0."""
+    tables: np.ndarray
+    """Horizontal part of the unit normal, 0..1, and how far the gel has sunk, in ball radii, of the
+    contact and of one that is ``WIDER_PX`` wider, shape [2, 2, n]."""
     blur_px: float
     """Standard deviation of what blurs them."""
 
     def at(self, distance_px: np.ndarray) -> np.ndarray:
-        """``normal`` and ``drop`` at distances from the centre, shape [2, n] of [n]."""
-        return self._between(np.stack([self.normal, self.drop]), distance_px)
+        """Normal and sinking at distances from the centre, shape [2, n] of [n]."""
+        return self._between(self.tables[0], distance_px)
 
-    def rates(self, distance_px: np.ndarray, wider: SlopeLaw, wider_px: float) -> np.ndarray:
-        """How both change with the distance, with the contact's radius, which is ``wider_px`` more
-        in ``wider``, and with the blur, shape [3, 2, n] of [n]."""
-        both = np.stack([self.normal, self.drop])
-        step = self.distance_px[1]
-        by_distance = np.gradient(both, step, axis=1)
-        by_radius = (np.stack([wider.normal, wider.drop]) - both) / wider_px
+    def with_rates(self, distance_px: np.ndarray) -> np.ndarray:
+        """``at``, and how both change with the distance, with the contact's radius and with the
+        blur, shape [4, 2, n] of [n]."""
+        both, wider = self.tables
+        by_distance = np.gradient(both, self.step_px, axis=1)
+        by_radius = (wider - both) / WIDER_PX
         # A Gaussian spreads as heat does: its width's rate is its width times the curvature.
-        by_blur = self.blur_px * np.gradient(by_distance, step, axis=1)
-        found = self._between(np.concatenate([by_distance, by_radius, by_blur]), distance_px)
-        return found.reshape(3, 2, -1)
+        by_blur = self.blur_px * np.gradient(by_distance, self.step_px, axis=1)
+        tables = np.concatenate([both, by_distance, by_radius, by_blur])
+        return self._between(tables, distance_px).reshape(4, 2, -1)
 
     def _between(self, tables: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
-        position = np.minimum(distance_px / self.distance_px[1], len(self.distance_px) - 1.001)
+        position = np.minimum(distance_px / self.step_px, tables.shape[1] - 1.001)
         low = position.astype(np.intp)
-        part = position - low
-        return tables[:, low] * (1 - part) + tables[:, low + 1] * part
+        rises = np.diff(tables, axis=1)
+        return np.take(tables, low, axis=1) + np.take(rises, low, axis=1) * (position - low)
 
 
 def hertz_slope(ratio: np.ndarray) -> np.ndarray:
@@ -82,27 +83,26 @@ def slope_law(
     ``blur_px`` is the standard deviation of what blurs the picture; ``sink_in`` scales the damping
     length.
     """
-    contact = min(contact_px, MAX_CONTACT_RATIO * ball_px)
+    contact = np.array([[min(contact_px, MAX_CONTACT_RATIO * ball_px)]])
+    contact = np.minimum(contact + [[0.0], [WIDER_PX]], LARGEST_RATIO * ball_px)
     beside = np.sqrt(ball_px**2 - contact**2)
     distance = np.linspace(0.0, reach_px, TABLE_STEPS)
     inside = np.minimum(distance, contact)
+    past = np.maximum(distance - contact, 0.0)
     slope = inside / np.sqrt(ball_px**2 - inside**2)
-    outside = distance > contact
-    slope[outside] *= hertz_slope(distance[outside] / contact) * np.exp(
-        -(distance[outside] - contact) / (sink_in * beside)
-    )
+    slope *= hertz_slope(distance / contact) * np.exp(-past / (sink_in * beside))
     step = distance[1]
-    sunk = np.cumsum(slope[::-1])[::-1] * (step / ball_px)
-    both = np.stack([slope / np.sqrt(1 + slope**2), sunk])
+    sunk = np.cumsum(slope[:, ::-1], axis=1)[:, ::-1] * (step / ball_px)
+    both = np.stack([slope / np.sqrt(1 + slope**2), sunk], axis=1)
     if blur_px > 0.05 * step:
         both = _blur(both, blur_px / step)
-    return SlopeLaw(distance, both[0], both[1], blur_px)
+    return SlopeLaw(step, both, blur_px)
 
 
 def _blur(both: np.ndarray, sigma: float) -> np.ndarray:
     """Gaussian along a ray that goes on through the centre to the other side, where the normal,
-    the first of ``both``, leans the other way."""
-    reach = min(both.shape[1] - 1, int(4 * sigma) + 2)
-    other = both[:, reach:0:-1] * np.array([[-1.0], [1.0]])
-    whole = np.concatenate([other, both], axis=1)
-    return gaussian_filter1d(whole, sigma, mode="nearest")[:, reach:]
+    the first of both, leans the other way; shape [.., 2, n]."""
+    reach = min(both.shape[-1] - 1, int(4 * sigma) + 2)
+    other = both[..., reach:0:-1] * np.array([[-1.0], [1.0]])
+    whole = np.concatenate([other, both], axis=-1)
+    return gaussian_filter1d(whole, sigma, mode="nearest")[..., reach:]

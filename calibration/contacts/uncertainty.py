@@ -20,22 +20,23 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.photometric import MapTerms, PhotometricFit, fit_contacts
+from taccel_lab.calibration.contacts.map_terms import MapTerms
+from taccel_lab.calibration.contacts.photometric import PhotometricFit, fit_contacts
 from taccel_lab.calibration.contacts.rings import RingSamples
+from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE
 
 OTHER_SINK_IN_SCALE = 2.0
-OTHER_ROUNDS = 5
-"""Rounds of Gauss-Newton from circles that are nearly right."""
+OTHER_ROUNDS = 12
+"""Rounds of Gauss-Newton at most: where colours say little of a radius, it moves slowly."""
+SETTLED = 0.5
+"""Share of the presses whose circles rest then: typical ones say what a model moves."""
 MIN_SIGMA_PX = 0.05
 """Resampling moves circles of perfect presses by that much."""
 CHANNELS = 3
 
 
 def circle_covariances(
-    samples: Sequence[RingSamples],
-    ball_px: Sequence[float],
-    fit: PhotometricFit,
-    terms: MapTerms,
+    samples: Sequence[RingSamples], ball_px: Sequence[float], fit: PhotometricFit
 ) -> list[np.ndarray]:
     """Covariance of u, v and radius of each press [px^2], shape [3, 3].
 
@@ -43,23 +44,29 @@ def circle_covariances(
     plus what map and sink-in do. A press tells little about its own doubt, so that half of what a
     channel moves, and all of what map and sink-in do, are typical values (medians) over presses.
     """
-    circles = [contact.circle for contact in fit.contacts]
-    start = circle_array(circles)
+    start = circle_array([contact.circle for contact in fit.contacts])
 
     def moved(
         samples: Sequence[RingSamples],
-        terms: MapTerms,
-        sink_in: float | None = None,
+        before: PhotometricFit = fit,
+        terms: MapTerms = fit.terms,
+        sink_in: float = SINK_IN_SCALE,
     ) -> np.ndarray:
         other = fit_contacts(
-            samples, circles, ball_px, blur_px=fit.blur_px, terms=terms, iterations=OTHER_ROUNDS,
-            sink_in=sink_in,
+            samples, before, ball_px, terms=terms, iterations=OTHER_ROUNDS, sink_in=sink_in,
+            settled=SETTLED,
         )  # fmt: skip
         return circle_array([contact.circle for contact in other.contacts]) - start
 
-    finer = 1.4826 * _typical(moved(samples, terms.finer()))
-    sink_in = _typical(moved(samples, terms, OTHER_SINK_IN_SCALE))
-    without = np.stack([moved([_without(s, c) for s in samples], terms) for c in range(CHANNELS)])
+    def moved_without(channel: int) -> np.ndarray:
+        """A channel that is zero everywhere has no say: the map of it is zero as well."""
+        kept = np.arange(CHANNELS) != channel
+        before = replace(fit, map=fit.map * kept[:, None], offsets=fit.offsets * kept)
+        return moved([replace(one, change=one.change * kept) for one in samples], before)
+
+    finer = 1.4826 * _typical(moved(samples, terms=fit.terms.finer()))
+    sink_in = _typical(moved(samples, sink_in=OTHER_SINK_IN_SCALE))
+    without = np.stack([moved_without(channel) for channel in range(CHANNELS)])
     channels = ((without - without.mean(axis=0)) ** 2).sum(axis=0) * (CHANNELS - 1) / CHANNELS
     channels[:, :2] = channels[:, :2].mean(axis=1, keepdims=True)
     channels = (channels + np.median(channels, axis=0)) / 2
@@ -77,8 +84,3 @@ def _typical(moved: np.ndarray) -> np.ndarray:
     """Median distance moved along u and v, one value for both, and in radius, shape [3]."""
     center = float(np.median(np.abs(moved[:, :2])))
     return np.array([center, center, float(np.median(np.abs(moved[:, 2])))])
-
-
-def _without(samples: RingSamples, channel: int) -> RingSamples:
-    """A channel that is zero everywhere has no say: the map of it is zero as well."""
-    return replace(samples, change=np.where(np.arange(CHANNELS) == channel, 0.0, samples.change))

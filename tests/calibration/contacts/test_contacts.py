@@ -216,11 +216,13 @@ def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
 @given(contact=st.floats(5, 28), blur_px=st.floats(0, 3))
 def test_slope_law(contact: float, blur_px: float) -> None:
     law = slope_law(contact, 30.0, blur_px, 120.0)
-    assert (law.normal >= -1e-12).all() and (law.normal < 1).all()
-    assert (np.diff(law.drop) <= 1e-12).all()
-    middle = law.distance_px < contact - 4 * blur_px - 1
-    assert law.normal[middle] == pytest.approx(law.distance_px[middle] / 30.0, abs=1e-9)
-    assert law.normal[-1] < 0.12
+    distance = np.linspace(0.0, 119.9, 400)
+    normal, drop = law.at(distance)
+    assert (normal >= -1e-12).all() and (normal < 1).all()
+    assert (np.diff(drop) <= 1e-12).all()
+    middle = distance < contact - 4 * blur_px - 1
+    assert normal[middle] == pytest.approx(distance[middle] / 30.0, abs=1e-9)
+    assert normal[-1] < 0.12
 
 
 def test_hertz_slope_is_johnsons_derivative() -> None:

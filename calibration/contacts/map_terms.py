@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terms of the map from a gel's slope, sinking and place in the image to its colour change.
+
+Each term is a product of powers of ``FACTORS``: so is, but for a number, what it changes by with
+one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+FACTORS = ("nx", "ny", "drop", "u", "v")
+PLACES = ((0, 0), (1, 0), (0, 1))
+"""Powers of u and v: none, or one of both."""
+PLAIN = 3
+"""Rows before the terms: u, v and 1."""
+
+
+@dataclass(frozen=True)
+class MapTerms:
+    """Which terms the map has."""
+
+    degree: int
+    """Highest total power of the two slopes."""
+    place_degree: int
+    """Powers up to this one also depend on the place in the image, linearly."""
+    drop_place: bool
+    """The sinking's term depends on the place too."""
+
+    @classmethod
+    def for_presses(cls, count: int) -> MapTerms:
+        """As many terms as so many presses can tell apart."""
+        if count < 4:
+            return cls(3, 0, False)
+        return cls(4, 1, False) if count < 12 else cls(4, 2, True)
+
+    def finer(self) -> MapTerms:
+        """One power more of everything: how far circles move then says what the map leaves out."""
+        return MapTerms(self.degree + 1, self.place_degree + 1, self.drop_place)
+
+    @property
+    def count(self) -> int:
+        """Number of terms."""
+        return len(self._powers) - PLAIN
+
+    def rows(self, *factors: np.ndarray) -> np.ndarray:
+        """u, v, 1 and the terms, shape [3 + count, n]; ``factors`` are ``FACTORS``, shape [n]."""
+        rows = np.ones((len(self._powers), len(factors[0])))
+        for row, (parent, factor) in zip(rows, self._recipe, strict=True):
+            if parent is not None:
+                np.multiply(rows[parent], factors[factor], out=row)
+        return rows
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """Change of each row with nx, ny and drop by all rows, shape [3, 3 + count, 3 + count]."""
+        rates = np.zeros((3, len(self._powers), len(self._powers)))
+        for i, powers in enumerate(self._powers):
+            for factor in range(3):
+                if powers[factor]:
+                    rates[factor, i, self._row(_less(powers, factor))] = powers[factor]
+        return rates
+
+    def taken_over(self, coefficients: np.ndarray, terms: MapTerms) -> np.ndarray:
+        """``coefficients`` [.., terms.count] of other terms, all of which are among these."""
+        taken = np.zeros((*coefficients.shape[:-1], self.count))
+        taken[..., [self._row(powers) - PLAIN for powers in terms._terms()]] = coefficients
+        return taken
+
+    @cached_property
+    def _powers(self) -> list[tuple[int, ...]]:
+        """Of the factors in each row; lower ones first."""
+        return [(0, 0, 0, 1, 0), (0, 0, 0, 0, 1), (0, 0, 0, 0, 0), *self._terms()]
+
+    def _terms(self) -> Iterator[tuple[int, ...]]:
+        for total in range(1, self.degree + 1):
+            for i in range(total + 1):
+                for place in PLACES if total <= self.place_degree else PLACES[:1]:
+                    yield (i, total - i, 0, *place)
+        for place in PLACES if self.drop_place else PLACES[:1]:
+            yield (0, 0, 1, *place)
+
+    @cached_property
+    def _recipe(self) -> list[tuple[int | None, int]]:
+        """Each row as another one and the factor by which that is multiplied."""
+        recipe = []
+        for powers in self._powers:
+            last = max((k for k, power in enumerate(powers) if power), default=0)
+            parent = self._row(_less(powers, last)) if any(powers) else None
+            recipe.append((parent, last))
+        return recipe
+
+    def _row(self, powers: tuple[int, ...]) -> int:
+        return self._powers.index(powers)
+
+
+def _less(powers: tuple[int, ...], factor: int) -> tuple[int, ...]:
+    """One power of a factor less."""
+    return tuple(power - (k == factor) for k, power in enumerate(powers))

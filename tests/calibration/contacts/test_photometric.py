@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joint fit of circles and colour map: its rates, and how soon it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
+from taccel_lab.calibration.contacts.color_change import color_change
+from taccel_lab.calibration.contacts.map_terms import PLAIN, MapTerms
+from taccel_lab.calibration.contacts.photometric import fit_contacts
+from taccel_lab.calibration.contacts.rings import sample_rings
+from taccel_lab.calibration.contacts.slope_law import WIDER_PX, slope_law
+from tests.calibration.contacts.presses import BALL_PX, GRID, gel, pressed, scattered
+
+
+@pytest.mark.parametrize("presses", [1, 4, 12])
+def test_rates_of_the_map_are_its_differences(presses: int) -> None:
+    terms = MapTerms.for_presses(presses).finer()
+    factors = np.random.default_rng(0).uniform(-1, 1, (5, 40))
+    rows = terms.rows(*factors)
+    assert len(rows) == PLAIN + terms.count
+    step = 1e-6
+    for factor, rates in enumerate(terms.rates):
+        ahead, behind = (
+            terms.rows(*(factors + side * step * (np.arange(5) == factor)[:, None]))
+            for side in (1, -1)
+        )
+        assert rates @ rows == pytest.approx((ahead - behind) / (2 * step), abs=1e-7)
+
+
+def test_a_finer_map_starts_as_the_coarser_one() -> None:
+    terms = MapTerms.for_presses(12)
+    rng = np.random.default_rng(1)
+    factors, coefficients = rng.uniform(-1, 1, (5, 30)), rng.normal(size=(3, terms.count))
+    taken = terms.finer().taken_over(coefficients, terms)
+    coarse = coefficients @ terms.rows(*factors)[PLAIN:]
+    assert taken @ terms.finer().rows(*factors)[PLAIN:] == pytest.approx(coarse)
+
+
+def test_rates_of_the_slope_law_are_its_differences() -> None:
+    distance = np.linspace(3.0, 60.0, 50)
+
+    def law(radius: float = 22.0, blur_px: float = 3.0, moved: float = 0.0) -> np.ndarray:
+        return slope_law(radius, 30.0, blur_px, 120.0).at(distance + moved)
+
+    _, away, by_radius, by_blur = slope_law(22.0, 30.0, 3.0, 120.0).with_rates(distance)
+    assert away == pytest.approx((law(moved=0.4) - law(moved=-0.4)) / 0.8, abs=2e-3)
+    assert by_radius == pytest.approx((law(22.0 + WIDER_PX) - law()) / WIDER_PX, abs=1e-9)
+    assert by_blur == pytest.approx((law(blur_px=3.1) - law(blur_px=2.9)) / 0.2, abs=2e-3)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_few_rounds_reach_the_optimum(count: int) -> None:
+    """Circles, blur and map step together, so that none waits for another to follow."""
+    circles = scattered(count, seed=3)
+    starts = [ContactCircle(c.u_px + 3.0, c.v_px - 2.0, 0.9 * c.radius_px) for c in circles]
+    changes = [color_change(pressed(c, blur_px=3.0), gel(), GRID) for c in circles]
+    samples = [sample_rings(one.change, c) for one, c in zip(changes, starts, strict=True)]
+    balls = [BALL_PX] * count
+    first = fit_contacts(samples, starts, balls, blur_px=1.5, iterations=6)
+    soon = fit_contacts(samples, first, balls, blur_px=1.5, iterations=6)
+    late = fit_contacts(samples, soon, balls, blur_px=1.5, iterations=60)
+    found, wanted = (circle_array([c.circle for c in fit.contacts]) for fit in (soon, late))
+    assert np.abs(found - wanted).max() < 0.03
+    assert np.abs(wanted - circle_array(circles)).max() < 0.3
+
+
+def test_a_channel_without_light_has_no_say() -> None:
+    circle = scattered(1, seed=5)[0]
+    change = color_change(pressed(circle), gel(), GRID).change
+    samples = sample_rings(change, circle)
+    kept = np.array([1.0, 0.0, 1.0])
+    dark = replace(samples, change=samples.change * kept)
+    found = fit_contacts([dark], [circle], [BALL_PX], blur_px=1.5)
+    assert not found.map[1].any()
+    assert circle_array([found.contacts[0].circle]) == pytest.approx(
+        circle_array([circle]), abs=0.3
+    )
