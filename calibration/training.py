@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the small networks of colours and normals are trained.
 
-Adam with a learning rate that rises and falls once (L. N. Smith, N. Topin, Super-convergence, 2019;
-torch's ``OneCycleLR``), on one thread: batches are small, and sums then do not depend on the
-machine. Layers are pairs of weight and bias, with members of an ensemble along the first axis or
-without one.
+Weights by ``Muon`` where it is asked for, all else by Adam, with a learning rate that rises and
+falls once (L. N. Smith, N. Topin, Super-convergence, 2019; torch's ``OneCycleLR``), on one thread:
+batches are small, and sums then do not depend on the machine. Layers are pairs of weight and bias,
+with members of an ensemble along the first axis or without one.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
+
+from taccel_lab.calibration.muon import Muon
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
 LEAST_SCHEDULE = 11
@@ -39,8 +41,8 @@ class TrainingStore(Protocol):
     """Keeps a training, so that a later one goes on with it."""
 
     def restore(self, **parts: Any) -> int:
-        """Put back what was kept of torch's ``optimizer`` and ``schedule`` and of all else;
-        returns the number of steps done."""
+        """Put back what was kept of torch's optimisers and their schedules and of all else; returns
+        the number of steps done."""
         ...
 
     def keep(self, step: int, **parts: Any) -> None:
@@ -94,6 +96,7 @@ def descend(
     steps: int,
     learning_rate: float,
     warm_up: float,
+    matrices: Sequence[torch.Tensor] = (),
     keeper: TrainingStore | None = None,
 ) -> None:
     """Lower ``loss`` over the layers' values.
@@ -105,22 +108,41 @@ def descend(
         steps: Number of steps.
         learning_rate: Its peak.
         warm_up: Share of the steps in which it rises.
+        matrices: Those of the weights that ``Muon`` steps; Adam steps the others. The last layer's
+            do not belong there: its outputs have units of their own.
         keeper: Goes on with what was kept of an interrupted training, and keeps this one.
     """
-    optimizer = torch.optim.Adam(
-        [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
-    )
+    by_muon = {id(weight) for weight in matrices}
+    others = [tensor for layer in layers for tensor in layer if id(tensor) not in by_muon]
+    optimizers: list[torch.optim.Optimizer] = [
+        torch.optim.Adam(others, lr=learning_rate, fused=True),
+        *([Muon(matrices, learning_rate)] if matrices else []),
+    ]
     # A rise of a single step divides by zero in torch.
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, learning_rate, total_steps=max(steps + 1, LEAST_SCHEDULE), pct_start=warm_up
-    )
-    done = 0 if keeper is None else keeper.restore(optimizer=optimizer, schedule=schedule)
+    schedules = [
+        torch.optim.lr_scheduler.OneCycleLR(
+            optimizer,
+            learning_rate,
+            total_steps=max(steps + 1, LEAST_SCHEDULE),
+            pct_start=warm_up,
+            cycle_momentum=not matrices,
+        )
+        for optimizer in optimizers
+    ]
+    parts = {
+        f"{name}{i}": part
+        for name, several in (("optimizer", optimizers), ("schedule", schedules))
+        for i, part in enumerate(several)
+    }
+    done = 0 if keeper is None else keeper.restore(**parts)
     for step in range(done + 1, steps + 1):
         value = loss()
-        optimizer.zero_grad()
+        for optimizer in optimizers:
+            optimizer.zero_grad()
         value.backward()
-        optimizer.step()
-        schedule.step()
+        for optimizer, schedule in zip(optimizers, schedules, strict=True):
+            optimizer.step()
+            schedule.step()
         after_step(step, value)
         if keeper is not None:
-            keeper.keep(step, optimizer=optimizer, schedule=schedule)
+            keeper.keep(step, **parts)

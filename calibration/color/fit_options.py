@@ -14,11 +14,11 @@ from taccel_lab.signals.position_encoding import require_bands
 
 @dataclass(frozen=True, kw_only=True)
 class ColorFitOptions(ColorTraining):
-    """Settings of one fit; the defaults take under a minute on one CPU thread."""
+    """Settings of one fit; the defaults take some seconds on one CPU thread."""
 
     inputs: tuple[str, ...] = INPUT_NAMES
     hidden: tuple[int, ...] = (64, 64, 64)
-    learning_rate: float = 4e-3
+    learning_rate: float = 2e-2
     huber_levels: float = 2.0
     """Error from which on the loss grows linearly, as images are scored [levels]."""
     disc_pixels: int = 6000
@@ -46,7 +46,7 @@ class ColorFitOptions(ColorTraining):
 
 
 SHORT_FIT = ColorFitOptions(
-    hidden=(48, 48), steps=400, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
-    far_pixels=200, learning_rate=8e-3,
+    hidden=(48, 48), steps=200, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
+    far_pixels=200, learning_rate=2e-2,
 )  # fmt: skip
-"""Fits that settle questions, such as where a press is: half a second each."""
+"""Fits that settle questions, such as where a press is: a third of a second each."""

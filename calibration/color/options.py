@@ -16,7 +16,7 @@ class ColorTraining:
     position_bands: int = 0
     """Bands of the positional encoding: sines and cosines of the pixel's position, for light
     that changes within parts of the image. 0 to 8; 0 gives the network the position alone."""
-    steps: int = 2000
+    steps: int = 400
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
     """Batch size in pixels; it sets the time of a fit."""

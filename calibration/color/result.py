@@ -217,8 +217,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
         parts = [
             f"MLP {list(options.hidden)} on {', '.join(options.inputs)}"
             + f" and {options.position_bands} bands of position" * (options.position_bands > 0)
-            + f"; {options.steps} Adam "
-            f"steps of {options.batch_pixels} pixels, Huber loss, seed "
+            + f"; {options.steps} steps of Muon and Adam with "
+            f"{options.batch_pixels} pixels, Huber loss, seed "
             f"{options.seed}; surfaces: {self.surface_provider}"
         ]
         if options.remove_drift:

@@ -82,6 +82,8 @@ def train(
         descend(
             layers, batch_loss, after_step,
             steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
+            # Six inputs as they are: with the first layer's alike, places are learned by heart.
+            matrices=[weight for weight, _ in layers[1:-1]],
         )  # fmt: skip
         return TrainedColors(ColorModel(config, arrays_of(shapes, layers)), curve)
 

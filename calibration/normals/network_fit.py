@@ -85,7 +85,7 @@ class InverseFitOptions(NormalTraining):
     hidden: tuple[int, ...] = (64, 64, 64)
     batch_pixels: int = 1024
     """Pixels a member sees in a step."""
-    learning_rate: float = 6e-3
+    learning_rate: float = 3e-2
     synthetic_pixels: int = 4000
     """Pixels drawn of each synthetic press."""
     synthetic_share: float = 0.6
@@ -322,6 +322,8 @@ class InverseTraining:
         descend(
             self.layers, loss, after_step,
             steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
+            # Windows of one pixel say nearly the same: what they differ by is told apart, too.
+            matrices=[weight for weight, _ in self.layers[:-1]],
         )  # fmt: skip
 
     def _draw(self, pool: torch.Tensor) -> torch.Tensor:

@@ -19,7 +19,7 @@ class NormalTraining:
     synthetic_presses: int = 160
     """Synthetic presses of other tools in the training, besides the captured balls. Without them
     (0) edges and walls read much too flat."""
-    steps: int = 2000
+    steps: int = 500
     """Optimiser steps; each network keeps its best ones."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""

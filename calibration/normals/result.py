@@ -166,7 +166,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
                 f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
                 + f" in {config.position_bands} bands"
                 * (config.position_bands > 0)
-                + f"; {options.steps} Adam steps, stopped on left-out presses; "
+                + f"; {options.steps} steps of Muon and Adam, stopped on left-out presses; "
                 f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
                 f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
