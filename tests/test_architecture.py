@@ -88,6 +88,14 @@ def test_imports_are_light() -> None:
     assert done.stdout.split() == []
 
 
+def test_blocks_of_images_load_no_solver() -> None:
+    code = "import sys, taccel_lab.calibration.calibrate\nprint(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "taccel_lab.solvers.solver_ipc" not in done.stdout.split()
+
+
 _BARE = """
 import sys
 import tomllib

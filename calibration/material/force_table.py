@@ -20,7 +20,6 @@ from numpy.polynomial.chebyshev import chebpts1
 from scipy.interpolate import CubicSpline
 
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
-from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PressPath
@@ -142,6 +141,9 @@ def force_table(
         InputError: A depth past the gel.
         SimulationError: A press that did not converge.
     """
+    # With the solver, which a calibration without records of forces need not load.
+    from taccel_lab.calibration.material.gel_presses import GelBench
+
     depths = _depths(depth_range_mm)
     _require_depth(gel, depths[-1], depth_range_mm[1])
     nu = gel.material.poisson_ratio

@@ -30,8 +30,9 @@ from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heigh
 
 LENGTHS_PX = (4.0, 8.0, 16.0)
 """Distances over which neighbours may err together that are tried."""
-EVERY_PX = 3
-"""Pixels apart that errors are looked at."""
+EVERY_PX = 2
+"""Rows and columns apart that presses are read and errors looked at. All of them take three times
+as long; on FOTS they change factors by up to 2.5 %, errors of heights by 0.5 %."""
 SHARE = 0.95
 LEAST_M = 1e-9
 DENT_MM = 0.02
@@ -194,25 +195,28 @@ def errors_of(
     """Errors of ``model`` on a press, ``read`` being what it reads there, where that is known; None
     where no pixel is compared."""
     compared = press.compared if scene.mask is None else press.compared & scene.mask
-    sample = (slice(None, None, EVERY_PX), slice(None, None, EVERY_PX))
-    kept = compared[sample]
+    part = np.s_[::EVERY_PX, ::EVERY_PX]
+    kept = compared[part]
     if not kept.any():
         return None
-    read = read or read_heights(
-        model, press.image, scene.background, scene.grid, mask=scene.mask,
-        rest_normals=scene.rest_normals, left_out=press.left_out,
-    )  # fmt: skip
+    if read is None:
+        read = read_heights(
+            model, press.image, scene.background, scene.grid, mask=scene.mask,
+            rest_normals=scene.rest_normals, left_out=press.left_out, uncertainty=False,
+            every=EVERY_PX,
+        )  # fmt: skip
+    else:
+        read = read.thinned(EVERY_PX)
     found = read.normals
-    angle = angle_between_deg(
-        relative_normals(found.tilt_rad[sample][kept]), press.normals[sample][kept]
-    )
+    angle = angle_between_deg(relative_normals(found.tilt_rad[kept]), press.normals[part][kept])
     if press.normals_sigma_deg is not None:
-        angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[sample][kept])
-    sigmas = angle / found.sigma_deg[sample][kept]
+        angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[part][kept])
+    sigmas = angle / found.sigma_deg[kept]
     if press.rise_m is None:
         return ReadingErrors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX), np.empty(0))
-    trials = [HeightUncertainty(scene.grid, length) for length in LENGTHS_PX]
-    weights = None if scene.mask is None else scene.mask.astype(float)
+    grid = scene.grid.thinned(EVERY_PX)
+    trials = [HeightUncertainty(grid, length / EVERY_PX) for length in LENGTHS_PX]
+    weights = None if scene.mask is None else scene.mask[part].astype(float)
     slope_sigma = found.slope_sigma()
     spreads = [trial.sigma_m(slope_sigma, weights=weights, zero=read.zero) for trial in trials]
     # Over any length alike: it is smooth, and the grid of the shortest is the finest.
@@ -220,11 +224,11 @@ def errors_of(
     return ReadingErrors(
         angle_sigmas=sigmas,
         height_m=_beyond(
-            np.abs(read.rise_m - press.rise_m)[sample][kept],
+            np.abs(read.rise_m - press.rise_m[part])[kept],
             np.array(BAND_SIGMAS * press.rise_sigma_m),
         ),
-        spreads_m=[np.maximum(spread[sample][kept], LEAST_M) for spread in spreads],
-        along_m=np.maximum(along[sample][kept], LEAST_M),
+        spreads_m=[np.maximum(spread[kept], LEAST_M) for spread in spreads],
+        along_m=np.maximum(along[kept], LEAST_M),
         deepest_m=-float(press.rise_m.min()),
     )
 

@@ -23,7 +23,7 @@ from taccel_lab.calibration.normals.samples import (
     NormalSamples,
     usable_pixels,
 )
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_in_view
 from taccel_lab.calibration.surfaces.press_surface import slope_of
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, counted, silent
@@ -41,7 +41,7 @@ LEAST, MOST = 0.03, 0.3
 """Of the thickness of the gel: depths begin at the first at the latest, and end at the second.
 Networks that train on deeper tools read shallow ones half as far off again, and deep ones no
 better (``docs/ablations.md``)."""
-SOLVED_TO = 3e-2
+SOLVED_TO = 2e-2
 """Share of the depth that presses are solved to: heights are then within 0.8 um (rms), slopes in
 the mean within 0.07 degrees."""
 STILL_MM, STILL_SLOPE = 0.01, 0.0035
@@ -175,9 +175,7 @@ class SyntheticPresses:
         high = min(high, MOST * self.pad.thickness_mm)
         depth_mm = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
-        rise_mm = press_layer(
-            tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO
-        ).rise_mm  # fmt: skip
+        rise_mm = press_in_view(tool_mm, depth_mm, step, self.pad, SOLVED_TO).rise_mm
         rest, lean, still = self._rest
         slope = slopes_from_height(1e-3 * rise_mm, grid)
         sharp = normals_from_slopes(lean + slope)

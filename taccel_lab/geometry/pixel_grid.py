@@ -62,6 +62,17 @@ class PixelGrid:
             (self.center_v_px + 0.5) * points - 0.5,
         )
 
+    def thinned(self, every: int) -> PixelGrid:
+        """Return the pixels of every ``every``-th row and column."""
+        return PixelGrid(
+            -(-self.width_px // every),
+            -(-self.height_px // every),
+            self.mm_per_px_x * every,
+            self.mm_per_px_y * every,
+            self.center_u_px / every,
+            self.center_v_px / every,
+        )
+
     def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
         """Gel xy [mm] of pixel coordinates (u, v), shape [..., 2]."""
         uv = np.asarray(uv_px, dtype=np.float64)

@@ -77,17 +77,17 @@ def local_features(
     windows: dict[float, np.ndarray] = {}
     for scale in {*scales_px, *slope_scales_px}:
         windows[scale] = _average(change, scale * zoom, mask, cover)
-    parts = [windows[scale] for scale in scales_px]
+    at = None if picked is None else np.divmod(picked, change.shape[1])
+    parts = [_taken(windows[scale], at) for scale in scales_px]
     for scale in slope_scales_px:
         # Per standard deviation of the window, so that it does not depend on the zoom.
-        parts += [_derivative(windows[scale], axis) * (scale * zoom) for axis in (1, 0)]
+        parts += [_derivative(windows[scale], axis, at) * (scale * zoom) for axis in (1, 0)]
     if background is not None:
         widest = max([*scales_px, *slope_scales_px])
-        parts.append(_average(np.asarray(background, dtype=np.float32), widest, mask, {}))
-    if picked is not None:
-        *parts, place = (part.reshape(-1, part.shape[-1])[picked] for part in (*parts, place))
-    stacked = np.concatenate(parts, axis=-1) / LEVELS_PER_UNIT
-    return np.concatenate([stacked, place], axis=-1, dtype=np.float32)
+        average = _average(np.asarray(background, dtype=np.float32), widest, mask, {})
+        parts.append(_taken(average, at))
+    units = [part / np.float32(LEVELS_PER_UNIT) for part in parts]
+    return np.concatenate([*units, _taken(place, at)], axis=-1, dtype=np.float32)
 
 
 def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:
@@ -126,6 +126,18 @@ def blurred(values: np.ndarray, sigma_px: float) -> np.ndarray:
     return averaged
 
 
-def _derivative(values: np.ndarray, axis: int) -> np.ndarray:
+Pixels = tuple[np.ndarray, np.ndarray] | None
+"""Rows and columns; all when None."""
+
+
+def _taken(values: np.ndarray, at: Pixels) -> np.ndarray:
+    return values if at is None else values[at]
+
+
+def _derivative(values: np.ndarray, axis: int, at: Pixels) -> np.ndarray:
     """Central difference along an axis, one-sided at the border [levels/px]."""
-    return np.gradient(values, axis=axis).astype(np.float32)
+    if at is None:
+        return np.gradient(values, axis=axis).astype(np.float32, copy=False)
+    before, after = (np.clip(at[axis] + step, 0, values.shape[axis] - 1) for step in (-1, 1))
+    left, right = (values[(at[0], end) if axis else (end, at[1])] for end in (before, after))
+    return (right - left) / (after - before).astype(np.float32)[:, None]

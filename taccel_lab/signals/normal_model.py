@@ -134,6 +134,7 @@ class NormalModel:
         mask: np.ndarray | None = None,
         rest_normals: np.ndarray | None = None,
         left_out: int | None = None,
+        every: int = 1,
     ) -> NormalMap:
         """Normals of a whole image.
 
@@ -147,22 +148,28 @@ class NormalModel:
             left_out: The member that did not see this press when the others did. It reads alone,
                 and its own error is no part of what it expects: how far it is off the others would
                 tell it, as nothing does on a new press.
+            every: Only every so many-th row and column is read, as in the whole image; the maps
+                are of these.
         """
         shape = (self.config.height_px, self.config.width_px)
         for name, found in (("image", image.shape), ("background", background.shape)):
             if found != (*shape, 3):
                 raise InputError(f"{name} has shape {found}, the normal model needs {(*shape, 3)}")
         change = color_change(image, background, mask)
-        features = self.config.image_features(change, background, mask=mask)
+        read = np.arange(shape[0] * shape[1]).reshape(shape)[::every, ::every]
+        picked = None if every == 1 else read.ravel()
+        features = self.config.image_features(change, background, mask=mask, picked=picked)
         features = features.reshape(-1, self.config.input_count)
         still = None if self.config.background else self._tilts_at_rest
+        if still is not None and picked is not None:
+            still = still[:, picked]
         tilt, error = self.predict_pixels(features, still, left_out)
-        tilt, error = tilt.reshape(*shape, 2), error.reshape(shape)
+        tilt, error = tilt.reshape(*read.shape, 2), error.reshape(read.shape)
         if mask is not None:
-            tilt[~mask] = 0.0
+            tilt[~mask[::every, ::every]] = 0.0
         normals = relative_normals(tilt)
         if rest_normals is not None:
-            normals = rotate_from_z(normals, rest_normals)
+            normals = rotate_from_z(normals, rest_normals[::every, ::every])
         sigma_deg = np.degrees(error) / RAYLEIGH_MEAN
         return NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
 

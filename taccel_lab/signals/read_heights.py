@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,9 @@ FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0
 """Tilts below this angle do anyway."""
+
+
+Maps = TypeVar("Maps", "ReadHeights", NormalMap)
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,10 @@ class ReadHeights:
     reading_sigma_m: np.ndarray | None
     """That of the reading alone, which tells places of one image apart."""
 
+    def thinned(self, every: int) -> ReadHeights:
+        """Every ``every``-th row and column of all maps."""
+        return _thinned(self, every)
+
 
 def read_heights(
     model: NormalModel,
@@ -48,6 +56,7 @@ def read_heights(
     rest_normals: np.ndarray | None = None,
     left_out: int | None = None,
     uncertainty: bool = True,
+    every: int = 1,
 ) -> ReadHeights:
     """Read one image.
 
@@ -60,10 +69,16 @@ def read_heights(
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
         uncertainty: Whether to find the heights' standard deviation, a third of the time.
+        every: Only every so many-th row and column is read, as in the whole image, and integrated:
+            the maps are those of ``grid.thinned(every)``.
     """
     found = model.predict(
-        image, background, mask=mask, rest_normals=rest_normals, left_out=left_out
+        image, background, mask=mask, rest_normals=rest_normals, left_out=left_out, every=every
     )
+    part = np.s_[::every, ::every]
+    grid = grid.thinned(every)
+    mask = None if mask is None else mask[part]
+    rest_normals = None if rest_normals is None else rest_normals[part]
     weights = None if mask is None else mask.astype(float)
     zero = resting_border(found, mask)
     slope = found.slopes()
@@ -74,13 +89,26 @@ def read_heights(
     sigma = reading = None
     if uncertainty and model.config.height_factor > 0:
         config, slope_sigma = model.config, found.slope_sigma()
-        trials = HeightUncertainty(grid, config.error_length_px)
+        trials = HeightUncertainty(grid, config.error_length_px / every)
         reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=zero)
         along = trials.along_m(slope, slope_sigma, weights=weights, zero=zero)
         sigma = np.hypot(
             reading, np.hypot(config.along_factor * along, config.depth_share * np.abs(rise))
         )
     return ReadHeights(found, slope, rise, zero, sigma, reading)
+
+
+def _thinned(maps: Maps, every: int) -> Maps:
+    """Every ``every``-th row and column of a dataclass of maps and of dataclasses of maps."""
+    parts = {item.name: getattr(maps, item.name) for item in fields(maps)}
+    return replace(
+        maps,
+        **{
+            name: part[::every, ::every] if isinstance(part, np.ndarray) else _thinned(part, every)
+            for name, part in parts.items()
+            if part is not None
+        },
+    )
 
 
 def resting_border(found: NormalMap, mask: np.ndarray | None = None) -> np.ndarray | None:

@@ -28,6 +28,7 @@ from taccel_lab.signals.normal_model import NormalModel, expected_shapes, relati
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 from taccel_lab.signals.position_encoding import MAX_BANDS
+from taccel_lab.signals.read_heights import read_heights
 
 CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,), members=3)
 
@@ -76,6 +77,26 @@ def test_the_background_reads_as_rest_exactly() -> None:
     rest = unit(np.array([0.3, -0.2, 1.0])) * np.ones((36, 48, 1))
     curved = model.predict(background, background, rest_normals=rest)
     assert curved.normals == pytest.approx(rest)
+
+
+def test_every_second_row_and_column_reads_as_in_the_whole_image() -> None:
+    grid = PixelGrid(47, 36, 0.05, 0.05)
+    model = random_model(dataclasses.replace(CONFIG, width_px=47))
+    rng = np.random.default_rng(3)
+    background = rng.uniform(0, 255, (36, 47, 3)).astype(np.float32)
+    v, u = np.mgrid[:36, :47]
+    dent = 40.0 * np.exp(-((u - 23.0) ** 2 + (v - 18.0) ** 2) / 72.0)
+    image = background + (dent[..., None] * [1.0, 0.5, -1.0]).astype(np.float32)
+    mask = (v > 2) | (u > 5)
+    rest = unit(np.array([0.3, -0.2, 1.0])) * np.ones((36, 47, 1))
+    whole = read_heights(model, image, background, grid, mask=mask, rest_normals=rest)
+    thin = read_heights(model, image, background, grid, mask=mask, rest_normals=rest, every=2)
+    known = whole.thinned(2)
+    for name in ("tilt_rad", "normals", "sigma_deg"):
+        found, wanted = (getattr(read.normals, name) for read in (thin, known))
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+    off = (thin.rise_m - thin.rise_m.mean()) - (known.rise_m - known.rise_m.mean())
+    assert np.abs(off).max() < 0.03 * np.ptp(known.rise_m)
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:

@@ -22,7 +22,12 @@ from taccel_lab.calibration.depth import fit as depth_fit
 from taccel_lab.calibration.normals.fit import calibrate_normals
 from taccel_lab.calibration.surfaces import ball_in_layer as sink_in
 from taccel_lab.calibration.surfaces.ball_in_layer import ball_in_layer, layer_of
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.bonded_layer import (
+    FAR_MM,
+    BondedLayer,
+    press_in_view,
+    press_layer,
+)
 from taccel_lab.calibration.surfaces.design import (
     MARGIN_MM,
     design_remarks,
@@ -143,15 +148,18 @@ def test_a_ball_in_a_thick_layer_is_hertz() -> None:
     assert found.rise_mm.min() == pytest.approx(-0.05, abs=2e-4)
 
 
-@given(st.integers(0, 200), st.floats(0.03, 0.3))
+@given(st.integers(0, 200), st.floats(0.03, 0.3), st.booleans())
 def test_the_gel_never_stands_in_the_tool_and_is_pressed_only_where_they_touch(
-    seed: int, share: float
+    seed: int, share: float, in_view: bool
 ) -> None:
     x, y = grid_of(0.2, 60)
     tool = draw_tool(np.random.default_rng(seed), x, y)
     assert tool.min() == 0 and np.isfinite(tool).all()
     layer = BondedLayer(4.0, 0.47)
-    found = press_layer(tool, 4.0 * share, (0.2, 0.2), layer)
+    if in_view:
+        found = press_in_view(tool, 4.0 * share, (0.2, 0.2), layer, 1e-3)
+    else:
+        found = press_layer(tool, 4.0 * share, (0.2, 0.2), layer)
     gap = tool - 4.0 * share - found.rise_mm
     assert gap.min() > -2e-3 * 4.0 * share
     assert (found.pressure >= 0).all()
@@ -205,7 +213,7 @@ def test_bad_layers_and_depths_are_refused() -> None:
     with pytest.raises(InputError, match="depth 2 mm must lie between 0 and the layer's 2 mm"):
         press_layer(np.zeros((8, 8)), 2.0, (0.1, 0.1), layer)
     with pytest.raises(InputError, match="does not reach the face"):
-        press_layer(np.full((8, 8), 1.0), 0.5, (0.1, 0.1), layer)
+        press_in_view(np.full((8, 8), 1.0), 0.5, (0.1, 0.1), layer, 0.1)
 
 
 def pad_size(profile: SensorProfile) -> np.ndarray:
