@@ -86,7 +86,7 @@ def _part_of_board(
     for sigma in (1.0, 1.5, 2.5, 4.0):
         uv = saddle_points(grey, sigma, 3 * expected)
         lattice = board_lattice(uv, columns, rows)
-        if lattice is not None and (best is None or lattice.count > len(best[0])):
+        if lattice is not None and (best is None or len(lattice.points) > len(best[0])):
             best, strangers = (lattice.index, uv[lattice.points]), lattice.strangers
     count = 0 if best is None else len(best[0])
     if best is not None and strangers > 2:

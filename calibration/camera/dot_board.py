@@ -116,7 +116,7 @@ def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
     lattice = board_lattice(dots.uv_px, columns, rows)
     if lattice is None or lattice.irregularity > _IRREGULAR:
         return None
-    on_board = dots.select(np.asarray(lattice.points))
+    on_board = dots.select(lattice.points)
     return _Found(lattice.index, on_board.uv_px, lattice.strangers, on_board)
 
 

@@ -19,7 +19,7 @@ from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit, fit_pose, initial_pose
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.lens_fits import LensFits, fit_lenses
-from taccel_lab.calibration.camera.robust import rms, robust_scale
+from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 

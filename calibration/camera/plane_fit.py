@@ -15,13 +15,11 @@ from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.plane_models import PlaneModel
-from taccel_lab.calibration.camera.robust import fit_robustly, rms
+from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.errors import InputError
 
 FOLDS = 5
 _EXACT_PX = 1e-7
-_TOLERANCE = 1e-11
-_HELDOUT_TOLERANCE = 1e-8
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
 
@@ -141,32 +139,24 @@ def _fit(
     count = model.count
 
     def residuals(x: np.ndarray) -> list[np.ndarray]:
-        motions = np.vstack([np.zeros(3), x[count:].reshape(-1, 3)])
         return [
             view.uv_px - model.project(x[:count], moved(board, motion))
-            for view, board, motion in zip(views, boards, motions, strict=True)
+            for view, board, motion in zip(views, boards, _motions(x[count:]), strict=True)
         ]
 
     fitted = fit_robustly(
         lambda x: np.concatenate([r[m] for r, m in zip(residuals(x), used, strict=True)]),
         start,
         prior=lambda x: model.prior(x[:count]),
-        tolerance=_TOLERANCE if whole is None else _HELDOUT_TOLERANCE,
     )
-    x, left = fitted.x, fitted.residuals
-    freedom = max(left.size - len(x), 1)
-    variance = float(np.sum(fitted.weights * np.sum(left**2, axis=1))) / freedom
-    columns = np.linalg.norm(fitted.jacobian, axis=0)
-    columns = np.where(columns > 0, columns, 1.0)
-    scaled = fitted.jacobian / columns
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14) / np.outer(columns, columns)
-    return PlaneFit(
-        model,
-        x[:count],
-        variance * covariance[:count, :count],
-        np.vstack([np.zeros(3), x[count:].reshape(-1, 3)]),
-        tuple(residuals(x)),
-    )
+    x = fitted.x
+    covariance = fitted.covariance()[:count, :count] if whole is None else whole.covariance
+    return PlaneFit(model, x[:count], covariance, _motions(x[count:]), tuple(residuals(x)))
+
+
+def _motions(free: np.ndarray) -> np.ndarray:
+    """Angle and shift of each board against the first, whose own is none, shape [view, 3]."""
+    return np.vstack([np.zeros(3), free.reshape(-1, 3)])
 
 
 def _first_motions(views: Sequence[BoardView], boards: list[np.ndarray]) -> np.ndarray:

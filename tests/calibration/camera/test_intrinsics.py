@@ -23,8 +23,8 @@ from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.heldout import fold_of_views
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image

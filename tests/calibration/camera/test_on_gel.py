@@ -21,8 +21,8 @@ from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane_fit import fit_planes
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
-from taccel_lab.calibration.camera.robust import huber_weights
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.robust_fit import huber_weights
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
