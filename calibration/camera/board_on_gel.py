@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera import remarks
@@ -24,6 +23,7 @@ from taccel_lab.calibration.camera.plane_fit import (
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.robust_fit import slopes
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
@@ -217,7 +217,7 @@ def _pose(
         flat = plane_rotation(frame.angle_rad).T @ in_board[:2]
         return np.array([*flat, in_board[2]])
 
-    by_theta = np.asarray(approx_fprime(fit.theta[:6], position, 1e-6))
+    by_theta = slopes(position, fit.theta[:6])
     sigma = np.sqrt(np.diag(by_theta @ fit.covariance[:6, :6] @ by_theta.T))
     camera_from_board = Rotation.from_rotvec(fit.theta[:3])
     board_from_gel = Rotation.from_rotvec([0.0, 0.0, frame.angle_rad])
