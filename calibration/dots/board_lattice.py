@@ -13,9 +13,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from taccel_lab.calibration.dots.lattice_growth import (
+    FLIPS,
+    TURNS,
     largest_growth,
     mean_steps,
     shortest_basis,
+    turned_to_image,
 )
 
 _BASES = (
@@ -78,18 +81,10 @@ def oriented(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
     """Lattice indices [n, 2], from 0, whose x to y turns as in the image, since what looks at the
     front of a board sees it so, and whose columns run to the right as far as they can.
 
-    By flips of the columns and half turns, or quarter turns for a ``square`` board.
+    By flips and half turns, or quarter turns for a ``square`` board.
     """
-    index = np.array(index, dtype=np.int64)
-    if np.linalg.det(mean_steps(index, uv_px)) < 0:
-        index[:, 0] = -index[:, 0]
-    along = mean_steps(index, uv_px)[0]
-    turns = round(float(np.degrees(np.arctan2(along[1], along[0]))) / 90.0) % 4
-    if not square and turns % 2:
-        turns = 0 if along[0] >= 0 else 2
-    for _ in range(turns):
-        # A column axis that points down in the image becomes the row axis.
-        index = np.column_stack([-index[:, 1], index[:, 0]])
+    change = turned_to_image(mean_steps(index, uv_px), TURNS if square else FLIPS)
+    index = np.rint(index @ np.linalg.inv(change)).astype(np.int64)
     return index - index.min(axis=0)
 
 

@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.dots.lattice_growth import (
+    TURNS,
     Growth,
     largest_growth,
     mean_steps,
     shortest_basis,
+    turned_to_image,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_steps
@@ -133,21 +136,14 @@ def _canonical(growth: Growth, irregularity: float) -> Lattice:
     ratio = float(np.divide(*np.linalg.norm(basis, axis=1)))
     if abs(cosine) > 0.34 and 0.75 < ratio < 1.33:
         kind = "hexagonal"
-    # The row direction is the lattice direction nearest to +-u.
-    options = [(1, 0), (0, 1)]
+    changes = TURNS
     if kind == "hexagonal":
-        options.append((1, -1) if cosine > 0 else (1, 1))
-    along = max(options, key=lambda o: abs(_unit(np.array(o) @ basis)[0]))
-    across = next(o for o in options if o != along)
-    turn = np.array([along, across])
-    basis = turn @ basis
-    change = turn @ change
-    flip = np.diag([np.sign(basis[0, 0]) or 1.0, np.sign(basis[1, 1]) or 1.0])
-    if np.linalg.det(flip @ basis) < 0:
-        # Nearly diagonal rows: keep right-handed rather than both signs.
-        flip = flip @ np.diag([1.0, -1.0])
-    basis = flip @ basis
-    change = (flip @ change).astype(int)
+        # The two shortest steps and the one between them, either way.
+        ways = np.array([(1, 0), (0, 1), (1, -1) if cosine > 0 else (1, 1)])
+        pairs = itertools.permutations([*ways, *-ways], 2)
+        changes = [pair for a, b in pairs if abs(np.linalg.det(pair := np.array([a, b]))) > 0.5]
+    turn = turned_to_image(basis, changes)
+    basis, change = turn @ basis, turn @ change
     new = np.rint(growth.index[numbered] @ np.linalg.inv(change)).astype(int)
     new -= new.min(axis=0)
     if kind == "hexagonal":
@@ -165,7 +161,3 @@ def _canonical(growth: Growth, irregularity: float) -> Lattice:
     row, column = np.full(len(points), -1), np.full(len(points), -1)
     column[numbered], row[numbered] = new[:, 0], new[:, 1]
     return Lattice(row, column, kind, basis, stagger, irregularity)  # type: ignore[arg-type]
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)

@@ -9,6 +9,7 @@ freely, missing points leave gaps, and stray points find no site.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,9 @@ _FULL = 0.5
 _SYMMETRIC = 0.25
 """Opposite neighbours are opposite within this share of their distance."""
 _MIN_SINE = 0.45
+FLIPS = tuple(np.diag(signs) for signs in ((1, 1), (-1, -1), (1, -1), (-1, 1)))
+TURNS = (*FLIPS, *(flip[::-1] for flip in FLIPS))
+"""Changes of basis that keep rows and columns, and those that also swap them."""
 
 
 @dataclass(frozen=True)
@@ -198,3 +202,10 @@ def mean_steps(index: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Mean steps along both directions of a numbering, index and points [n, 2], shape [2, 2]."""
     design = np.column_stack([index, np.ones(len(index))])
     return np.linalg.lstsq(design, points, rcond=None)[0][:2]
+
+
+def turned_to_image(steps: np.ndarray, changes: Sequence[np.ndarray]) -> np.ndarray:
+    """Of changes of basis, integers of shape [2, 2], the one under which rows run nearest to the
+    image's own, to the right, and x to y turns as in the image; ``steps`` as ``mean_steps``."""
+    right_handed = [change for change in changes if np.linalg.det(change @ steps) > 0]
+    return max(right_handed, key=lambda c: (c[0] @ steps)[0] / np.linalg.norm(c[0] @ steps))
