@@ -21,7 +21,7 @@ from taccel_lab.calibration.camera.plane_fit import (
     fit_planes,
     plane_rotation,
 )
-from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
+from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_fit import slopes
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
@@ -122,21 +122,20 @@ def fit_on_gel(
     # The board with the most points comes first: the others are placed against it.
     views = sorted(views, key=lambda view: -len(view.index))
     size, pitch = views[0].size_px, float(views[0].pitch_mm or 1.0)
-    unit = pitch * float(max(np.ptp(views[0].index, axis=0)))
     if intrinsics is not None and intrinsics.size_px != size:
         raise InputError(
             f"the board on the gel was seen in images of {size[0]}x{size[1]} px, the views for "
             f"the lens are {intrinsics.size_px[0]}x{intrinsics.size_px[1]} px; use one size"
         )
     center = center_px or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    models: list[PlaneModel] = [BentHomography(size, unit, bent) for bent in (False, True)]
+    models = [CameraPose.of_unknown(size, bent) for bent in (False, True)]
     cameras: list[CameraPose] = []
     if intrinsics is not None:
         lens = intrinsics.chosen.fit
-        cameras = [
-            CameraPose(lens.lens, lens.parameters, lens.covariance, size, layers)
-            for layers in ((None, media) if media is not None else (None,))
-        ]
+        known = CameraPose(lens.lens, lens.parameters, lens.covariance, size)
+        cameras = [known]
+        if media is not None:
+            cameras.append(replace(known, media=media, name="camera pose with refraction"))
     fits = fit_planes(views, [*cameras[::-1], *models])
     chosen, near = choose_plane(fits)
     frame = gel_frame(chosen, center, half_mm=pitch, near=near)

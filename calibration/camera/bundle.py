@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import Lens
-from taccel_lab.calibration.camera.planar_pose import planar_poses
+from taccel_lab.calibration.camera.planar_pose import planar_pose
 from taccel_lab.calibration.robust_fit import RobustFit, fit_robustly, rms
 from taccel_lab.errors import InputError, naming
 
@@ -116,32 +116,9 @@ def fit_bundle(
 
 
 def initial_pose(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
-    """camera_from_board of a view: the better of the two that a planar board allows, refined."""
-    board = view.board_mm()
+    """camera_from_board of a view; InputError where no pose explains its points."""
     with naming(view.source):
-        poses = planar_poses(lens, parameters, view.size_px, board[:, :2], view.uv_px)
-    best, cost = None, np.inf
-    for pose in poses:
-        refined = fit_pose(view, lens, parameters, pose)
-        error = rms(view.uv_px - lens.project(board, parameters, refined))
-        if error < cost:
-            best, cost = refined, error
-    if best is None:
-        raise InputError(f"{view.source}: no pose of the board explains its {len(board)} points")
-    return best
-
-
-def fit_pose(
-    view: BoardView, lens: Lens, parameters: np.ndarray, pose: np.ndarray, robust: bool = True
-) -> np.ndarray:
-    """Pose of one view with the lens held fixed, by least squares from ``pose`` [6]."""
-    board = view.board_mm()
-    return fit_robustly(
-        lambda x: view.uv_px - lens.project(board, parameters, x),
-        pose,
-        jacobian=lambda x: -lens.project_with_jacobian(board, parameters, x)[2].reshape(-1, 6),
-        robust=robust,
-    ).x
+        return planar_pose(lens, parameters, view.size_px, view.board_mm()[:, :2], view.uv_px)
 
 
 def _plausible(x: np.ndarray, size_px: tuple[int, int]) -> bool:

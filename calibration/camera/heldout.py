@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import BundleFit, fit_pose, initial_pose
+from taccel_lab.calibration.camera.bundle import BundleFit, initial_pose
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.lens_fits import LensFits, fit_lenses
+from taccel_lab.calibration.camera.planar_pose import fit_pose
 from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
@@ -145,5 +146,6 @@ def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
     except InputError:
         # No pose explains such points: they are as far off as they lie from their own middle.
         return view.uv_px - view.uv_px.mean(axis=0)
-    pose = fit_pose(view, lens, parameters, start, robust=False)
-    return view.uv_px - lens.project(view.board_mm(), parameters, pose)
+    board = view.board_mm()
+    pose = fit_pose(lens, parameters, board, view.uv_px, start, robust=False)
+    return view.uv_px - lens.project(board, parameters, pose)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.plane_models import PlaneModel
+from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.errors import InputError
 
@@ -28,7 +28,7 @@ CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 class PlaneFit:
     """A model of the plane, fitted; board coordinates are those of the first view."""
 
-    model: PlaneModel
+    model: CameraPose
     theta: np.ndarray
     covariance: np.ndarray
     motions: np.ndarray
@@ -74,7 +74,7 @@ class PlaneFit:
         return np.column_stack([uv[0] - uv[1], uv[2] - uv[3]]) / (2 * half_mm)
 
 
-def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list[PlaneFit]:
+def fit_planes(views: Sequence[BoardView], models: Sequence[CameraPose]) -> list[PlaneFit]:
     """Fit every model and cross-validate it; models that the points cannot determine are left out.
 
     Raises:
@@ -83,7 +83,7 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list
     fits = []
     points = sum(len(view.index) for view in views)
     for model in models:
-        if 2 * points < model.count + 3 * (len(views) - 1) + 8:
+        if 2 * points < model.determined + 3 * (len(views) - 1) + 8:
             continue
         fits.append(_with_heldout(views, fit_plane(views, model)))
     if not fits:
@@ -91,7 +91,7 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list
     return fits
 
 
-def fit_plane(views: Sequence[BoardView], model: PlaneModel) -> PlaneFit:
+def fit_plane(views: Sequence[BoardView], model: CameraPose) -> PlaneFit:
     """One model by all points, not cross-validated."""
     return _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
 
@@ -122,7 +122,7 @@ def plane_rotation(angle_rad: float) -> np.ndarray:
 
 def _fit(
     views: Sequence[BoardView],
-    model: PlaneModel,
+    model: CameraPose,
     used: list[np.ndarray],
     whole: PlaneFit | None = None,
 ) -> PlaneFit:

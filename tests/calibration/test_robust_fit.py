@@ -93,6 +93,15 @@ def test_points_far_off_count_as_huber_has_it() -> None:
     assert (fit.weights[::9] < 0.3).all()
 
 
+def test_a_turned_picture_is_fitted_alike() -> None:
+    """What counts as far off is a length: with u and v by themselves it would be otherwise."""
+    design, seen = line(40, 2, 0.2)
+    seen[::9] += (3.0, 0.5)
+    turn = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2)
+    straight, turned = fitted(design, seen), fitted(design, seen @ turn.T)
+    np.testing.assert_allclose(turned.residuals, straight.residuals @ turn.T, atol=1e-6)
+
+
 def test_errors_that_a_group_shares_widen_what_they_move() -> None:
     """Groups with a common shift: the mean is as uncertain as the groups are few."""
     spread = []
