@@ -24,7 +24,6 @@ class Detections:
 
     views: tuple[BoardView, ...]
     refused: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
 
 def detect_board(
@@ -43,9 +42,8 @@ def detect_views(
 ) -> Detections:
     """Detect every view of some boards.
 
-    Views in which the board is not found, or is mirrored, or that are one image twice, are rejected
-    with the reason. Raises
-    InputError when none is left.
+    Views in which the board is not found, or that are one image twice, are rejected with the
+    reason. Raises InputError when none is left.
     """
     views: list[BoardView] = []
     refused: list[str] = []
@@ -77,35 +75,12 @@ def detect_views(
             except InputError as error:
                 refused.append(str(error))
             progress(task, len(views) + len(refused), total)
-    views, mirrored, warnings = _without_mirrored(views)
-    refused += mirrored
     if total and not views:
         shown = "\n".join(refused[:5])
         more = f"\n... and {len(refused) - 5} more" if len(refused) > 5 else ""
         raise InputError(f"no board was found in any of {total} images:\n{shown}{more}")
     _check_one_size(views)
-    return Detections(tuple(views), tuple(refused), tuple(warnings))
-
-
-def _without_mirrored(views: list[BoardView]) -> tuple[list[BoardView], list[str], list[str]]:
-    """Refuse views whose chessboard is mirrored against most of the others."""
-    known = [view for view in views if view.first_square_dark is not None]
-    dark = [view for view in known if view.first_square_dark]
-    if len(dark) == len(known):
-        return views, [], []
-    if not dark:
-        return views, [], [
-            "the chessboard begins with a light square in every view: it was printed so, or all "
-            "images are mirrored; compare one with the board"
-        ]  # fmt: skip
-    usual = len(dark) * 2 >= len(known)
-    odd = [view for view in known if view.first_square_dark != usual]
-    reasons = [
-        f"{view.source}: the board is mirrored against {len(known) - len(odd)} other views of it"
-        for view in odd
-    ]
-    names = {id(view) for view in odd}
-    return [view for view in views if id(view) not in names], reasons, []
+    return Detections(tuple(views), tuple(refused))
 
 
 def _check_one_size(views: Sequence[BoardView]) -> None:

@@ -77,9 +77,7 @@ def calibrate_camera(
             media=media_before_gel(base) if through and intrinsics is not None else None,
             media_if_better=options.refraction == "auto",
         )
-    detections = Detections(
-        shown.views + laid.views, shown.refused + laid.refused, shown.warnings + laid.warnings
-    )
+    detections = Detections(shown.views + laid.views, shown.refused + laid.refused)
     return CameraCalibration(
         folder.source,
         intrinsics,
@@ -147,7 +145,6 @@ def _remarks(
                 count=count, total=total, reasons=reasons, grave=count * 3 > total
             )
         )
-    said += [remarks.MAYBE_MIRRORED(reason=warning) for warning in detections.warnings]
     if intrinsics is not None:
         said += intrinsics.remarks
     if on_gel is not None:
