@@ -50,7 +50,8 @@ def measure_contacts(
     refused: list[str] = []
     background = folder.require_background().image()
     height, width = background.shape[:2]
-    grid = PixelGrid(width, height, 1.0, ratio)
+    # No pixel of a grid is larger than a millimetre.
+    grid = PixelGrid(width, height, min(1.0, 1 / ratio), min(1.0, ratio))
     facts = sensor_facts(folder.sensor, folder.design)
     grey = "grey" if facts is not None and facts.is_grey else None
     for press in folder.presses:

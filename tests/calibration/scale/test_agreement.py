@@ -22,10 +22,11 @@ from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.result import ScaleCalibration
-from taccel_lab.calibration.scale.spheres import BallContact, scale_from_spheres
+from taccel_lab.calibration.scale.spheres import BallContact, measure_contacts, scale_from_spheres
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import judge
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
+from tests.support.capture_sets import CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID, tiny_profile
 
 BACKGROUND = np.full((240, 320, 3), (90.0, 120.0, 130.0))
@@ -197,6 +198,13 @@ def test_balls_give_a_limit_only() -> None:
     assert found.upper_x == pytest.approx(2.0 / (60 - 1.645), rel=1e-9)
     with pytest.raises(InputError, match="no contact"):
         scale_from_spheres([], ["p.png: nothing there"])
+
+
+def test_contacts_are_found_on_pixels_that_are_higher_than_wide(tmp_path: Path) -> None:
+    folder = CaptureMaker(spread_circles(2), labelled=False).load(tmp_path)
+    for ratio in (0.98, 1.02):
+        contacts, refused = measure_contacts(folder, ratio)
+        assert len(contacts) == 2 and not refused
 
 
 def write_folder(
