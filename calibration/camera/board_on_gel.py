@@ -92,7 +92,6 @@ def fit_on_gel(
     tactile_px: tuple[int, int] | None = None,
     intrinsics: Intrinsics | None = None,
     media: FlatMedia | None = None,
-    media_if_better: bool = False,
 ) -> OnGel:
     """Fit the gel's face to boards that lie on it.
 
@@ -102,8 +101,8 @@ def fit_on_gel(
         tactile_px: Width and height of the rectified image, about that pixel, where it is cut out
             of the camera's own; None: as large as that.
         intrinsics: The camera's lens, of images of the same size; gives its pose too.
-        media: What lies before the contact face z = 0, for the pose.
-        media_if_better: Take straight sight lines where they explain the board clearly better.
+        media: What lies before the contact face z = 0, for the pose; sight lines are straight where
+            that explains the board clearly better.
 
     Raises:
         InputError: No pitch, too few points, or intrinsics of other images.
@@ -152,7 +151,7 @@ def fit_on_gel(
         if model.name in by_model
     ]
     used = poses[-1] if poses else None
-    if media_if_better and len(poses) == 2:
+    if len(poses) == 2:
         in_air, refracted = poses
         used = in_air if choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit else refracted
     spread = scale_range(chosen, views, pitch)

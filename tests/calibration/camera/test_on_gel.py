@@ -121,7 +121,7 @@ def test_pose_of_the_gel_with_and_without_refraction() -> None:
         camera = Rotation.from_quat(found.pose.rotation).as_matrix()
         np.testing.assert_allclose(camera, turn.T @ rotation, atol=1e-4)
         # The wrong assumption is found out by what it leaves.
-        other = fit_on_gel([view], intrinsics=intrinsics, media=MEDIA, media_if_better=True)
+        other = fit_on_gel([view], intrinsics=intrinsics, media=MEDIA)
         assert other.pose is not None and other.pose.refracted is (media is not None)
     in_air, _ = found.poses
     # Straight sight lines make the gel look nearer: sum of h (1 - 1/n) by the paraxial law.
