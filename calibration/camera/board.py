@@ -37,9 +37,6 @@ class BoardView:
     others_uv_px: tuple[np.ndarray, ...] = ()
     """Where other pictures of the same dents, or the same ones through other filters, show the
     points, each [n, 2]; what they differ by is the detector's own error."""
-    first_square_dark: bool | None = None
-    """Chessboards: colour of the square before column 0 and row 0, when it tells a mirrored board
-    from a turned one."""
 
     def board_mm(self) -> np.ndarray:
         """Points on the board [mm], z = 0, shape [n, 3]; in units of the pitch without one."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera import remarks
@@ -22,8 +21,9 @@ from taccel_lab.calibration.camera.plane_fit import (
     fit_planes,
     plane_rotation,
 )
-from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
+from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.robust_fit import slopes
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
@@ -92,7 +92,6 @@ def fit_on_gel(
     tactile_px: tuple[int, int] | None = None,
     intrinsics: Intrinsics | None = None,
     media: FlatMedia | None = None,
-    media_if_better: bool = False,
 ) -> OnGel:
     """Fit the gel's face to boards that lie on it.
 
@@ -102,8 +101,8 @@ def fit_on_gel(
         tactile_px: Width and height of the rectified image, about that pixel, where it is cut out
             of the camera's own; None: as large as that.
         intrinsics: The camera's lens, of images of the same size; gives its pose too.
-        media: What lies before the contact face z = 0, for the pose.
-        media_if_better: Take straight sight lines where they explain the board clearly better.
+        media: What lies before the contact face z = 0, for the pose; sight lines are straight where
+            that explains the board clearly better.
 
     Raises:
         InputError: No pitch, too few points, or intrinsics of other images.
@@ -122,21 +121,20 @@ def fit_on_gel(
     # The board with the most points comes first: the others are placed against it.
     views = sorted(views, key=lambda view: -len(view.index))
     size, pitch = views[0].size_px, float(views[0].pitch_mm or 1.0)
-    unit = pitch * float(max(np.ptp(views[0].index, axis=0)))
     if intrinsics is not None and intrinsics.size_px != size:
         raise InputError(
             f"the board on the gel was seen in images of {size[0]}x{size[1]} px, the views for "
             f"the lens are {intrinsics.size_px[0]}x{intrinsics.size_px[1]} px; use one size"
         )
     center = center_px or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    models: list[PlaneModel] = [BentHomography(size, unit, bent) for bent in (False, True)]
+    models = [CameraPose.of_unknown(size, bent) for bent in (False, True)]
     cameras: list[CameraPose] = []
     if intrinsics is not None:
         lens = intrinsics.chosen.fit
-        cameras = [
-            CameraPose(lens.lens, lens.parameters, lens.covariance, size, layers)
-            for layers in ((None, media) if media is not None else (None,))
-        ]
+        known = CameraPose(lens.lens, lens.parameters, lens.covariance, size)
+        cameras = [known]
+        if media is not None:
+            cameras.append(replace(known, media=media, name="camera pose with refraction"))
     fits = fit_planes(views, [*cameras[::-1], *models])
     chosen, near = choose_plane(fits)
     frame = gel_frame(chosen, center, half_mm=pitch, near=near)
@@ -153,7 +151,7 @@ def fit_on_gel(
         if model.name in by_model
     ]
     used = poses[-1] if poses else None
-    if media_if_better and len(poses) == 2:
+    if len(poses) == 2:
         in_air, refracted = poses
         used = in_air if choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit else refracted
     spread = scale_range(chosen, views, pitch)
@@ -217,7 +215,7 @@ def _pose(
         flat = plane_rotation(frame.angle_rad).T @ in_board[:2]
         return np.array([*flat, in_board[2]])
 
-    by_theta = np.asarray(approx_fprime(fit.theta[:6], position, 1e-6))
+    by_theta = slopes(position, fit.theta[:6])
     sigma = np.sqrt(np.diag(by_theta @ fit.covariance[:6, :6] @ by_theta.T))
     camera_from_board = Rotation.from_rotvec(fit.theta[:3])
     board_from_gel = Rotation.from_rotvec([0.0, 0.0, frame.angle_rad])

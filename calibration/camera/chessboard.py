@@ -8,8 +8,6 @@ blurred, saddle points of the brightness are indexed as a lattice instead.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from scipy.spatial import KDTree
@@ -52,8 +50,7 @@ def detect_chessboard(
         index, uv = _part_of_board(grey, columns, rows, name)
     index = oriented(index, uv, columns == rows)
     size = (image.shape[1], image.shape[0])
-    view = BoardView(name, name, size, index, uv, columns * rows)
-    return replace(view, first_square_dark=_first_square_dark(grey, view, columns, rows))
+    return BoardView(name, name, size, index, uv, columns * rows)
 
 
 def _whole_board(grey: np.ndarray, columns: int, rows: int) -> np.ndarray | None:
@@ -86,7 +83,7 @@ def _part_of_board(
     for sigma in (1.0, 1.5, 2.5, 4.0):
         uv = saddle_points(grey, sigma, 3 * expected)
         lattice = board_lattice(uv, columns, rows)
-        if lattice is not None and (best is None or lattice.count > len(best[0])):
+        if lattice is not None and (best is None or len(lattice.points) > len(best[0])):
             best, strangers = (lattice.index, uv[lattice.points]), lattice.strangers
     count = 0 if best is None else len(best[0])
     if best is not None and strangers > 2:
@@ -152,21 +149,3 @@ def _crossings(smooth: np.ndarray, uv: np.ndarray, radius_px: float) -> np.ndarr
     dark = values < ((low + high) / 2)[:, None]
     turns = (dark != np.roll(dark, 1, axis=1)).sum(axis=1)
     return (opposite < _OPPOSITE) & (turns == 4)
-
-
-def _first_square_dark(grey: np.ndarray, view: BoardView, columns: int, rows: int) -> bool | None:
-    """Colour of the square between corners (0, 0) and (1, 1), where it tells a mirrored board.
-
-    It does on boards whose numbers of squares are both even and differ: a half turn keeps the
-    colours, a mirror swaps them. Other boards look the same mirrored and turned.
-    """
-    if columns % 2 == 0 or rows % 2 == 0 or columns == rows or len(view.index) != view.expected:
-        return None
-    dark, light = [], []
-    at = {tuple(key): uv for key, uv in zip(view.index.tolist(), view.uv_px, strict=True)}
-    for (i, j), uv in at.items():
-        if (i + 1, j + 1) in at:
-            u, v = np.rint((uv + at[i + 1, j + 1]) / 2).astype(int)
-            (dark if (i + j) % 2 == 0 else light).append(float(grey[v, u]))
-    # The board's first square lies before corner (0, 0) and has the colour of the one behind it.
-    return bool(np.mean(dark) < np.mean(light))

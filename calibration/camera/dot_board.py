@@ -23,8 +23,6 @@ from taccel_lab.errors import InputError
 MIN_SHARE = 0.4
 """Least share of the dots that must be found."""
 MIN_POINTS = 9
-MIN_CHANGE_LEVELS = 1.0
-"""Least 99th percentile of the change that counts as a press [levels of 255]."""
 _SAME_PITCHES = 0.3
 """Two pictures of a dot are this near each other at most."""
 _SMOOTHED, _AROUND = (0.25, 0.5), 1.0
@@ -116,7 +114,7 @@ def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
     lattice = board_lattice(dots.uv_px, columns, rows)
     if lattice is None or lattice.irregularity > _IRREGULAR:
         return None
-    on_board = dots.select(np.asarray(lattice.points))
+    on_board = dots.select(lattice.points)
     return _Found(lattice.index, on_board.uv_px, lattice.strangers, on_board)
 
 
@@ -132,36 +130,6 @@ def _through_filters(picture: np.ndarray, found: _Found) -> list[_Found]:
     return [
         replace(found, uv_px=np.where(fit.placed[:, None], fit.uv_px, found.uv_px)) for fit in again
     ]
-
-
-def detect_pins(
-    image: np.ndarray,
-    columns: int,
-    rows: int,
-    *,
-    reference: np.ndarray | None,
-    name: str = "image",
-) -> BoardView:
-    """Find a pressed board of ``columns`` x ``rows`` pins or holes; as ``detect_dots``.
-
-    Raises:
-        InputError: No ``reference`` of the untouched gel, no press, or too few dents on a lattice.
-    """
-    if reference is None:
-        raise InputError(
-            f"{name}: a pressed board shows only against an image of the untouched gel; give "
-            'reference = "..." for this board, or background = "..." for the folder'
-        )
-    if reference.shape == image.shape:
-        change = np.abs(np.asarray(image, dtype=np.float32) - reference)
-        change = np.abs(change - np.median(change, axis=(0, 1))).max(axis=2)
-        strongest = float(np.percentile(change, 99))
-        if strongest < MIN_CHANGE_LEVELS:
-            raise InputError(
-                f"{name}: nothing is pressed into the gel; the strongest change against the "
-                f"reference is {strongest:.2f} levels of 255, at least {MIN_CHANGE_LEVELS:g}"
-            )
-    return detect_dots(image, columns, rows, reference=reference, name=name)
 
 
 def _pictures(image: np.ndarray, reference: np.ndarray | None, name: str) -> list[np.ndarray]:

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.charuco import detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
-from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
+from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry
 from taccel_lab.errors import InputError
@@ -25,7 +24,6 @@ class Detections:
 
     views: tuple[BoardView, ...]
     refused: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
 
 def detect_board(
@@ -34,24 +32,8 @@ def detect_board(
     """Find the board of a manifest's entry in one RGB image; InputError says what is amiss."""
     if entry.kind == "chessboard":
         view = detect_chessboard(image, entry.columns, entry.rows, name=name)
-    elif entry.kind == "charuco":
-        if entry.marker_mm is None or entry.pitch_mm is None:
-            raise InputError(
-                f"{name}: a charuco board needs pitch_mm (size of a square) and marker_mm (size "
-                "of a marker), also where no scale is wanted: their ratio says where corners lie"
-            )
-        view = detect_charuco(
-            image,
-            entry.columns,
-            entry.rows,
-            marker_share=entry.marker_mm / entry.pitch_mm,
-            dictionary=entry.dictionary,
-            name=name,
-        )
-    elif entry.kind == "dots":
-        view = detect_dots(image, entry.columns, entry.rows, reference=reference, name=name)
     else:
-        view = detect_pins(image, entry.columns, entry.rows, reference=reference, name=name)
+        view = detect_dots(image, entry.columns, entry.rows, reference=reference, name=name)
     return replace(view, pitch_mm=entry.pitch_mm)
 
 
@@ -60,9 +42,8 @@ def detect_views(
 ) -> Detections:
     """Detect every view of some boards.
 
-    Views in which the board is not found, or is mirrored, or that are one image twice, are rejected
-    with the reason. Raises
-    InputError when none is left.
+    Views in which the board is not found, or that are one image twice, are rejected with the
+    reason. Raises InputError when none is left.
     """
     views: list[BoardView] = []
     refused: list[str] = []
@@ -94,35 +75,12 @@ def detect_views(
             except InputError as error:
                 refused.append(str(error))
             progress(task, len(views) + len(refused), total)
-    views, mirrored, warnings = _without_mirrored(views)
-    refused += mirrored
     if total and not views:
         shown = "\n".join(refused[:5])
         more = f"\n... and {len(refused) - 5} more" if len(refused) > 5 else ""
         raise InputError(f"no board was found in any of {total} images:\n{shown}{more}")
     _check_one_size(views)
-    return Detections(tuple(views), tuple(refused), tuple(warnings))
-
-
-def _without_mirrored(views: list[BoardView]) -> tuple[list[BoardView], list[str], list[str]]:
-    """Refuse views whose chessboard is mirrored against most of the others."""
-    known = [view for view in views if view.first_square_dark is not None]
-    dark = [view for view in known if view.first_square_dark]
-    if len(dark) == len(known):
-        return views, [], []
-    if not dark:
-        return views, [], [
-            "the chessboard begins with a light square in every view: it was printed so, or all "
-            "images are mirrored; compare one with the board"
-        ]  # fmt: skip
-    usual = len(dark) * 2 >= len(known)
-    odd = [view for view in known if view.first_square_dark != usual]
-    reasons = [
-        f"{view.source}: the board is mirrored against {len(known) - len(odd)} other views of it"
-        for view in odd
-    ]
-    names = {id(view) for view in odd}
-    return [view for view in views if id(view) not in names], reasons, []
+    return Detections(tuple(views), tuple(refused))
 
 
 def _check_one_size(views: Sequence[BoardView]) -> None:

@@ -66,20 +66,14 @@ def calibrate_camera(
     on_gel = None
     if gel:
         size = laid.views[0].size_px
-        through = options.refraction == "media" or (
-            options.refraction == "auto" and _has_flat_media(base)
-        )
         on_gel = fit_on_gel(
             laid.views,
             center_px=origin_px(base, size),
             tactile_px=tactile_size(base, size),
             intrinsics=intrinsics,
-            media=media_before_gel(base) if through and intrinsics is not None else None,
-            media_if_better=options.refraction == "auto",
+            media=media_before_gel(base),
         )
-    detections = Detections(
-        shown.views + laid.views, shown.refused + laid.refused, shown.warnings + laid.warnings
-    )
+    detections = Detections(shown.views + laid.views, shown.refused + laid.refused)
     return CameraCalibration(
         folder.source,
         intrinsics,
@@ -102,33 +96,18 @@ def _require_views(shown: Detections) -> None:
     )
 
 
-def media_before_gel(profile: SensorProfile) -> FlatMedia:
-    """Window and gel before the contact face z = 0, seen from the air.
-
-    Raises:
-        InputError: The profile has no optics, or a domed window.
-    """
-    if profile.optics is None:
-        raise InputError(
-            "the profile has no optics block, so that what the camera looks through is unknown; "
-            "give --refraction none"
-        )
+def media_before_gel(profile: SensorProfile) -> FlatMedia | None:
+    """Window and gel before the contact face z = 0, seen from the air; None where they are unknown
+    or domed."""
+    optics, window = profile.optics, profile.window
+    if optics is None or (window is not None and window.shape != "plate"):
+        return None
     back = -profile.gel.thickness_mm
-    planes, indices = [back], [OUTSIDE_INDEX, profile.optics.gel_refractive_index]
-    window = profile.window
+    planes, indices = [back], [OUTSIDE_INDEX, optics.gel_refractive_index]
     if window is not None:
-        if window.shape != "plate":
-            raise InputError(
-                "refraction at a domed window is not modelled for boards; give --refraction none"
-            )
         planes.insert(0, back - window.thickness_mm)
         indices.insert(1, window.refractive_index)
     return FlatMedia(tuple(planes), tuple(indices))
-
-
-def _has_flat_media(profile: SensorProfile) -> bool:
-    window = profile.window
-    return profile.optics is not None and (window is None or window.shape == "plate")
 
 
 def _remarks(
@@ -147,7 +126,6 @@ def _remarks(
                 count=count, total=total, reasons=reasons, grave=count * 3 > total
             )
         )
-    said += [remarks.MAYBE_MIRRORED(reason=warning) for warning in detections.warnings]
     if intrinsics is not None:
         said += intrinsics.remarks
     if on_gel is not None:

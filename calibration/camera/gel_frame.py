@@ -11,9 +11,7 @@ import numpy as np
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.plane_fit import PlaneFit, plane_rotation
 from taccel_lab.calibration.result import Estimate
-
-_STEP = 1e-6
-"""Relative step of the derivatives by parameters."""
+from taccel_lab.calibration.robust_fit import slopes
 
 
 @dataclass(frozen=True)
@@ -78,16 +76,7 @@ def gel_frame(
 
 def _model_covariance(fit: PlaneFit, center: np.ndarray, half_mm: float) -> np.ndarray:
     """Covariance of mm/px along x and y by that of the model's parameters, shape [2, 2]."""
-    by_theta = np.zeros((2, len(fit.theta)))
-    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    for k in range(len(fit.theta)):
-        # A step of the parameter's own uncertainty differentiates over the range that matters.
-        step = max(0.1 * sigma[k], _STEP * max(abs(fit.theta[k]), 1e-3))
-        theta = np.array(fit.theta)
-        theta[k] += step
-        up = _scale_at(fit, center, theta, half_mm)[2]
-        theta[k] -= 2 * step
-        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm)[2]) / (2 * step)
+    by_theta = slopes(lambda theta: _scale_at(fit, center, theta, half_mm)[2], fit.theta)
     return by_theta @ fit.covariance @ by_theta.T
 
 

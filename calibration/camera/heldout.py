@@ -11,15 +11,16 @@ none among those that are predicted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import BundleFit, fit_pose, initial_pose
+from taccel_lab.calibration.camera.bundle import BundleFit, initial_pose
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.lens_fits import LensFits, fit_lenses
-from taccel_lab.calibration.camera.robust import rms, robust_scale
+from taccel_lab.calibration.camera.planar_pose import fit_pose
+from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -41,14 +42,14 @@ class LensScore:
     heldout_robust_px: float
     """The root mean square that normal errors with the same median would have: what it would be
     without outliers."""
+    fold_parameters: np.ndarray
+    """Of the fits without each part, shape [fold, p]."""
     view_mse: np.ndarray
     """Mean square held-out error of each view, shape [view]: of those that are fitted in the
     end."""
-    fold_parameters: np.ndarray
-    """Of the fits without each part, shape [fold, p]."""
-    excess: float = 0.0
+    excess: float
     """Mean difference of ``view_mse`` from the best lens."""
-    excess_error: float = 0.0
+    excess_error: float
     """Its standard error."""
 
     def errors_px(self) -> dict[str, float]:
@@ -62,8 +63,9 @@ class LensScore:
     @property
     def within_one_error(self) -> bool:
         """As good as the best lens, as far as these views can tell or anybody would notice."""
-        best = float(np.mean(self.view_mse)) - self.excess
-        return self.excess <= max(self.excess_error, _ALIKE * best)
+        return self.excess <= max(
+            self.excess_error, _ALIKE * (float(self.view_mse.mean()) - self.excess)
+        )
 
 
 def fold_of_views(views: Sequence[BoardView], folds: int) -> np.ndarray:
@@ -108,34 +110,25 @@ def score_lenses(
             for i in np.flatnonzero(parts == name).tolist():
                 left[k][i] = _heldout(views[i], fit.lens, fit.parameters)
     progress("fitting the lens", len(names) + 1, len(names) + 1)
-    used = {id(view) for view in fitted.views}
+    used = np.array([any(view is kept for kept in fitted.views) for view in views])
+    mse = np.array([[rms(r) ** 2 for r in of_lens] for of_lens in left])[:, used]
+    # How much worse than the best lens each is, view by view.
+    excess = mse - mse[mse.mean(axis=1).argmin()]
+    errors = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
     return [
         LensScore(
             fit.lens,
             fit,
             rms(np.concatenate(left[k])),
             float(np.sqrt(2)) * robust_scale(np.concatenate(left[k])),
-            np.array([
-                rms(r) ** 2 for r, view in zip(left[k], views, strict=True) if id(view) in used
-            ]),
             np.stack(parameters[k]),
+            mse[k],
+            float(excess[k].mean()),
+            # Differences below a millionth of a square pixel are rounding.
+            max(float(errors[k]), 1e-6),
         )
         for k, fit in enumerate(fitted.fits)
-    ]  # fmt: skip
-
-
-def compare_lenses(scores: Sequence[LensScore]) -> list[LensScore]:
-    """Fill in how much worse than the best lens each is, view by view."""
-    best = min(scores, key=lambda score: float(np.mean(score.view_mse)))
-    compared = []
-    for score in scores:
-        difference = score.view_mse - best.view_mse
-        error = float(difference.std(ddof=1) / np.sqrt(len(difference)))
-        # Differences below a millionth of a square pixel are rounding.
-        compared.append(
-            replace(score, excess=float(difference.mean()), excess_error=max(error, 1e-6))
-        )
-    return compared
+    ]
 
 
 def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
@@ -145,5 +138,6 @@ def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
     except InputError:
         # No pose explains such points: they are as far off as they lie from their own middle.
         return view.uv_px - view.uv_px.mean(axis=0)
-    pose = fit_pose(view, lens, parameters, start, robust=False)
-    return view.uv_px - lens.project(view.board_mm(), parameters, pose)
+    board = view.board_mm()
+    pose = fit_pose(lens, parameters, board, view.uv_px, start, robust=False)
+    return view.uv_px - lens.project(board, parameters, pose)

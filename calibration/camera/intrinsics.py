@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import BundleFit
-from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
+from taccel_lab.calibration.camera.heldout import LensScore, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
@@ -108,7 +108,7 @@ def calibrate_intrinsics(
         )
     fitted = fit_lenses(views, lenses)
     kept, outliers = list(fitted.views), list(fitted.outliers)
-    scores = compare_lenses(score_lenses(views, fitted, folds, progress))
+    scores = score_lenses(views, fitted, folds, progress)
     chosen = next(score for score in scores if score.within_one_error)
     coverage, tilt = _coverage(kept), _tilts(chosen.fit)
     return Intrinsics(

@@ -40,7 +40,7 @@ class LensFits:
 def fit_lenses(views: Sequence[BoardView], lenses: Sequence[Lens]) -> LensFits:
     """Fit every lens to the views that one of them explains, at least two thirds of them.
 
-    That lens starts from OpenCV's; the others start from what it and the one before found.
+    That lens starts from OpenCV's focal lengths, the others from what it found.
 
     Raises:
         InputError: Too few points for the unknowns, or no pose that explains a view.
@@ -60,16 +60,11 @@ def fit_lenses(views: Sequence[BoardView], lenses: Sequence[Lens]) -> LensFits:
         )
         del kept[worst]
         first = fit_bundle(kept, lens, first.parameters, np.delete(first.poses, worst, axis=0))
-    fits: list[BundleFit] = []
-    for other in lenses:
-        if other is lens:
-            fits.append(first)
-            continue
-        tried = [
-            fit_bundle(kept, other, _as_start(fit, other), fit.poses) for fit in (*fits[-1:], first)
-        ]
-        fits.append(min(tried, key=lambda fit: fit.rms_px))
-    return LensFits(tuple(fits), tuple(kept), tuple(outliers))
+    fits = tuple(
+        first if other is lens else fit_bundle(kept, other, _as_start(first, other), first.poses)
+        for other in lenses
+    )
+    return LensFits(fits, tuple(kept), tuple(outliers))
 
 
 def _first_fit(views: list[BoardView], lens: Lens) -> BundleFit:

@@ -18,7 +18,3 @@ class CameraOptions:
     (5) or rational (8)."""
     folds: int = 5
     """Number of cross-validation folds of the views, to score the lenses."""
-    refraction: Literal["auto", "media", "none"] = "auto"
-    """Pose of the gel through the profile's window and gel (media) or with straight sight lines
-    (none). auto: media if they are flat, unless the board contradicts them. Needs views and a
-    board on the gel; the report gives both poses."""

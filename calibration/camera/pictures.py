@@ -10,8 +10,8 @@ import numpy as np
 from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.calibration.report.image_axes import frame_image, round_enlargement
+from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

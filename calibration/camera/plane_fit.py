@@ -14,14 +14,12 @@ import numpy as np
 from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.plane_models import PlaneModel
-from taccel_lab.calibration.camera.robust import fit_robustly, rms
+from taccel_lab.calibration.camera.plane_models import CameraPose
+from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.errors import InputError
 
 FOLDS = 5
 _EXACT_PX = 1e-7
-_TOLERANCE = 1e-11
-_HELDOUT_TOLERANCE = 1e-8
 CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
 
@@ -30,7 +28,7 @@ CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 class PlaneFit:
     """A model of the plane, fitted; board coordinates are those of the first view."""
 
-    model: PlaneModel
+    model: CameraPose
     theta: np.ndarray
     covariance: np.ndarray
     motions: np.ndarray
@@ -76,7 +74,7 @@ class PlaneFit:
         return np.column_stack([uv[0] - uv[1], uv[2] - uv[3]]) / (2 * half_mm)
 
 
-def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list[PlaneFit]:
+def fit_planes(views: Sequence[BoardView], models: Sequence[CameraPose]) -> list[PlaneFit]:
     """Fit every model and cross-validate it; models that the points cannot determine are left out.
 
     Raises:
@@ -85,7 +83,7 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list
     fits = []
     points = sum(len(view.index) for view in views)
     for model in models:
-        if 2 * points < model.count + 3 * (len(views) - 1) + 8:
+        if 2 * points < model.determined + 3 * (len(views) - 1) + 8:
             continue
         fits.append(_with_heldout(views, fit_plane(views, model)))
     if not fits:
@@ -93,7 +91,7 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[PlaneModel]) -> list
     return fits
 
 
-def fit_plane(views: Sequence[BoardView], model: PlaneModel) -> PlaneFit:
+def fit_plane(views: Sequence[BoardView], model: CameraPose) -> PlaneFit:
     """One model by all points, not cross-validated."""
     return _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
 
@@ -124,7 +122,7 @@ def plane_rotation(angle_rad: float) -> np.ndarray:
 
 def _fit(
     views: Sequence[BoardView],
-    model: PlaneModel,
+    model: CameraPose,
     used: list[np.ndarray],
     whole: PlaneFit | None = None,
 ) -> PlaneFit:
@@ -141,32 +139,24 @@ def _fit(
     count = model.count
 
     def residuals(x: np.ndarray) -> list[np.ndarray]:
-        motions = np.vstack([np.zeros(3), x[count:].reshape(-1, 3)])
         return [
             view.uv_px - model.project(x[:count], moved(board, motion))
-            for view, board, motion in zip(views, boards, motions, strict=True)
+            for view, board, motion in zip(views, boards, _motions(x[count:]), strict=True)
         ]
 
     fitted = fit_robustly(
         lambda x: np.concatenate([r[m] for r, m in zip(residuals(x), used, strict=True)]),
         start,
         prior=lambda x: model.prior(x[:count]),
-        tolerance=_TOLERANCE if whole is None else _HELDOUT_TOLERANCE,
     )
-    x, left = fitted.x, fitted.residuals
-    freedom = max(left.size - len(x), 1)
-    variance = float(np.sum(fitted.weights * np.sum(left**2, axis=1))) / freedom
-    columns = np.linalg.norm(fitted.jacobian, axis=0)
-    columns = np.where(columns > 0, columns, 1.0)
-    scaled = fitted.jacobian / columns
-    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14) / np.outer(columns, columns)
-    return PlaneFit(
-        model,
-        x[:count],
-        variance * covariance[:count, :count],
-        np.vstack([np.zeros(3), x[count:].reshape(-1, 3)]),
-        tuple(residuals(x)),
-    )
+    x = fitted.x
+    covariance = fitted.covariance()[:count, :count] if whole is None else whole.covariance
+    return PlaneFit(model, x[:count], covariance, _motions(x[count:]), tuple(residuals(x)))
+
+
+def _motions(free: np.ndarray) -> np.ndarray:
+    """Angle and shift of each board against the first, whose own is none, shape [view, 3]."""
+    return np.vstack([np.zeros(3), free.reshape(-1, 3)])
 
 
 def _first_motions(views: Sequence[BoardView], boards: list[np.ndarray]) -> np.ndarray:

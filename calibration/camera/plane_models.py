@@ -1,109 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models of how the plane of the gel's face appears in the image, each a function of parameters.
+"""How the plane of the gel's face appears in the image: the pose of a camera, in air or through the
+flat media in front of the gel.
 
-Without a calibrated lens, the plane is a homography bent by radial distortion: enough for scale and
-rectification, since the focal length cannot be told from a plane that never tilts. With a lens, it
-is the pose of the camera, in air or through the flat media in front of the gel.
+The camera's lens is known as well as views of a board tell it, or hardly at all: a plane that never
+tilts does not tell the focal length from the distance. Whatever both are, its picture is the same,
+which is all that scale and rectification need. A homography would have as many parameters, but fit
+pixels that are no rectangles, too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from taccel_lab.calibration.camera.lens import Lens
-from taccel_lab.calibration.camera.planar_pose import planar_poses
+from taccel_lab.calibration.camera.planar_pose import planar_pose
 from taccel_lab.camera.refraction import FlatMedia
-from taccel_lab.errors import InputError
 
 _LEAST_DISTANCE_MM = 0.1
+_FOCAL, _MIDDLE, _BENT = 0.5, 0.25, 10.0
+"""Standard deviations of an unknown lens: focal lengths in image widths about one, the middle in
+half diagonals about the image's, which keeps it inside, and radial terms."""
 
 
-class PlaneModel(Protocol):
-    """A map from the plane [mm] to the image [px] with ``count`` parameters."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def count(self) -> int: ...
-
-    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-        """Parameters near the solution, from matched points [n, 2]."""
-        ...
-
-    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
-        """Pixels of points on the plane, [n, 2] -> [n, 2]."""
-        ...
-
-    def prior(self, theta: np.ndarray) -> np.ndarray:
-        """What is known of the parameters already, as standardised residuals [m]."""
-        ...
-
-
-@dataclass(frozen=True)
-class BentHomography:
-    """Homography, then ``p' = c + (p - c)(1 + k1 r^2 + k2 r^4)`` about a free middle c.
-
-    Image coordinates are counted from the image's middle in half diagonals, so that k is the
-    displacement of a corner as a share of its distance.
-    """
-
-    size_px: tuple[int, int]
-    unit_mm: float
-    """Length that the plane's coordinates are divided by, for conditioning."""
-    bent: bool
-    """Without, k1 and k2 are 0."""
-
-    @property
-    def name(self) -> str:
-        return "homography" + " + 2 radial about a free middle" * self.bent
-
-    @property
-    def count(self) -> int:
-        return 12 if self.bent else 8
-
-    @property
-    def _middle_px(self) -> np.ndarray:
-        return (np.array(self.size_px, dtype=np.float64) - 1) / 2
-
-    @property
-    def _half_diagonal_px(self) -> float:
-        return float(np.hypot(*self.size_px)) / 2
-
-    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-        image = (uv_px - self._middle_px) / self._half_diagonal_px
-        matrix, _ = cv2.findHomography(xy_mm / self.unit_mm, image, cv2.LMEDS)
-        if matrix is None:
-            raise InputError("the board's points lie on a line; they do not give a homography")
-        theta = np.zeros(self.count)
-        theta[:8] = (np.asarray(matrix) / matrix[2, 2]).ravel()[:8]
-        return theta
-
-    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
-        matrix = np.append(theta[:8], 1.0).reshape(3, 3)
-        plane = np.column_stack([np.asarray(xy_mm) / self.unit_mm, np.ones(len(xy_mm))])
-        image = plane @ matrix.T
-        image = image[:, :2] / image[:, 2:]
-        if self.bent:
-            k1, k2, *middle = theta[8:]
-            away = image - middle
-            r2 = np.sum(away**2, axis=1, keepdims=True)
-            image = middle + away * (1 + k1 * r2 + k2 * r2**2)
-        return image * self._half_diagonal_px + self._middle_px
-
-    def prior(self, theta: np.ndarray) -> np.ndarray:
-        # Keeps a free middle inside the image where nothing else does: it is at the middle to
-        # within a quarter of the half diagonal.
-        return theta[10:] / 0.25
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraPose:
-    """Pose of a camera whose lens is known to within a covariance, in air or through media.
+    """Pose of a camera whose lens is known to within a covariance.
 
     Parameters: rotation vector and translation of camera_from_plane, then the lens's own, which
     the board may correct as far as their covariance allows.
@@ -115,26 +40,36 @@ class CameraPose:
     size_px: tuple[int, int]
     media: FlatMedia | None = None
     """Flat media in front of the plane z = 0; None: nothing bends the sight lines."""
+    name: str = "camera pose"
+    determined: int = 6
+    """How many parameters only the board can tell."""
 
-    @property
-    def name(self) -> str:
-        return "camera pose" if self.media is None else "camera pose with refraction"
+    @classmethod
+    def of_unknown(cls, size_px: tuple[int, int], bent: bool) -> CameraPose:
+        """A camera of which hardly anything is known: straight, or with two radial terms about a
+        free middle (``bent``)."""
+        width, height = size_px
+        parameters = np.array([width, width, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0])
+        sigma = np.array(
+            [_FOCAL * width] * 2 + [_MIDDLE * np.hypot(*size_px) / 2] * 2 + [_BENT] * 2
+        )
+        if not bent:  # Where the middle is makes no difference.
+            parameters, sigma = parameters[:4], np.append(sigma[:2], [1e-3, 1e-3])
+        lens = Lens("pinhole", len(parameters) - 4, 5)
+        name = "unknown lens" + ", 2 radial terms about a free middle" * bent
+        return cls(lens, parameters, np.diag(sigma**2), size_px, None, name, 12 if bent else 8)
 
     @property
     def count(self) -> int:
         return 6 + self.lens.parameter_count
 
     def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-        found = planar_poses(self.lens, self.parameters, self.size_px, xy_mm, uv_px)
-        if not found:
-            raise InputError(f"no pose of the plane explains its {len(xy_mm)} points")
-        poses = [np.concatenate([pose, self.parameters]) for pose in found]
-        missed = [self._project_in_air(pose, xy_mm) - uv_px for pose in poses]
-        # A point that a pose puts beyond the lens's field is missed by the whole image.
-        costs = [np.abs(np.nan_to_num(miss, nan=max(self.size_px))).sum() for miss in missed]
-        return poses[int(np.argmin(costs))]
+        """Parameters near the solution, from matched points [n, 2]."""
+        pose = planar_pose(self.lens, self.parameters, self.size_px, xy_mm, uv_px)
+        return np.concatenate([pose, self.parameters])
 
     def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        """Pixels of points on the plane [mm], [n, 2] -> [n, 2]."""
         if self.media is None:
             return self._project_in_air(theta, xy_mm)
         seen = self._seen(theta, xy_mm)
@@ -164,10 +99,14 @@ class CameraPose:
         return self.lens.project(points, theta[6:], theta[:6])
 
     def prior(self, theta: np.ndarray) -> np.ndarray:
-        off = theta[6:] - self.parameters
+        """What is known of the lens already, as standardised residuals, shape [p]."""
+        return self._whitening @ (theta[6:] - self.parameters)
+
+    @cached_property
+    def _whitening(self) -> np.ndarray:
         floor = 1e-8 * np.maximum(np.abs(self.parameters), 1e-3)
         sigma = np.maximum(np.sqrt(np.diag(self.covariance)), floor)
         correlation = self.covariance / np.outer(sigma, sigma)
         correlation[np.diag_indices(len(sigma))] = 1.0
         values, vectors = np.linalg.eigh(correlation)
-        return (vectors.T @ (off / sigma)) / np.sqrt(np.maximum(values, 1e-8))
+        return (vectors / np.sqrt(np.maximum(values, 1e-8))).T / sigma

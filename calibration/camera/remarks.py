@@ -13,7 +13,6 @@ BOARDS_REFUSED = RemarkKind(
     "the board was not used in {count} of {total} images: {reasons}",
     graver=Severity.WARNING,
 )
-MAYBE_MIRRORED = RemarkKind("maybe_mirrored", Severity.WARNING, "{reason}")
 SIZE_DIFFERS = RemarkKind(
     "size_differs",
     Severity.ERROR,

@@ -67,7 +67,6 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
                 grave=count * 3 > total,
             )
         )
-    findings += [camera.MAYBE_MIRRORED(reason=text, blocks=use) for text in found.warnings]
     if entry.on_gel:
         if entry.pitch_mm is None:
             findings.append(remarks.BOARD_WITHOUT_PITCH(board=what, blocks=use))

@@ -28,7 +28,7 @@ def seen_contact(
     """Contact of ``press`` before ``background``, found once; of ``grid`` only the proportions of a
     pixel count. Errors as of ``detect_contact``, with the press's source."""
     ratio = round(grid.mm_per_px_y / grid.mm_per_px_x, 9)
-    own = PixelGrid(grid.width_px, grid.height_px, 1.0, ratio)
+    own = PixelGrid(grid.width_px, grid.height_px, min(1.0, 1 / ratio), min(1.0, ratio))
 
     def look() -> DetectedContact | InputError:
         try:

@@ -7,14 +7,18 @@ its points are the fullest window of that size, among strangers that may outnumb
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
-from taccel_lab.calibration.dots.lattice import Lattice
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
 from taccel_lab.calibration.dots.lattice_growth import (
-    Growth,
+    FLIPS,
+    TURNS,
     largest_growth,
-    leave_one_out,
+    mean_steps,
     shortest_basis,
+    turned_to_image,
 )
 
 _BASES = (
@@ -27,89 +31,74 @@ _BASES = (
 """Changes of basis tried, for views so oblique that a diagonal is the shortest step."""
 
 
-def board_lattice(uv_px: np.ndarray, columns: int, rows: int) -> Lattice | None:
+@dataclass(frozen=True)
+class BoardLattice:
+    """Points of a board."""
+
+    points: np.ndarray
+    """Which of the points they are, int, shape [n]."""
+    index: np.ndarray
+    """Column and row of each, int, shape [n, 2]."""
+    irregularity: float
+    """Root mean square error, in pitches, of predicting a point from the points around it."""
+    strangers: int
+    """Points in whole rows and columns beyond the board's size."""
+
+
+def board_lattice(uv_px: np.ndarray, columns: int, rows: int) -> BoardLattice | None:
     """The largest lattice of at most ``columns`` x ``rows`` (or turned) among points [n, 2].
 
     Points may be missing and others be no part of it. None when no seed grows to four points that
     span the plane.
     """
-    uv = np.asarray(uv_px, dtype=np.float64)
-    if len(uv) < 5:
-        return None
-    grown = largest_growth(uv)
+    uv, asked = np.asarray(uv_px, dtype=np.float64), (columns, rows)
+    grown = largest_growth(uv) if len(uv) >= 5 else None
     if grown is None or grown.count < 4 or not grown.spans_the_plane:
         return None
-    return _on_board(uv, grown, (columns, rows))
+    points = np.flatnonzero(grown.numbered)
+    keys = grown.index[points]
+    # A seed's steps may be a diagonal and more; the board's sides are the shortest ones, or seen
+    # from aslant nearly so.
+    keys = np.rint(keys @ np.linalg.inv(shortest_basis(mean_steps(keys, uv[points]))[0])).astype(
+        int
+    )
+    best, most = (keys, asked), -1
+    for basis in _BASES:
+        for size in (asked, (rows, columns)):
+            index = _from_window(keys @ np.array(basis), size)
+            if (inside := int(_inside(index, size).sum())) > most:
+                best, most = (index, size), inside
+    index, size = best
+    inside = _inside(index, size)
+    strangers = _whole_lines(index[~inside], *size)
+    kept, at = points[inside], index[inside]
+    at = oriented(at if size == asked else at[:, ::-1], uv[kept], columns == rows)
+    errors = grown.errors()[kept]
+    return BoardLattice(kept, at, float(np.sqrt(np.nanmean(errors**2))), strangers)
 
 
 def oriented(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
     """Lattice indices [n, 2], from 0, whose x to y turns as in the image, since what looks at the
     front of a board sees it so, and whose columns run to the right as far as they can.
 
-    By flips of the columns and half turns, or quarter turns for a ``square`` board.
+    By flips and half turns, or quarter turns for a ``square`` board.
     """
-    index = np.array(index, dtype=np.int64)
-    if np.linalg.det(_slopes(index, uv_px)) < 0:
-        index[:, 0] = -index[:, 0]
-    along = _slopes(index, uv_px)[0]
-    turns = round(float(np.degrees(np.arctan2(along[1], along[0]))) / 90.0) % 4
-    if not square and turns % 2:
-        turns = 0 if along[0] >= 0 else 2
-    for _ in range(turns):
-        # A column axis that points down in the image becomes the row axis.
-        index = np.column_stack([-index[:, 1], index[:, 0]])
+    change = turned_to_image(mean_steps(index, uv_px), TURNS if square else FLIPS)
+    index = np.rint(index @ np.linalg.inv(change)).astype(np.int64)
     return index - index.min(axis=0)
 
 
-def _slopes(index: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-    """Mean steps to the next column and the next row (u, v), shape [2, 2]."""
-    design = np.column_stack([index, np.ones(len(index))])
-    return np.linalg.lstsq(design, uv_px, rcond=None)[0][:2]
+def _inside(index: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    return np.asarray(((index >= 0) & (index < size)).all(axis=1))
 
 
-def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points inside the best window of wide x high sites, and its lowest site."""
-    low = index.min(axis=0)
-    span = index.max(axis=0) - low + 1
-    counts = np.zeros(span, dtype=np.int64)
-    np.add.at(counts, tuple((index - low).T), 1)
-    table = np.pad(counts.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    best, at = -1, (0, 0)
-    for i in range(max(1, span[0] - wide + 1)):
-        for j in range(max(1, span[1] - high + 1)):
-            i1, j1 = min(i + wide, span[0]), min(j + high, span[1])
-            total = table[i1, j1] - table[i, j1] - table[i1, j] + table[i, j]
-            if total > best:
-                best, at = total, (i, j)
-    corner = low + np.array(at)
-    inside = ((index >= corner) & (index < corner + [wide, high])).all(axis=1)
-    return inside, corner
-
-
-def _on_board(uv: np.ndarray, grown: Growth, asked: tuple[int, int]) -> Lattice:
-    """A grown lattice in the basis and window of the board's size that hold the most points."""
-    points = np.flatnonzero(grown.numbered)
-    keys = grown.index[points]
-    # A seed's steps may be a diagonal and more; the board's sides are the shortest ones, or seen
-    # from aslant nearly so.
-    keys = np.rint(keys @ np.linalg.inv(shortest_basis(keys, uv[points])[0])).astype(int)
-    candidates = []
-    for basis in _BASES:
-        index = keys @ np.array(basis)
-        for size in {asked, asked[::-1]}:
-            inside, corner = _window(index, *size)
-            candidates.append((2 * inside.sum() - len(index), index - corner, size, inside))
-    _, index, size, inside = max(candidates, key=lambda item: item[0])
-    strangers = _whole_lines(index[~inside], *size)
-    kept, at = points[inside], index[inside]
-    if size != asked:
-        at = at[:, ::-1]
-    at = oriented(at, uv[kept], asked[0] == asked[1])
-    row, column = np.full(len(uv), -1), np.full(len(uv), -1)
-    column[kept], row[kept] = at.T
-    errors = leave_one_out(uv, grown)[kept]
-    irregularity = float(np.sqrt(np.nanmean(errors**2)))
-    return Lattice(row, column, "rectangular", _slopes(at, uv[kept]), 0.0, irregularity, strangers)
+def _from_window(index: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Indices counted from the lowest site of the window of a size that holds most points."""
+    index = index - index.min(axis=0)
+    counts = np.zeros(np.maximum(index.max(axis=0) + 1, size), dtype=int)
+    np.add.at(counts, tuple(index.T), 1)
+    held = sliding_window_view(counts, size).sum(axis=(2, 3))
+    return index - np.unravel_index(held.argmax(), held.shape)
 
 
 def _whole_lines(outside: np.ndarray, wide: int, high: int) -> int:

@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which row and column of a lattice each of many points is: growth from a seed, locally affine.
-
-From a point with neighbours on opposite sides the numbering grows outwards: the place of each next
-lattice point is extrapolated by an affine map through the numbered points around it, so that
-perspective, lens distortion and a stretched gel bend the lattice freely while missing points leave
-gaps and stray points find no place.
-"""
+"""Which row and column of a lattice each of many points is."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.dots.lattice_growth import (
+    TURNS,
     Growth,
     largest_growth,
-    leave_one_out,
+    mean_steps,
     shortest_basis,
+    turned_to_image,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_steps
@@ -47,10 +44,7 @@ class Lattice:
     stagger: float
     """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
     irregularity: float
-    """Median error, in pitches, of predicting a point from the points around it; of a board, root
-    mean square error."""
-    strangers: int = 0
-    """Of a board: points in whole rows and columns beyond its size."""
+    """Median error, in pitches, of predicting a point from the points around it."""
 
     @property
     def rows(self) -> int:
@@ -69,16 +63,6 @@ class Lattice:
     def count(self) -> int:
         """How many points are numbered."""
         return int(self.numbered.sum())
-
-    @property
-    def points(self) -> np.ndarray:
-        """Which points are numbered, int, shape [n]."""
-        return np.flatnonzero(self.numbered)
-
-    @property
-    def index(self) -> np.ndarray:
-        """Column and row of the numbered points, int, shape [n, 2]."""
-        return np.column_stack([self.column, self.row])[self.numbered]
 
     def steps(self) -> np.ndarray:
         """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
@@ -129,14 +113,13 @@ def lattice_index(points: np.ndarray) -> Lattice:
     best = largest_growth(points) if len(points) >= _LEAST else None
     if best is None:
         return _nothing(len(points))
-    errors = leave_one_out(points, best)
+    errors = best.errors()
     best = best.without(errors > 2.5 * _REGULAR)
     irregularity = float(np.median(errors[np.isfinite(errors)])) if best.count else np.inf
-    if best.count < max(_LEAST, 0.5 * len(points)) or irregularity > _REGULAR:
-        return _nothing(len(points))
-    if not best.spans_the_plane:
-        return _nothing(len(points))
-    return _canonical(points, best, irregularity)
+    enough = best.count >= max(_LEAST, 0.5 * len(points)) and irregularity <= _REGULAR
+    return (
+        _canonical(best, irregularity) if enough and best.spans_the_plane else _nothing(len(points))
+    )
 
 
 def _nothing(count: int) -> Lattice:
@@ -144,30 +127,23 @@ def _nothing(count: int) -> Lattice:
     return Lattice(none, none.copy(), "none", np.full((2, 2), np.nan), 0.0, np.inf)
 
 
-def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Lattice:
+def _canonical(growth: Growth, irregularity: float) -> Lattice:
     """Turn and flip the numbering so that columns run right and rows down, and count from 0."""
-    numbered = growth.numbered
-    change, basis = shortest_basis(growth.index[numbered], points[numbered])
+    points, numbered = growth.points, growth.numbered
+    change, basis = shortest_basis(mean_steps(growth.index[numbered], points[numbered]))
     kind, stagger = "rectangular", 0.0
     cosine = float(basis[0] @ basis[1] / np.prod(np.linalg.norm(basis, axis=1)))
     ratio = float(np.divide(*np.linalg.norm(basis, axis=1)))
     if abs(cosine) > 0.34 and 0.75 < ratio < 1.33:
         kind = "hexagonal"
-    # The row direction is the lattice direction nearest to +-u.
-    options = [(1, 0), (0, 1)]
+    changes = TURNS
     if kind == "hexagonal":
-        options.append((1, -1) if cosine > 0 else (1, 1))
-    along = max(options, key=lambda o: abs(_unit(np.array(o) @ basis)[0]))
-    across = next(o for o in options if o != along)
-    turn = np.array([along, across])
-    basis = turn @ basis
-    change = turn @ change
-    flip = np.diag([np.sign(basis[0, 0]) or 1.0, np.sign(basis[1, 1]) or 1.0])
-    if np.linalg.det(flip @ basis) < 0:
-        # Nearly diagonal rows: keep right-handed rather than both signs.
-        flip = flip @ np.diag([1.0, -1.0])
-    basis = flip @ basis
-    change = (flip @ change).astype(int)
+        # The two shortest steps and the one between them, either way.
+        ways = np.array([(1, 0), (0, 1), (1, -1) if cosine > 0 else (1, 1)])
+        pairs = itertools.permutations([*ways, *-ways], 2)
+        changes = [pair for a, b in pairs if abs(np.linalg.det(pair := np.array([a, b]))) > 0.5]
+    turn = turned_to_image(basis, changes)
+    basis, change = turn @ basis, turn @ change
     new = np.rint(growth.index[numbered] @ np.linalg.inv(change)).astype(int)
     new -= new.min(axis=0)
     if kind == "hexagonal":
@@ -185,7 +161,3 @@ def _canonical(points: np.ndarray, growth: Growth, irregularity: float) -> Latti
     row, column = np.full(len(points), -1), np.full(len(points), -1)
     column[numbered], row[numbered] = new[:, 0], new[:, 1]
     return Lattice(row, column, kind, basis, stagger, irregularity)  # type: ignore[arg-type]
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)

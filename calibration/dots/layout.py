@@ -9,14 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from taccel_lab.calibration.dots.lattice import Lattice
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.robust_fit import fit_robustly, rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
 
 PITCH_X, PITCH_Y, ROTATION, CENTRE_X, CENTRE_Y = range(5)
+_FAR = 5.7
+"""Robust standard deviations from which on a dot is none of the grid."""
 NAMES = ("pitch_x", "pitch_y", "rotation_rad", "centre_x", "centre_y")
 
 
@@ -39,7 +40,7 @@ class LayoutFit:
     residual: np.ndarray
     """Point minus grid, shape [point, 2]; NaN for points that are not numbered."""
     inlier: np.ndarray
-    """Numbered points within 4 robust standard deviations, bool, shape [point]."""
+    """Numbered points within 5.7 robust standard deviations, bool, shape [point]."""
 
     @property
     def pitch(self) -> tuple[float, float]:
@@ -61,7 +62,7 @@ class LayoutFit:
     @property
     def residual_rms(self) -> float:
         """Root mean square distance of the inliers to the grid, per coordinate."""
-        return float(np.sqrt(np.mean(self.residual[self.inlier] ** 2)))
+        return rms(self.residual[self.inlier]) / np.sqrt(2)
 
     def place(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Where the grid puts dots, shape [.., 2]."""
@@ -102,20 +103,11 @@ def fit_layout(
         lattice.rows, lattice.columns, lattice.stagger
     )
     found = np.asarray(points, dtype=np.float64)[numbered]
-    weight = _weights(covariance, numbered)
+    weight = _weights(covariance, numbered)[:, None]
     start, skew = _affine_start(steps, found)
-    fit = least_squares(
-        lambda p: _misses(p, steps, found, weight),
-        start,
-        jac=lambda p: _slopes(p, steps, weight),  # type: ignore[arg-type]
-        loss="soft_l1",
-        f_scale=spread_about_zero(_misses(start, steps, found, weight)) * 2.0 + 1e-12,
-        x_scale=[1.0, 1.0, 0.01, 1.0, 1.0],
-        xtol=1e-14, ftol=1e-14, gtol=1e-14,
-    )  # fmt: skip
+    fit = fit_robustly(lambda p: weight * (_grid_points(p, steps) - found), start)
     miss = found - _grid_points(fit.x, steps)
-    distance = np.hypot(*miss.T)
-    inlier = distance <= 4.0 * max(spread_about_zero(miss.ravel()), 1e-9) * np.sqrt(2.0)
+    inlier = np.linalg.norm(miss, axis=1) <= _FAR * max(robust_scale(miss), 1e-9)
     residual = np.full(np.shape(points), np.nan)
     residual[numbered] = miss
     kept = np.zeros(len(residual), dtype=bool)
@@ -124,7 +116,8 @@ def fit_layout(
         rows=lattice.rows,
         columns=lattice.columns,
         parameters=fit.x,
-        covariance=_covariance(fit.x, steps, found, weight, inlier, lattice, numbered),
+        # Errors that neighbours share, as a lens makes them, go by whole rows and columns.
+        covariance=fit.covariance((lattice.row[numbered], lattice.column[numbered])),
         stagger=lattice.stagger,
         skew_rad=skew,
         missing=_missing(lattice, in_view),
@@ -137,19 +130,6 @@ def _grid_points(p: np.ndarray, steps: np.ndarray) -> np.ndarray:
     x, y = steps[..., 0] * p[PITCH_X], steps[..., 1] * p[PITCH_Y]
     c, s = np.cos(p[ROTATION]), np.sin(p[ROTATION])
     return np.stack([c * x - s * y + p[CENTRE_X], s * x + c * y + p[CENTRE_Y]], axis=-1)
-
-
-def _misses(p: np.ndarray, steps: np.ndarray, found: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    return ((_grid_points(p, steps) - found) * weight[:, None]).ravel()
-
-
-def _slopes(p: np.ndarray, steps: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    x, y = steps[:, 0] * p[PITCH_X], steps[:, 1] * p[PITCH_Y]
-    c, s = np.cos(p[ROTATION]), np.sin(p[ROTATION])
-    one, none = np.ones(len(steps)), np.zeros(len(steps))
-    u = np.stack([c * steps[:, 0], -s * steps[:, 1], -s * x - c * y, one, none], axis=1)
-    v = np.stack([s * steps[:, 0], c * steps[:, 1], c * x - s * y, none, one], axis=1)
-    return (np.stack([u, v], axis=1) * weight[:, None, None]).reshape(-1, 5)
 
 
 def _weights(covariance: np.ndarray | None, numbered: np.ndarray) -> np.ndarray:
@@ -171,46 +151,6 @@ def _affine_start(steps: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, flo
     skew = float((across - along + np.pi) % (2 * np.pi) - np.pi)
     start = np.array([np.hypot(*a), np.hypot(*b), along + 0.5 * skew, *centre])
     return start, skew
-
-
-def _covariance(
-    p: np.ndarray,
-    steps: np.ndarray,
-    found: np.ndarray,
-    weight: np.ndarray,
-    inlier: np.ndarray,
-    lattice: Lattice,
-    numbered: np.ndarray,
-) -> np.ndarray:
-    """The larger, by each parameter, of two covariances: of independent errors, and of whole rows
-    and columns left out in turn (jackknife), which sees errors that neighbours share, as a lens
-    makes them."""
-    slopes = _slopes(p, steps[inlier], weight[inlier])
-    miss = _misses(p, steps[inlier], found[inlier], weight[inlier])
-    inverse = np.linalg.inv(slopes.T @ slopes)
-    usual = np.sqrt(np.diag(inverse))
-    variance = np.diag(inverse) * float(miss @ miss) / max(len(miss) - 5, 1)
-    for group in (lattice.row[numbered][inlier], lattice.column[numbered][inlier]):
-        names = np.unique(group)
-        shifts = []
-        per_dot = slopes.reshape(-1, 2, 5)
-        miss2 = miss.reshape(-1, 2)
-        for name in names:
-            left = np.repeat(group != name, 2)
-            normal = slopes[left].T @ slopes[left]
-            if np.linalg.cond(normal) > 1e12:
-                continue
-            out = group == name
-            pull = np.einsum("nij,ni->j", per_dot[out], miss2[out])
-            shifts.append(np.linalg.solve(normal, pull))
-        if len(shifts) >= 3:
-            count = len(shifts)
-            deviation = np.array(shifts) - np.mean(shifts, axis=0)
-            jackknife = (count - 1) / count * deviation.T @ deviation
-            variance = np.maximum(variance, np.diag(jackknife))
-    # The correlations are those of independent errors.
-    scale = np.sqrt(variance) / usual
-    return inverse * np.outer(scale, scale)
 
 
 def _missing(lattice: Lattice, in_view: np.ndarray | None) -> tuple[tuple[int, int], ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
@@ -19,7 +20,9 @@ from taccel_lab.calibration.dots.detection import (
 from taccel_lab.calibration.dots.dots import DotFlag, Dots
 from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
 from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
+from taccel_lab.calibration.dots.local_affine import local_affine
 from taccel_lab.errors import InputError
+from taccel_lab.profile.optical_design import lattice_steps
 
 MIN_DOTS = 9
 """Dots of a lattice that a picture has to show."""
@@ -135,31 +138,18 @@ def _without_stray_lines(lattice: Lattice, odd: np.ndarray) -> Lattice:
 def _in_view(dots: Dots, lattice: Lattice) -> np.ndarray:
     """Places whose dot would lie wholly in the picture, bool, shape [rows, columns]."""
     row, column = np.mgrid[: lattice.rows, : lattice.columns]
-    numbers = np.stack([row.ravel(), column.ravel()], axis=1)
-    places = _local_places(dots, lattice, numbers)
+    known = np.flatnonzero(lattice.numbered)
+    steps = lattice.steps()[known]
+    asked = lattice_steps(row.ravel(), column.ravel(), lattice.stagger)
+    near = np.asarray(KDTree(steps).query(asked, k=min(12, len(known)))[1])
+    offset = steps[near] - asked[:, None]
+    weight = 1.0 / (0.25 + (offset**2).sum(axis=2)) ** 2
+    places, _ = local_affine(offset, dots.uv_px[known[near]], weight, 1e-9)
     margin = float(np.median(dots.axes_px[:, 0]))
     width, height = dots.size_px
     u, v = places[:, 0], places[:, 1]
     inside = (u > margin) & (v > margin) & (u < width - 1 - margin) & (v < height - 1 - margin)
     return inside.reshape(row.shape)
-
-
-def _local_places(dots: Dots, lattice: Lattice, numbers: np.ndarray) -> np.ndarray:
-    """Where the dots around put a row and column: affine over the nearest, shape [place, 2]."""
-    known = np.flatnonzero(lattice.numbered)
-    steps = lattice.steps()[known]
-    wanted = Lattice(
-        numbers[:, 0], numbers[:, 1], lattice.kind, lattice.basis, lattice.stagger, 0.0
-    ).steps()
-    places = np.empty((len(numbers), 2))
-    for n, step in enumerate(wanted):
-        offset = steps - step
-        near = np.argsort((offset**2).sum(axis=1))[:12]
-        weight = 1.0 / (0.25 + (offset[near] ** 2).sum(axis=1))
-        design = np.column_stack([offset[near], np.ones(len(near))]) * weight[:, None]
-        target = dots.uv_px[known[near]] * weight[:, None]
-        places[n] = np.linalg.lstsq(design, target, rcond=None)[0][2]
-    return places
 
 
 def _why_not(dots: Dots | None) -> str:

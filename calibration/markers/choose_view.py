@@ -10,7 +10,6 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.markers.gel_view import (
-    GridView,
     PixelView,
     camera_view,
     grid_view,
@@ -83,20 +82,22 @@ def _through_camera(profile: SensorProfile, size_px: tuple[int, int]) -> PixelVi
     views = [camera_view(profile, size_px, refraction=bent) for bent in (True, False)]
     if profile.camera.provenance.kind not in _MEASURED:
         return views[0]
-    grid = grid_view(profile, size_px)
-    origin = np.array([grid.grid.center_u_px, grid.grid.center_v_px])
+    grid, pixels = grid_view(profile, size_px), profile.grid().resized(*size_px)
+    origin = np.array([pixels.center_u_px, pixels.center_v_px])
     scale = np.diag(pixel_jacobian(grid, origin))
     off = [np.abs(np.diag(pixel_jacobian(view, origin)) / scale - 1).max() for view in views]
     best = int(np.argmin(off))
     return views[best] if off[best] < _CAMERA_AGREES else grid
 
 
-def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) -> list[GridView]:
+def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) -> list[PixelView]:
     """Views from the manifest: its scale, then its pitch."""
     views = []
     if folder.mm_per_px is not None:
         grid = PixelGrid(*size_px, *folder.mm_per_px)
-        views.append(GridView(grid, "the scale stated in the manifest", _STATED_SIGMA))
+        views.append(
+            PixelView(grid.gel_from_pixel, "the scale stated in the manifest", _STATED_SIGMA)
+        )
     markers = folder.markers
     if markers is not None and (markers.pitch_x_mm or markers.pitch_y_mm):
         pitch_x_px, pitch_y_px = layout.pitch
@@ -114,19 +115,19 @@ def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) 
         grid = PixelGrid(*size_px, per_x, per_y)
         square = "" if x and y else ", for square pixels"
         text = f"the pitch of the dots stated in the manifest{square}"
-        views.append(GridView(grid, text, sigma))
+        views.append(PixelView(grid.gel_from_pixel, text, sigma))
     return views
 
 
 def _disagreements(
-    chosen: PixelView, stated: list[GridView], size_px: tuple[int, int]
+    chosen: PixelView, stated: list[PixelView], size_px: tuple[int, int]
 ) -> tuple[Remark, ...]:
     """A warning for every stated scale that differs from the chosen one."""
     middle = np.array([(size_px[0] - 1) / 2, (size_px[1] - 1) / 2])
     ours = np.abs(np.diag(pixel_jacobian(chosen, middle)))
     remarks = []
     for other in stated:
-        theirs = np.array([other.grid.mm_per_px_x, other.grid.mm_per_px_y])
+        theirs = np.abs(np.diag(pixel_jacobian(other, middle)))
         off = theirs / ours - 1.0
         allowed = max(_AGREE, 2.0 * float(np.hypot(chosen.scale_sigma, other.scale_sigma)))
         if other is not chosen and np.abs(off).max() > allowed:

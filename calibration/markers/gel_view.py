@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
@@ -20,7 +19,7 @@ from taccel_lab.camera.gel_camera import profile_media
 from taccel_lab.camera.media import without_refraction
 from taccel_lab.camera.refraction import Media
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile
 
 _FLAT_MM = 0.01
@@ -29,56 +28,31 @@ _EXACT_MM = 1e-7
 _HALF_PX = 0.25
 
 
-class PixelView(Protocol):
+@dataclass(frozen=True)
+class PixelView:
     """Where on the gel a pixel looks."""
 
-    @property
-    def description(self) -> str:
-        """What the view rests on, for provenance."""
-        ...
-
-    @property
-    def scale_sigma(self) -> float:
-        """Relative standard deviation of its scale; 0 when unknown."""
-        ...
-
-    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
-        """Gel xy [mm] of pixels (u, v), [.., 2] -> [.., 2]; NaN where the gel is not seen."""
-        ...
-
-
-@dataclass(frozen=True)
-class GridView:
-    """One scale along x and one along y."""
-
-    grid: PixelGrid
+    gel_from_pixel: Callable[[np.ndarray], np.ndarray]
+    """Gel xy [mm] of pixels (u, v), [.., 2] -> [.., 2]; NaN where the gel is not seen."""
     description: str
+    """What the view rests on, for provenance."""
     scale_sigma: float = 0.0
-
-    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
-        """See ``PixelView``."""
-        return self.grid.gel_from_pixel(uv_px)
+    """Relative standard deviation of its scale; 0 when unknown."""
 
 
-@dataclass(frozen=True)
-class CameraView:
-    """A physical camera, the media in front of it and the height of the face that it looks at."""
+def face_seen(
+    model: CameraModel, media: Media, height_mm: Callable[[np.ndarray], np.ndarray]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Where pixels of a camera look through media: ``PixelView.gel_from_pixel``.
 
-    model: CameraModel
-    media: Media
-    height_mm: Callable[[np.ndarray], np.ndarray]
-    """z of the contact face at rest over gel xy, [n, 2] -> [n]; NaN beside it."""
-    description: str
-    scale_sigma: float = 0.0
+    ``height_mm`` is z of the contact face at rest over gel xy, [n, 2] -> [n]; NaN beside it.
+    """
 
-    def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
-        """See ``PixelView``."""
+    def gel_from_pixel(uv_px: np.ndarray) -> np.ndarray:
         uv = np.asarray(uv_px, dtype=np.float64)
-        origin, directions = self.model.rays(uv.reshape(-1, 2))
-        entry, inside, _ = self.media.trace(origin, directions)
+        entry, inside, _ = media.trace(*model.rays(uv.reshape(-1, 2)))
         slope = inside[:, :2] / np.where(inside[:, 2] > 0, inside[:, 2], np.nan)[:, None]
-        z = np.zeros(len(slope))
-        xy = np.full((len(slope), 2), np.nan)
+        z, xy = np.zeros(len(slope)), np.full((len(slope), 2), np.nan)
         # The face is flat or gently domed: its height where the last guess met it is soon exact.
         for _ in range(_STEPS):
             new = entry[:, :2] + slope * (z - entry[:, 2])[:, None]
@@ -86,8 +60,10 @@ class CameraView:
             xy = new
             if moved < _EXACT_MM:
                 break
-            z = self.height_mm(xy)
+            z = height_mm(xy)
         return xy.reshape(uv.shape)
+
+    return gel_from_pixel
 
 
 def pixel_jacobian(view: PixelView, uv_px: np.ndarray) -> np.ndarray:
@@ -104,7 +80,7 @@ def pixel_jacobian(view: PixelView, uv_px: np.ndarray) -> np.ndarray:
 
 def camera_view(
     profile: SensorProfile, size_px: tuple[int, int], *, refraction: bool = True
-) -> CameraView:
+) -> PixelView:
     """View through the camera of a profile, for pictures of ``size_px`` (width, height).
 
     Without ``refraction`` sight lines are straight, as for a pose that was fitted that way.
@@ -118,13 +94,15 @@ def camera_view(
     camera = optics.camera()
     _require_shape("camera", (camera.width_px, camera.height_px), size_px)
     media = profile_media(profile, optics)
-    return CameraView(
-        CameraModel(resized(camera, *size_px)),
-        media if refraction else without_refraction(media),
-        contact_height(profile),
+    return PixelView(
+        face_seen(
+            CameraModel(resized(camera, *size_px)),
+            media if refraction else without_refraction(media),
+            contact_height(profile),
+        ),
         f"the {optics.provenance.kind} camera of the profile, "
         + ("through window and gel" if refraction else "sight lines straight"),
-        _relative_sigma(profile, ("mm_per_px_x", "mm_per_px_y")),
+        _relative_sigma(profile),
     )
 
 
@@ -137,20 +115,15 @@ def _require_shape(what: str, theirs: tuple[int, int], size_px: tuple[int, int])
         )
 
 
-def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> GridView:
+def grid_view(profile: SensorProfile, size_px: tuple[int, int]) -> PixelView:
     """View by the pixel grid of a profile, for pictures of ``size_px``; as ``camera_view``."""
-    block = profile.camera
-    _require_shape("pixel grid", (block.width_px, block.height_px), size_px)
-    sx, sy = block.width_px / size_px[0], block.height_px / size_px[1]
-    grid = PixelGrid(
-        *size_px,
-        block.mm_per_px_x * sx,
-        block.mm_per_px_y * sy,
-        (block.center_u_px + 0.5) / sx - 0.5,
-        (block.center_v_px + 0.5) / sy - 0.5,
+    grid = profile.grid()
+    _require_shape("pixel grid", (grid.width_px, grid.height_px), size_px)
+    return PixelView(
+        grid.resized(*size_px).gel_from_pixel,
+        f"the {profile.camera.provenance.kind} scale of the profile",
+        _relative_sigma(profile),
     )
-    sigma = _relative_sigma(profile, ("mm_per_px_x", "mm_per_px_y"))
-    return GridView(grid, f"the {block.provenance.kind} scale of the profile", sigma)
 
 
 def contact_height(profile: SensorProfile) -> Callable[[np.ndarray], np.ndarray]:
@@ -165,10 +138,11 @@ def contact_height(profile: SensorProfile) -> Callable[[np.ndarray], np.ndarray]
     return LinearNDInterpolator(points[:, :2], points[:, 2])
 
 
-def _relative_sigma(profile: SensorProfile, names: tuple[str, ...]) -> float:
+def _relative_sigma(profile: SensorProfile) -> float:
     """Relative standard deviation of the profile's scale; 0 when it states none."""
-    spread = profile.camera.provenance.spread
+    camera = profile.camera
+    spread = camera.provenance.spread
+    scales = {"mm_per_px_x": camera.mm_per_px_x, "mm_per_px_y": camera.mm_per_px_y}
     return max(
-        (spread[name] / getattr(profile.camera, name) for name in names if name in spread),
-        default=0.0,
+        (spread[name] / scale for name, scale in scales.items() if name in spread), default=0.0
     )

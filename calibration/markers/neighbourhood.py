@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from taccel_lab.calibration.dots.local_affine import local_affine
+
 _NEIGHBOURS = 12
 _REACH = 2.6
 """Pitches within which dots are neighbours."""
@@ -63,23 +65,15 @@ class Neighbourhood:
         weight = self.weight * known[around]
         value = np.where(known[:, None], values, 0.0)[around]
         offset = (self.rest_px[around] - self.rest_px[:, None]) / self.pitch_px
-        design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
-        belief = np.diag([1e-9, _STIFF, _STIFF])
         total = weight.sum(axis=1)
         robust = weight
-        scatter = np.zeros(len(weight))
-        solution = np.zeros((len(weight), 3, 2))
+        said, scatter = np.full(values.shape, np.nan), np.zeros(len(weight))
         for _ in range(_ROUNDS):
-            weighted = design * robust[..., None]
-            normal = np.matmul(weighted.transpose(0, 2, 1), design) + belief
-            right = np.matmul(weighted.transpose(0, 2, 1), value)
-            solution = np.linalg.solve(normal, right)
-            miss = np.linalg.norm(value - np.matmul(design, solution), axis=2)
-            scatter = np.sqrt(
-                (robust * miss**2).sum(axis=1) / np.maximum(2 * robust.sum(axis=1), 1e-12)
-            )
+            said, slope = local_affine(offset, value, robust, _STIFF)
+            miss = np.linalg.norm(value - said[:, None] - offset @ slope, axis=2)
+            squares = np.where(robust > 0, robust * miss**2, 0.0).sum(axis=1)
+            scatter = np.sqrt(squares / np.maximum(2 * robust.sum(axis=1), 1e-12))
             bound = np.maximum(scatter, 0.02 * self.pitch_px)[:, None]
             # Cauchy's weights: a dot that was mistaken for another has no say.
-            robust = weight / (1.0 + (miss / bound) ** 2)
-        said = np.where((total > 0)[:, None], solution[:, 0], np.nan)
+            robust = np.where(weight > 0, weight / (1.0 + (miss / bound) ** 2), 0.0)
         return said, scatter, total

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.stats import exponnorm
 
 from taccel_lab.errors import InputError
 
@@ -237,17 +237,6 @@ def _longest_run(jump: np.ndarray, least: float) -> tuple[int, int]:
     return int(above[firsts[k]]), int(above[lasts[k]]) + 1
 
 
-def _fall(t: np.ndarray, start: float, decay: float, blur: float) -> np.ndarray:
-    """1 up to ``start``, then exp(-(t - start) / decay), both blurred by a Gaussian.
-
-    That of our own smoothing: a blur measured at the crest placed ends no better on real presses.
-    """
-    x = (t - start) / blur
-    # exp(r^2 / 2 - x r) norm.cdf(x - r) in logarithms: either factor alone overflows.
-    r = blur / decay
-    return norm.cdf(-x) + np.exp(np.minimum(0.5 * r * r - x * r + norm.logcdf(x - r), 50.0))
-
-
 def _end(
     positions: np.ndarray,
     jump: np.ndarray,
@@ -259,7 +248,9 @@ def _end(
     """Where the edge ends, its standard deviation, and the length of the decay beyond it [px].
 
     Beyond the end the gel comes off the crest and rounds it, so that the jump does not break off
-    but decays; the end is where it begins to. Samples run outward from inside the line.
+    but decays exponentially; the end is where it begins to, blurred by our own smoothing (a blur
+    measured at the crest placed ends no better on real presses). Samples run outward from inside
+    the line.
     """
     inner = max(int(0.1 * count), 12)
     plateau = np.array([at - direction * k for k in range(inner // 2, 3 * inner)])
@@ -276,7 +267,8 @@ def _end(
     used = t < half + _TAIL_PX
 
     def left(x: np.ndarray) -> np.ndarray:
-        return x[0] * _fall(t[used], x[1], x[2], _SMOOTH_PX) - values[used]
+        end, decay = x[1], x[2] / _SMOOTH_PX
+        return x[0] * exponnorm.sf(t[used], decay, end, _SMOOTH_PX) - values[used]
 
     fit = least_squares(
         left,

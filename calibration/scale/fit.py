@@ -59,7 +59,7 @@ def calibrate_scale(
         raise InputError(
             f"{folder.source} holds nothing of known length: give a board on the gel (on_gel = "
             "true, pitch_mm), [[edges]] with length_mm, [markers] with pitch_x_mm and "
-            "pitch_y_mm, ball presses with stage_mm or depth_mm (docs/calibration_camera.md)"
+            "pitch_y_mm, or ball presses with stage_mm (docs/calibration_camera.md)"
         )
     estimates: list[ScaleEstimate] = []
     failures: dict[str, str] = {}
@@ -135,7 +135,7 @@ def _add_spheres(
     contacts, refused = measure_contacts(folder, ratio)
     placed = [contact for contact in contacts if contact.press.stage_mm is not None]
     jobs: dict[str, Callable[[], ScaleEstimate]] = {
-        "spheres": lambda: scale_from_spheres(contacts, refused, ratio)
+        "spheres": lambda: scale_from_spheres(contacts, refused)
     }
     if placed:
         jobs["stage"] = lambda: scale_from_stage(placed)

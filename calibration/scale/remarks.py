@@ -8,12 +8,6 @@ from taccel_lab.report.remark import Severity
 
 # What each method finds.
 METHOD_FAILED = RemarkKind("method_failed", Severity.WARNING, "no scale from {method}: {reason}")
-DEPTHS_DISAGREE = RemarkKind(
-    "depths_disagree",
-    Severity.WARNING,
-    "contact radii hardly grow with the stated depths (correlation {correlation:.2f}); check "
-    "depth_mm: travel past first touch, in millimetres",
-)
 
 # What they say together.
 CONTACTS_EXCEED_BALL = RemarkKind(

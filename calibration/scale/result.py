@@ -119,5 +119,5 @@ def _only_limits(source: str, estimates: tuple[ScaleEstimate, ...]) -> str:
     bound = f"; ball presses only limit it to {min(limits):.5f} mm/px" if limits else ""
     return (
         f"{source}: the captures do not determine the scale{bound}. Add a board on the gel, "
-        "presses of an edge, markers of known pitch, or depth_mm of at least 3 presses"
+        "presses of an edge, markers of known pitch, or stage_mm of ball presses"
     )

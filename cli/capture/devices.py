@@ -30,9 +30,7 @@ class CaptureDevices:
         if not devices:
             console.print("no camera is plugged in")
             return
-        table = Table("--camera", "name", "serial", "formats")
+        table = Table("--camera", "name", "serial", "node")
         for device in devices:
-            formats = ", ".join(f"{code} {wide}x{high}" for code, wide, high in device.formats)
-            cells = (device.id, device.name, device.serial or "-", formats or "not told")
-            table.add_row(*cells)
+            table.add_row(device.id, device.name, device.serial or "-", device.node)
         console.print(table)

@@ -1,31 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which cameras are plugged in, and which of them is meant.
 
-Names in ``/dev/v4l`` stay with a camera, sysfs has serial numbers, and drivers list their formats:
-the requests and structures are those of ``linux/videodev2.h`` (kernel documentation, "Video for
-Linux API", ``VIDIOC_ENUM_FMT`` and ``VIDIOC_ENUM_FRAMESIZES``), the same on all 64-bit machines.
+Names in ``/dev/v4l`` stay with a camera, and sysfs has serial numbers.
 """
 
 from __future__ import annotations
 
-import fcntl
-import os
-import struct
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
 
-_ENUM_FORMAT, _ENUM_SIZE = 0xC0405602, 0xC02C564A
-_FORMAT, _SIZE = "=III32sIIIII", "=IIIIIIIIIII"
-_CAPTURE, _DISCRETE = 1, 1
-_MOST = 64
-"""Formats, and sizes of each, that are requested."""
-
-SizedFormat = tuple[str, int, int]
-"""FourCC, width and height [px]."""
 ROOT = Path("/")
 
 
@@ -39,7 +25,6 @@ class Device:
     """What OpenCV opens: ``/dev/videoN``."""
     name: str
     serial: str | None
-    formats: tuple[SizedFormat, ...] = ()
 
 
 def list_devices(root: Path = ROOT) -> list[Device]:
@@ -50,7 +35,6 @@ def list_devices(root: Path = ROOT) -> list[Device]:
             node,
             _card_name(root, node) or name,
             _serial_number(root, node),
-            tuple(_sized_formats(node)) if root == ROOT else (),
         )
         for name, node in _stable_names(root).items()
     ]
@@ -112,42 +96,6 @@ def _serial_number(root: Path, node: str) -> str | None:
             if serial:
                 return serial
     return None
-
-
-def _sized_formats(node: str) -> list[SizedFormat]:
-    """Formats and sizes of a camera that exist as such; empty where it cannot be asked."""
-    try:
-        handle = os.open(node, os.O_RDWR | os.O_NONBLOCK)
-    except OSError:
-        return []
-    try:
-        return list(_formats(handle))
-    finally:
-        os.close(handle)
-
-
-def _formats(handle: int) -> Iterator[SizedFormat]:
-    for i in range(_MOST):
-        asked = struct.pack(_FORMAT, i, _CAPTURE, 0, b"", 0, 0, 0, 0, 0)
-        format_ = _asked(handle, _ENUM_FORMAT, asked)
-        if format_ is None:
-            return
-        code = struct.unpack(_FORMAT, format_)[4]
-        for k in range(_MOST):
-            size = _asked(handle, _ENUM_SIZE, struct.pack(_SIZE, k, code, *([0] * 9)))
-            if size is None:
-                break
-            _, _, kind, width, height, *_ = struct.unpack(_SIZE, size)
-            if kind == _DISCRETE:
-                yield code.to_bytes(4, "little").decode("ascii", "replace").strip(), width, height
-
-
-def _asked(handle: int, request: int, argument: bytes) -> bytes | None:
-    """The driver's answer; None where it has none (EINVAL ends every list)."""
-    try:
-        return fcntl.ioctl(handle, request, argument)
-    except OSError:
-        return None
 
 
 def _text(path: Path) -> str:

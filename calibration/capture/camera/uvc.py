@@ -71,7 +71,7 @@ class UvcCamera:
             self.close()
             raise InputError(
                 f"{self.info.name} gives {got[0]}x{got[1]} px when asked for {size_px[0]}x"
-                f"{size_px[1]}; taccel-lab capture devices lists what it has"
+                f"{size_px[1]}; v4l2-ctl --list-formats-ext lists what it has"
             )
 
     def lock(self, values: ControlValues) -> list[ControlLock]:

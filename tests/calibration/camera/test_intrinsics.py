@@ -15,16 +15,15 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import fit_bundle, initial_pose
-from taccel_lab.calibration.camera.charuco import charuco_board, detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
-from taccel_lab.calibration.camera.dot_board import detect_dots, detect_pins
+from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.heldout import fold_of_views
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
@@ -35,7 +34,6 @@ from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
     exact_view,
-    image_pattern,
     lattice_points,
     pose_over,
     render_board,
@@ -105,48 +103,6 @@ def test_part_of_a_chessboard_is_enough_and_too_little_is_counted() -> None:
         detect_chessboard(image, 2, 5)
 
 
-def test_mirrored_view_among_others_is_refused() -> None:
-    """Squares are 8 x 6: a mirror swaps their colours, a half turn does not."""
-    views = [
-        picture(chess_pattern(7, 5), pose_of(7, 5, turn_deg=turn), seed)
-        for seed, turn in enumerate((0.0, 12.0, 185.0, 30.0))
-    ]
-    views[2] = np.ascontiguousarray(views[2][:, ::-1])
-    found = detect_views([board_of(views, 7, 5)])
-    assert len(found.views) == 3
-    assert any("mirrored" in reason and "v2" in reason for reason in found.refused)
-
-
-def charuco_image(flipped: bool = False, legacy: bool = False) -> np.ndarray:
-    board = charuco_board(8, 6, 0.7, "DICT_4X4_50", legacy=legacy)
-    drawing = board.generateImage((8 * 60, 6 * 60), marginSize=0)
-    # Lattice point (0, 0) is the first inner corner, one square from the drawing's corner.
-    pattern = image_pattern(drawing, 60.0, (59.5, 59.5))
-    image = picture(pattern, pose_of(7, 5, distance_mm=36.0))
-    return np.ascontiguousarray(image[:, ::-1]) if flipped else image
-
-
-@pytest.mark.parametrize("legacy", [False, True])
-def test_charuco_board_by_its_markers(legacy: bool) -> None:
-    view = detect_charuco(charuco_image(legacy=legacy), 8, 6, marker_share=0.7)
-    assert len(view.index) >= 33
-    assert errors(view, 7, 5, pose_of(7, 5, distance_mm=36.0)).max() < 0.6
-
-
-def test_charuco_parts_mirrors_and_strangers() -> None:
-    half = charuco_image()
-    half[:, 170:] = 120
-    view = detect_charuco(half, 8, 6, marker_share=0.7)
-    assert 6 <= len(view.index) < 30
-    assert errors(view, 7, 5, pose_of(7, 5, distance_mm=36.0)).max() < 0.6
-    with pytest.raises(InputError, match="mirrored"):
-        detect_charuco(charuco_image(flipped=True), 8, 6, marker_share=0.7)
-    with pytest.raises(InputError, match="found 0 of 35 corners"):
-        detect_charuco(np.full((240, 320, 3), 90, np.uint8), 8, 6, marker_share=0.7)
-    with pytest.raises(InputError, match="unknown ArUco dictionary"):
-        detect_charuco(half, 8, 6, marker_share=0.7, dictionary="DICT_9X9")
-
-
 @pytest.mark.parametrize("share", [0.0, 1 / 3])
 def test_dots_with_some_missing(share: float) -> None:
     rng = np.random.default_rng(5)
@@ -172,7 +128,7 @@ def test_dots_that_are_not_there_or_too_many() -> None:
         detect_dots(noise, 9, 7, reference=noise[:100])
 
 
-def test_pressed_pins_show_against_the_untouched_gel() -> None:
+def test_dents_of_pins_show_against_the_untouched_gel() -> None:
     """Faint dents under uneven light; without the reference nothing could be told."""
     rng = np.random.default_rng(1)
     u, v = np.meshgrid(np.arange(320), np.arange(240))
@@ -185,13 +141,11 @@ def test_pressed_pins_show_against_the_untouched_gel() -> None:
     pressed = gel * (1 - 0.06 * dents[..., None])
     image = quantise(add_noise(pressed, 1.5, rng))
     reference = quantise(add_noise(gel, 1.5, rng))
-    view = detect_pins(image, 6, 5, reference=reference)
+    view = detect_dots(image, 6, 5, reference=reference)
     assert len(view.index) == 30
     assert errors(view, 6, 5, pose).max() < 1.0
-    with pytest.raises(InputError, match="against an image of the untouched gel"):
-        detect_pins(image, 6, 5, reference=None)
-    with pytest.raises(InputError, match=r"nothing is pressed|found"):
-        detect_pins(reference, 6, 5, reference=reference)
+    with pytest.raises(InputError, match="give a reference image without the board"):
+        detect_dots(reference, 6, 5, reference=reference)
 
 
 def test_images_of_two_sizes_are_refused_and_one_twice_counts_once() -> None:

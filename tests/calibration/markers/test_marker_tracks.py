@@ -19,9 +19,9 @@ from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.fit import layout_on_gel
 from taccel_lab.calibration.markers.flow import marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import (
-    CameraView,
-    GridView,
+    PixelView,
     camera_view,
+    face_seen,
     pixel_jacobian,
 )
 from taccel_lab.calibration.markers.judgement import track_remarks
@@ -257,7 +257,8 @@ def test_the_unit_of_length_has_no_effect(scatter: float) -> None:
         assert (fine == coarse).all()
 
 
-GRID_VIEW = GridView(PixelGrid(320, 240, 0.06, 0.05), "a test")
+GRID = PixelGrid(320, 240, 0.06, 0.05)
+GRID_VIEW = PixelView(GRID.gel_from_pixel, "a test")
 
 
 def tracks_of(uv: np.ndarray, sigma: float = 0.02) -> MarkerTracks:
@@ -279,7 +280,7 @@ def test_flow_through_a_grid_is_pixels_times_scale() -> None:
     uv = np.stack([rest, rest + (10.0, -4.0)])
     flow = marker_flow_mm(tracks_of(uv), GRID_VIEW, fps=25.0)
     np.testing.assert_allclose(flow.displacement_mm[1], [[0.6, -0.2]] * 3, atol=1e-12)
-    np.testing.assert_allclose(flow.points_mm, GRID_VIEW.grid.gel_from_pixel(rest))
+    np.testing.assert_allclose(flow.points_mm, GRID.gel_from_pixel(rest))
     np.testing.assert_allclose(flow.sigma_mm[1, 0], np.sqrt(2) * 0.02 * np.array([0.06, 0.05]))
     assert flow.time_s is not None
     np.testing.assert_allclose(flow.time_s, [0.0, 0.04])
@@ -329,9 +330,8 @@ def test_a_rendered_grid_comes_back_through_the_camera(
     image = np.nan_to_num(model.render().linear)
     picture = find_markers(255.0 * image / image.max())
     back = np.array([[x, y, -4.0] for x in (-14, 14) for y in (-14, 14)], dtype=float)
-    view = CameraView(
-        CameraModel(camera), media_between(optics, back), lambda xy: np.zeros(len(xy)), "a test"
-    )
+    seen = face_seen(CameraModel(camera), media_between(optics, back), lambda xy: np.zeros(len(xy)))
+    view = PixelView(seen, "a test")
     layout = layout_on_gel(picture, view)
     assert (layout.rows, layout.columns) == (truth.rows, truth.columns)
     np.testing.assert_allclose(layout.pitch, (truth.pitch_x_mm, truth.pitch_y_mm), rtol=1e-3)
@@ -340,7 +340,9 @@ def test_a_rendered_grid_comes_back_through_the_camera(
     assert set(layout.missing) == set(missing)
     assert layout.residual_rms < 0.005
     # The same dots by a plain scale are bent by lens, tilt and refraction.
-    plain = layout_on_gel(picture, GridView(PixelGrid(320, 240, 0.055, 0.055), "a test"))
+    plain = layout_on_gel(
+        picture, PixelView(PixelGrid(320, 240, 0.055, 0.055).gel_from_pixel, "a test")
+    )
     assert plain.residual_rms > 5 * layout.residual_rms
     assert picture.layout_px is not None
 
@@ -353,11 +355,12 @@ def test_a_camera_view_undoes_projection_on_a_dome() -> None:
     def dome(xy: np.ndarray) -> np.ndarray:
         return np.sqrt(40.0**2 - (xy**2).sum(axis=1)) - 40.0
 
-    view = CameraView(CameraModel(camera), media, dome, "a test")
+    model = CameraModel(camera)
+    view = PixelView(face_seen(model, media, dome), "a test")
     xy = np.random.default_rng(2).uniform(-4, 4, (30, 2))
     points = np.column_stack([xy, dome(xy)])
     sight = media.sight(np.array(camera.position_mm), points)
-    uv = view.model.pixels_from_directions(sight @ view.model.gel_from_camera)
+    uv = model.pixels_from_directions(sight @ model.gel_from_camera)
     np.testing.assert_allclose(view.gel_from_pixel(uv), xy, atol=1e-6)
     jacobian = pixel_jacobian(view, uv)
     assert (np.linalg.det(jacobian) > 0).all()
@@ -400,12 +403,12 @@ def test_a_calibrated_pose_is_looked_through_as_it_was_fitted(bent: bool) -> Non
     layout = fit_layout(grid_points(), lattice)
     folder = CaptureFolder("a test", Path(), "gelsight_mini", None, None, (), None, None, None, ())
     chosen = choose_view(folder, profile.with_block(posed).with_block(scaled), layout, size).view
-    assert isinstance(chosen, CameraView)
+    assert "camera" in chosen.description
     np.testing.assert_allclose(np.diag(pixel_jacobian(chosen, middle)), scale, rtol=1e-9)
     # A lens without a pose says nothing of millimetres; the calibrated grid does.
     lens = profile.optics.replace(provenance=calibrated("calibrated", {"fx_px": 1.0}))
     chosen = choose_view(folder, profile.with_block(lens).with_block(scaled), layout, size).view
-    assert isinstance(chosen, GridView)
+    assert "calibrated scale" in chosen.description
     # And where nothing was measured, that is said.
     assumed = choose_view(folder, profile, layout, size)
     assert [remark.code for remark in assumed.remarks] == ["scale_not_measured"]

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust least squares of points in a plane, whose error is a length and not two numbers.
+
+Huber's loss (P. J. Huber, "Robust Statistics", 1981) of the length of each point's residual. The
+``loss`` of ``scipy.optimize.least_squares`` takes u and v by themselves, so that what counts as far
+off would depend on how the image is turned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, issparse
+
+from taccel_lab.calibration.damped_search import Expanded, damped_search
+from taccel_lab.calibration.robust_spread import spread_of_lengths
+
+HUBER = 2.0
+"""Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
+efficiency on normal noise in two dimensions."""
+_EXACT = 1e-9
+"""Scale of residuals below which they are taken for exact."""
+_ROUNDS, _STEADY = 30, 1e-3
+"""Fits at new scales at most, and the change of the scale, relative, that asks for no other."""
+_GAIN = 1e-11
+"""Of the loss by a step, relative, below which a search is over."""
+_STEP = 6e-6
+"""Relative step of differences: the cube root of the rounding error."""
+
+Residuals = Callable[[np.ndarray], np.ndarray]
+"""Of the points by parameters, [k] -> [n, 2]; not finite where there is none."""
+Matrix = np.ndarray | csr_array
+Jacobian = Callable[[np.ndarray], Matrix]
+"""Derivatives of all u and v, point by point, [k] -> [2 n, k]; sparse where most are zero."""
+
+
+@dataclass(frozen=True)
+class RobustFit:
+    """What a fit found."""
+
+    x: np.ndarray
+    """Parameters, shape [k]."""
+    residuals: np.ndarray
+    """Of the points, shape [n, 2]."""
+    weights: np.ndarray
+    """Huber's weights of the points, shape [n]."""
+    jacobian: Matrix
+    """Of all u and v, shape [2 n, k]."""
+    prior: np.ndarray
+    """Derivatives of the standardised prior, shape [m, k]."""
+    converged: bool
+
+    def covariance(self, groups: tuple[np.ndarray, ...] = ()) -> np.ndarray:
+        """Of the parameters, shape [k, k], by the scatter that is left.
+
+        Args:
+            groups: Names of the points, each of shape [n], whose errors may go together (a bent
+                board, a common blur): where the sandwich estimate by such groups is wider, it sets
+                the standard deviations.
+        """
+        freedom = max(self.residuals.size - len(self.x), 1)
+        variance = float(self.weights @ (self.residuals**2).sum(axis=1)) / freedom
+        information = _information(self.jacobian, self.weights) + variance * (
+            self.prior.T @ self.prior
+        )
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-14)
+        inverse *= np.outer(scale, scale)
+        plain = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
+        wider = np.ones(len(self.x))
+        pull = self.weights[:, None] * self.residuals
+        for group in groups:
+            names, which = np.unique(group, return_inverse=True)
+            member = csr_array((pull.ravel(), (np.repeat(which, 2), np.arange(pull.size))))
+            shifts = _dense(member @ self.jacobian) @ inverse
+            meat = (shifts**2).sum(axis=0) * len(names) / max(len(names) - 1, 1)
+            ratio = np.divide(np.sqrt(meat), plain, out=np.ones_like(plain), where=plain > 1e-100)
+            wider = np.maximum(wider, ratio)
+        return variance * inverse * np.outer(wider, wider)
+
+
+def robust_scale(residual: np.ndarray) -> float:
+    """Standard deviation along an axis of vectors [n, 2], by their median length."""
+    return spread_of_lengths(np.linalg.norm(residual, axis=1), 2)
+
+
+def huber_weights(residual: np.ndarray, scale: float) -> np.ndarray:
+    """Weight of each vector [n, 2] by its length: 1 up to ``HUBER`` scales, falling off beyond.
+
+    ``scale`` is the standard deviation along an axis.
+    """
+    length = np.linalg.norm(residual, axis=1)
+    limit = HUBER * max(scale, _EXACT)
+    return np.where(length <= limit, 1.0, limit / np.maximum(length, 1e-300))
+
+
+def rms(residuals: np.ndarray) -> float:
+    """Root mean square length of vectors [n, 2]."""
+    return float(np.sqrt(np.mean(np.sum(np.square(residuals), axis=-1))))
+
+
+def _dense(matrix: Matrix) -> np.ndarray:
+    return csr_array(matrix).toarray() if issparse(matrix) else np.asarray(matrix)
+
+
+def _information(jacobian: Matrix, weights: np.ndarray) -> np.ndarray:
+    """J^T W J of the weights of points, shape [k, k]."""
+    return _dense(jacobian.T @ (jacobian * np.repeat(weights, 2)[:, None]))
+
+
+def slopes(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """Derivatives of a function's values, flat, by differences, shape [value, k]."""
+    columns = []
+    for k, step in enumerate(_STEP * np.maximum(np.abs(x), 1e-3)):
+        up, down = x.copy(), x.copy()
+        up[k], down[k] = x[k] + step, x[k] - step
+        columns.append(((function(up) - function(down)) / (up[k] - down[k])).ravel())
+    return np.stack(columns, axis=1)
+
+
+def fit_robustly(
+    residuals: Residuals,
+    start: np.ndarray,
+    *,
+    jacobian: Jacobian | None = None,
+    prior: Callable[[np.ndarray], np.ndarray] | None = None,
+    robust: bool = True,
+) -> RobustFit:
+    """Parameters that make the sum of Huber's losses least; its scale is that of the residuals.
+
+    Args:
+        residuals: Of the points; a step to where one is not finite is not taken.
+        start: Parameters to start from, shape [k].
+        jacobian: Their derivatives; by differences when left out.
+        prior: What is known of the parameters already, as standardised residuals, [k] -> [m].
+        robust: Huber's loss, or plain squares.
+    """
+
+    def of_points(x: np.ndarray) -> Matrix:
+        return slopes(residuals, x) if jacobian is None else jacobian(x)
+
+    def of_prior(x: np.ndarray) -> np.ndarray:
+        return np.zeros((0, len(x))) if prior is None else slopes(prior, x)
+
+    def weigh(left: np.ndarray, scale: float) -> np.ndarray:
+        return huber_weights(left, scale) if robust else np.ones(len(left))
+
+    def searched(x: np.ndarray, scale: float, gain: float) -> tuple[np.ndarray, float, bool]:
+        def expand(x: np.ndarray, below: float) -> Expanded:
+            left = residuals(x)
+            known = np.zeros(0) if prior is None else scale * prior(x)
+            weights = weigh(left, scale)
+            # Huber's loss: squares, beyond the limit twice the length times it, less its square.
+            loss = float((left**2).sum(axis=1) @ (weights * (2 - weights)) + known @ known)
+            if not loss < below:
+                return np.inf, np.zeros(0), np.zeros((0, 0))
+            by_x, by_known = of_points(x), scale * of_prior(x)
+            gradient = by_x.T @ (weights[:, None] * left).ravel() + by_known.T @ known
+            return loss, gradient, _information(by_x, weights) + by_known.T @ by_known
+
+        return damped_search(expand, x, relative_gain=gain)
+
+    x = np.array(start, dtype=np.float64)
+    scale = max(robust_scale(residuals(x)), _EXACT)
+    for _ in range(_ROUNDS):
+        x, *_ = searched(x, scale, _STEADY)
+        before, scale = scale, max(robust_scale(residuals(x)), _EXACT)
+        if abs(scale - before) <= _STEADY * scale:
+            break
+    x, _, converged = searched(x, scale, _GAIN)
+    left = residuals(x)
+    return RobustFit(x, left, weigh(left, scale), of_points(x), of_prior(x), converged)
