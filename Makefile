@@ -22,7 +22,8 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 # One thread a process: the tests run in parallel processes. Bytecode is kept, whatever the user's
 # setting: each process would compile the package and rewrite the tests' assertions anew.
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
-PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
+# In the order of tests/conftest.py.
+PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
 

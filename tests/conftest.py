@@ -8,6 +8,7 @@ import gc
 import os
 import shutil
 import subprocess
+from collections import Counter
 from collections.abc import Generator, Iterator
 from functools import lru_cache
 from importlib.util import find_spec
@@ -36,7 +37,7 @@ EXPLORES = os.environ.get("TACCEL_LAB_EXPLORE", "0") == "1"
 settings.register_profile(
     "taccel",
     deadline=None,
-    max_examples=100 if EXPLORES else 40,
+    max_examples=100 if EXPLORES else 25,
     print_blob=True,
     derandomize=not EXPLORES,
     suppress_health_check=[HealthCheck.too_slow],
@@ -58,6 +59,36 @@ def pytest_collection() -> Generator[None, Any, Any]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+LONG = (
+    "fuzz/test_kept_seeds.py",
+    "viewer/test_pages.py",
+    "viewer/test_design.py",
+    "report/test_every_page.py",
+    "report/test_page_in_browser.py",
+    "calibration/record/test_page.py",
+    "calibration/record/test_session.py",
+    "calibration/live/test_live.py",
+    "calibration/contacts/test_real_contacts.py",
+    "cli/test_demo.py",
+    "learning/test_task_policies.py",
+    "learning/force/test_fit.py",
+    "datasets/test_making.py",
+    "validation/test_capture_sets.py",
+    "api/test_press.py",
+    "test_docs.py",
+)
+"""Files whose few tests take longest, as ``--durations`` tells."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files begin first, then those of many tests: where a process takes one file after the
+    other, none is left with a long one when the others are done."""
+    first = {Path(__file__).parent / name for name in LONG}
+    counts = Counter(item.path for item in items)
+    items.sort(key=lambda item: (item.path not in first, -counts[item.path], str(item.path)))
 
 
 # Arrays whose device a test does not name are where its models are.

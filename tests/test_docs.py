@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.cli.app import main, parse
+from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.scene import Element
 from tests.cli.test_press import FILES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401
 from tests.support.variants import variants
@@ -60,11 +63,17 @@ LONG = (DOCS / "tutorials" / "curved_pad.md", DOCS / "gradients.md")
 @pytest.mark.parametrize(
     "page", variants([page for page in WITH_PYTHON if page not in LONG], WITH_PYTHON), ids=named
 )
-def test_python_runs(page: Path, request: pytest.FixtureRequest) -> None:
+def test_python_runs(
+    page: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if page.name == "newton.md":
         pytest.importorskip("newton", reason="newton is not installed")
     if installed(page):
         request.getfixturevalue("template")
+    # That a page runs does not depend on how finely its presses are meshed, nor where it draws.
+    quick = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
+    monkeypatch.setitem(PHYSICS, Accuracy.FAST, quick)
+    monkeypatch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
     names: dict[str, object] = {"__name__": page.name}
     for block in blocks(page, "python"):
         code = compile(block, page.name, "exec")

@@ -100,13 +100,14 @@ def compare(
 
 MODULI = ("young_modulus_pa", "poisson_ratio")
 FAST = ("quadratic under an edge", "three environments", "on a mount that moves")
-"""Between them all that a slope goes through but the laws."""
+"""Between them all that a slope goes through but the laws. What the first, the dearest, has of its
+own comes in with a modulus and the ways of the tools."""
 
 
 @pytest.mark.parametrize(
     ("which", "name"),
     variants(
-        [*((case, MODULI[1]) for case in (*FAST, *LAWS)), (FAST[0], MODULI[0])],
+        [*((case, MODULI[1]) for case in (*FAST, *LAWS)), (FAST[1], MODULI[0])],
         [*CASES, *LAWS],
         MODULI,
     ),
@@ -129,7 +130,7 @@ def test_moduli(which: str, name: str) -> None:
 RUBBING = {name: case for name, case in CASES.items() if case.friction > 0}
 
 
-@pytest.mark.parametrize("which", variants([*FAST, "facets"], RUBBING))
+@pytest.mark.parametrize("which", variants([*FAST[1:], "facets"], RUBBING))
 def test_friction(which: str) -> None:
     case = RUBBING[which]
 
@@ -139,7 +140,7 @@ def test_friction(which: str) -> None:
     assert (compare(case, lambda g: g.friction[:, 0, 1], changed, 1e-5) < 1e-5).all()
 
 
-@pytest.mark.parametrize("which", variants([*FAST, "a stiffness of its own"], CASES))
+@pytest.mark.parametrize("which", variants([*FAST[1:], "a stiffness of its own"], CASES))
 def test_size(which: str) -> None:
     case = CASES[which]
 

@@ -21,12 +21,12 @@ from tests.verification.test_mindlin import BALL, DEPTH, MU, RADIUS, pressed_blo
 
 GRID = PixelGrid(100, 80, 0.06, 0.06)
 PIXEL_M2 = 0.06e-3**2
-AT_MM = np.array([[0.0, 0.0], [0.5, 0.3], [-0.6, -0.2]])
+AT_MM = np.array([[0.0, 0.0], [0.5, 0.3]])
 
 
 @lru_cache
 def dragged(device: str = "cpu") -> PressEnv:
-    """A ball of 4 mm, 0.4 mm deep in three places, then dragged until its rim slips."""
+    """A ball of 4 mm, 0.4 mm deep in two places, then dragged until its rim slips."""
     mesh = block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3))
     env = PressEnv(
         mesh,
@@ -155,7 +155,7 @@ def test_chunks_and_chosen_environments_change_nothing() -> None:
         np.testing.assert_array_equal(array.numpy(), expected)
     for options in ({}, {"chunk_pixels": 1}):
         signal = of(env, **options)
-        who = np.array([True, False, True])
+        who = np.array([False, True])
         signal.update(env.state, who=who)
         for array, expected in zip(signal.read(*CONTACT_SIGNALS), whole, strict=True):
             np.testing.assert_array_equal(array.numpy(), expected[who])
@@ -167,7 +167,7 @@ def test_what_is_missing_is_said() -> None:
     signal.update(env.state.positions)
     with pytest.raises(InputError, match=r"contact needs the state of the solver: update\(state\)"):
         signal.read("contact")
-    bare = SignalTactile(env.mesh, GRID, env_count=3)
+    bare = SignalTactile(env.mesh, GRID, env_count=len(AT_MM))
     bare.update(env.state)
     with pytest.raises(InputError, match="traction_pa needs the forces of a solver"):
         bare.read("traction_pa")

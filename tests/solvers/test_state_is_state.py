@@ -91,7 +91,7 @@ def interrupted_at(count: int) -> Iterator[None]:
             signal.signal(signal.SIGINT, earlier)
 
 
-@pytest.mark.parametrize("seed", variants(range(2), range(6)))
+@pytest.mark.parametrize("seed", variants([0], range(6)))
 def test_an_interrupted_step_leaves_no_trace(case: Any, seed: int) -> None:
     """Wherever: while kernels are loaded, the graph is recorded or replayed, states are copied."""
     build, ask, expected = case

@@ -163,7 +163,8 @@ def test_dhat_acts_like_depth(cells: tuple[int, int]) -> None:
     assert ratio == pytest.approx(((1 + 0.05) / (1 + 0.002)) ** 1.5, rel=0.01)
 
 
-@pytest.mark.parametrize("cells", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cells", [2, 3])
 def test_quadratic_tets_are_within_two_percent(cells: int) -> None:
     """With 4,600 nodes (linear tets: 94,000 for 2.1 %), and near nu = 0.5 too."""
     result = pressed(cells, element=Element.QUADRATIC)

@@ -52,7 +52,7 @@ from tests.support.synthetic_presses import (
 )
 
 QUICK = ColorFitOptions(
-    hidden=(32, 32), steps=500, batch_pixels=2048, disc_pixels=1500, ring_pixels=1000,
+    hidden=(32, 32), steps=400, batch_pixels=2048, disc_pixels=1500, ring_pixels=1000,
     far_pixels=300,
 )  # fmt: skip
 
@@ -71,7 +71,7 @@ def frames_of(captures: CaptureSet, surfaces: list[BallSurface]) -> list[ColorFr
 
 
 def test_round_trip_recovers_the_colour_law() -> None:
-    captures, surfaces = synthetic_captures(16, noise=1.0)
+    captures, surfaces = synthetic_captures(12, noise=1.0)
     result = calibrated(captures, surfaces, options=QUICK)
     assert result.split == captures.split(4)
     assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names

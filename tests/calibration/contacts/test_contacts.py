@@ -69,7 +69,7 @@ def in_sigmas(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.n
 
 
 def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
-    circles = scattered(12)
+    circles = scattered(6)
     captures = press_set(circles, [pressed(c) for c in circles])
     found = offsets(captures, contacts_of(captures))
     assert np.abs(found).max() < 0.1
@@ -77,7 +77,7 @@ def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
 
 def test_pixels_that_are_not_square() -> None:
     grid = PixelGrid(200, 120, 0.08, 0.1)
-    circles = scattered(6, seed=3, grid=grid)
+    circles = scattered(4, seed=3, grid=grid)
     captures = press_set(circles, [pressed(c, grid) for c in circles], grid)
     assert np.abs(offsets(captures, contacts_of(captures))).max() < 0.25
 
@@ -96,7 +96,7 @@ def faulty(
 
 def test_faulty_presses_within_their_own_sigma() -> None:
     rng = np.random.default_rng(1)
-    circles = scattered(14, seed=5)
+    circles = scattered(9, seed=5)
     captures = press_set(circles, [faulty(c, rng) for c in circles])
     contacts = contacts_of(captures)
     off = offsets(captures, contacts)
@@ -112,7 +112,7 @@ def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
     scores = []
     for seed, sink_in in enumerate((0.9, 2.0)):
         rng = np.random.default_rng(seed)
-        circles = scattered(8, seed=20 + seed)
+        circles = scattered(5, seed=20 + seed)
         captures = press_set(circles, [faulty(c, rng, sink_in) for c in circles])
         scores.append(in_sigmas(captures, contacts_of(captures)))
     for standardised in np.split(np.concatenate(scores), [2], axis=1):

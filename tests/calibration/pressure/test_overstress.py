@@ -63,7 +63,7 @@ def gel() -> SensorProfile:
 def held(gel: SensorProfile) -> Press:
     """Down at 0.5 mm/s, 5 s of rest, and back."""
     return tl.press(
-        gel, "sphere:4", depth_mm=0.5, step_mm=0.1, speed_mm_s=0.5, hold_s=5.0, unload=True,
+        gel, "sphere:4", depth_mm=0.5, step_mm=0.25, speed_mm_s=0.5, hold_s=5.0, unload=True,
         friction=0.0, accuracy="fast", states=True,
     )  # fmt: skip
 

@@ -131,7 +131,7 @@ def test_perfect_degradation_is_recovered() -> None:
 def test_noise_within_its_own_sigma() -> None:
     profile = old_profile()
     off = []
-    for seed in range(3):
+    for seed in range(2):
         frames = new_frames(profile, noise=2.0, whole_levels=True, seed=seed)
         result = refit(profile, frames)
         sigma = np.maximum(result.fit.sigma.response, 1e-4)
