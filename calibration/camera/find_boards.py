@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
+from taccel_lab.calibration.camera.charuco import detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
 from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.capture.folder import BoardCaptures
@@ -32,6 +33,20 @@ def detect_board(
     """Find the board of a manifest's entry in one RGB image; InputError says what is amiss."""
     if entry.kind == "chessboard":
         view = detect_chessboard(image, entry.columns, entry.rows, name=name)
+    elif entry.kind == "charuco":
+        if entry.marker_mm is None or entry.pitch_mm is None:
+            raise InputError(
+                f"{name}: a charuco board needs pitch_mm (size of a square) and marker_mm (size "
+                "of a marker), also where no scale is wanted: their ratio says where corners lie"
+            )
+        view = detect_charuco(
+            image,
+            entry.columns,
+            entry.rows,
+            marker_share=entry.marker_mm / entry.pitch_mm,
+            dictionary=entry.dictionary,
+            name=name,
+        )
     else:
         view = detect_dots(image, entry.columns, entry.rows, reference=reference, name=name)
     return replace(view, pitch_mm=entry.pitch_mm)

@@ -72,14 +72,18 @@ class SpherePress(StrictModel):
 class BoardEntry(StrictModel):
     """Views of one calibration board, or presses of one into the gel."""
 
-    kind: Literal["chessboard", "dots", "pins"]
+    kind: Literal["chessboard", "charuco", "dots", "pins"]
     """``dots`` are printed ones, or the dents of a board of pins or holes that is pressed into the
     gel. Captures of earlier versions call these ``pins``."""
     columns: Whole = Field(ge=2, le=200)
-    """Inner corners (chessboard) or dots along a row."""
+    """Inner corners (chessboard), squares (charuco) or dots along a row."""
     rows: Whole = Field(ge=2, le=200)
     pitch_mm: Number | None = Field(default=None, gt=0.0, le=200.0)
     """Square size or distance of dots [mm]; without it the board gives intrinsics, no scale."""
+    marker_mm: Number | None = Field(default=None, gt=0.0, le=200.0)
+    """ArUco marker size of a charuco board [mm]."""
+    dictionary: str = "DICT_4X4_50"
+    """OpenCV's name of the ArUco dictionary."""
     on_gel: Flag = False
     """The board lies on, or is pressed into, the contact face: it gives scale and pose of the gel.
     Otherwise it is shown to the camera from many sides: intrinsics and distortion."""

@@ -115,7 +115,7 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
     if command == "camera":
         views = sum(len(b.frames) for b in folder.boards)
         return (f"{counted(views, 'view')} of boards" if views else ""), (
-            "" if views else "views of a board: chessboard or dots"
+            "" if views else "views of a board: chessboard, ChArUco or dots"
         )
     if command == "scale":
         sources = _scale_sources(folder)

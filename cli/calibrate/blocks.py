@@ -43,7 +43,7 @@ class CalibrateCamera(BlockCommand, CameraOptions):
 
     Boards held before the camera give the lens (optics block); boards that lie on the gel or are
     pressed into it give mm/px in x and y and the pose of the gel (camera block). Chessboards,
-    boards of dots and of pins are found, also where points are missing.
+    ChArUco boards, boards of dots and of pins are found, also where points are missing.
     """
 
     captures: Positional[Path]

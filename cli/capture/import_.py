@@ -45,7 +45,7 @@ class CaptureImport:
     board: str | None = None
     """The board of a 9DTact, of Osaka's views or of all images of a plain folder, such as
     chessboard:6x6:2.5. The numbers are inner corners or dots along a row x rows, and their pitch
-    in mm if known. Kinds: chessboard, dots."""
+    in mm if known. Kinds: chessboard, charuco, dots."""
     origin: str | None = None
     """Origin of the captures, kept as provenance. Default: from a README or MANIFEST in the
     source, else unknown."""

@@ -9,7 +9,7 @@ from typing import Any
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 
-_BOARD = re.compile(r"^(chessboard|dots):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
+_BOARD = re.compile(r"^(chessboard|charuco|dots):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
 
 
 def board_entry(text: str) -> dict[str, Any]:
@@ -21,7 +21,7 @@ def board_entry(text: str) -> dict[str, Any]:
     if match is None:
         raise InputError(
             f"board {text!r}; kind:COLUMNSxROWS[:pitch_mm] is allowed, such as chessboard:6x6:2.5 "
-            "(kinds chessboard, dots)"
+            "(kinds chessboard, charuco, dots)"
         )
     entry: dict[str, Any] = {"kind": match[1], "columns": int(match[2]), "rows": int(match[3])}
     if match[4] is not None:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import fit_bundle, initial_pose
+from taccel_lab.calibration.camera.charuco import charuco_board, detect_charuco
 from taccel_lab.calibration.camera.chessboard import detect_chessboard
 from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.camera.find_boards import detect_views
@@ -34,6 +35,7 @@ from tests.calibration.drawn.boards import (
     chess_pattern,
     dot_pattern,
     exact_view,
+    image_pattern,
     lattice_points,
     pose_over,
     render_board,
@@ -101,6 +103,36 @@ def test_part_of_a_chessboard_is_enough_and_too_little_is_counted() -> None:
         detect_chessboard(hidden, 7, 5)
     with pytest.raises(InputError, match="at least 3 x 3"):
         detect_chessboard(image, 2, 5)
+
+
+def charuco_image(flipped: bool = False, legacy: bool = False) -> np.ndarray:
+    board = charuco_board(8, 6, 0.7, "DICT_4X4_50", legacy=legacy)
+    drawing = board.generateImage((8 * 60, 6 * 60), marginSize=0)
+    # Lattice point (0, 0) is the first inner corner, one square from the drawing's corner.
+    pattern = image_pattern(drawing, 60.0, (59.5, 59.5))
+    image = picture(pattern, pose_of(7, 5, distance_mm=36.0))
+    return np.ascontiguousarray(image[:, ::-1]) if flipped else image
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_charuco_board_by_its_markers(legacy: bool) -> None:
+    view = detect_charuco(charuco_image(legacy=legacy), 8, 6, marker_share=0.7)
+    assert len(view.index) >= 33
+    assert errors(view, 7, 5, pose_of(7, 5, distance_mm=36.0)).max() < 0.6
+
+
+def test_charuco_parts_mirrors_and_strangers() -> None:
+    half = charuco_image()
+    half[:, 170:] = 120
+    view = detect_charuco(half, 8, 6, marker_share=0.7)
+    assert 6 <= len(view.index) < 30
+    assert errors(view, 7, 5, pose_of(7, 5, distance_mm=36.0)).max() < 0.6
+    with pytest.raises(InputError, match="mirrored"):
+        detect_charuco(charuco_image(flipped=True), 8, 6, marker_share=0.7)
+    with pytest.raises(InputError, match="found 0 of 35 corners"):
+        detect_charuco(np.full((240, 320, 3), 90, np.uint8), 8, 6, marker_share=0.7)
+    with pytest.raises(InputError, match="unknown ArUco dictionary"):
+        detect_charuco(half, 8, 6, marker_share=0.7, dictionary="DICT_9X9")
 
 
 @pytest.mark.parametrize("share", [0.0, 1 / 3])

@@ -148,9 +148,9 @@ def test_median_of_the_presses_as_background(tmp_path: Path) -> None:
 def test_board_views_of_a_plain_folder(tmp_path: Path) -> None:
     for name in ("view_a", "view_b"):
         picture(tmp_path / "source" / f"{name}.png")
-    (captures,) = imported(tmp_path / "source", board="dots:8x6:3.5")
+    (captures,) = imported(tmp_path / "source", board="charuco:8x6:3.5")
     entry = captures.boards[0].entry
-    assert (entry.kind, entry.columns, entry.rows, entry.pitch_mm) == ("dots", 8, 6, 3.5)
+    assert (entry.kind, entry.columns, entry.rows, entry.pitch_mm) == ("charuco", 8, 6, 3.5)
     with pytest.raises(InputError, match=r"kind:COLUMNSxROWS"):
         read_drafts(tmp_path / "source", "plain", ImportOptions(board="8x6"))
 

@@ -94,6 +94,22 @@ def dot_pattern(
     return pattern
 
 
+def image_pattern(
+    image: np.ndarray, px_per_pitch: float, origin_px: tuple[float, float]
+) -> Pattern:
+    """A drawn board (grey uint8) whose lattice point (0, 0) is at a pixel of the drawing."""
+
+    def pattern(xy: np.ndarray) -> np.ndarray:
+        at = (xy * px_per_pitch + np.asarray(origin_px)).astype(np.float32)
+        levels = [
+            cv2.remap(image, part[:, 0], part[:, 1], cv2.INTER_LINEAR, borderValue=(255.0,)).ravel()
+            for part in np.array_split(at, len(at) // 30_000 + 1)
+        ]
+        return BLACK + (WHITE - BLACK) * np.concatenate(levels) / 255.0
+
+    return pattern
+
+
 def render_board(
     lens: Lens,
     parameters: np.ndarray,

@@ -48,10 +48,12 @@ _TARGETS = """
 heldout = ["p2"]
 
 [[boards]]
-kind = "dots"
+kind = "charuco"
 columns = 6
 rows = 5
 pitch_mm = 2.5
+marker_mm = 1.8
+dictionary = "DICT_4X4_50"
 on_gel = true
 images = ["board.png"]
 reference = "background.png"
