@@ -56,40 +56,24 @@ def fit_dots(
         free_shape: Fit ellipse and blur too; otherwise they stay as in ``start``.
         others: Further centres (u, v) whose pixels are left out, shape [other, 2].
     """
-    count = len(start)
-    parts = []
+    if len(start) == 0:
+        nothing = np.empty((0, model.PARAMETERS)), np.empty((0, 2, 2)), np.empty(0)
+        return DotFit(*nothing, np.empty(0, dtype=bool))
     grey = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX, borderType=cv2.BORDER_REPLICATE)
     centres = start[:, :2] if others is None else np.concatenate([start[:, :2], others])
-    # Dots much larger than the rest would make all windows large.
+    # By size: dots much larger than the rest would make all windows large.
     radii = model.mean_radius(start)
     order = np.argsort(radii)
-    first = 0
-    while first < count:
-        last = first + 1
-        while last < count and (last + 1 - first) * _pixels(float(radii[order[last]])) <= _CHUNK:
-            last += 1
-        parts.append(_fit_chunk(grey, start, order[first:last], centres, free_shape))
-        first = last
-    if not parts:
-        return DotFit(
-            np.empty((0, model.PARAMETERS)),
-            np.empty((0, 2, 2)),
-            np.empty(0),
-            np.empty(0, dtype=bool),
-        )
-    back = np.empty(count, dtype=int)
-    back[order] = np.arange(count)
-    joined = DotFit(*(np.concatenate(items) for items in zip(*parts, strict=True)))
-    return joined.select(back)
+    pixels = (2 * window_half(float(radii.max())) + 1) ** 2
+    parts = np.array_split(order, min(len(order), 1 + len(order) * pixels // _CHUNK))
+    fits = [_fit_chunk(grey, start, part, centres, free_shape) for part in parts]
+    joined = DotFit(*(np.concatenate(items) for items in zip(*fits, strict=True)))
+    return joined.select(np.argsort(order))
 
 
 def window_half(radius_px: float) -> int:
     """Half width of the square of pixels that a dot is fitted to."""
     return int(np.ceil(1.7 * radius_px + 2.5))
-
-
-def _pixels(radius_px: float) -> int:
-    return (2 * window_half(radius_px) + 1) ** 2
 
 
 def _fit_chunk(
