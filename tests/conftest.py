@@ -6,6 +6,7 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import pickle
 import shutil
 import subprocess
 from collections import Counter
@@ -26,9 +27,12 @@ import warp._src.build as native
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.files.file_cache import CACHE_VARIABLE
-from taccel_lab.sensors import profile
+from taccel_lab.geometry import TetMesh
+from taccel_lab.sensors import press_mesh, profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
 # derandomised, so that a change that passed keeps passing; they still depend on the version of the
@@ -91,6 +95,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: (item.path not in first, -counts[item.path], str(item.path)))
 
 
+KEPT_MESHES = 32
+
 # Arrays whose device a test does not name are where its models are.
 wp.set_device(os.environ.get("TACCEL_LAB_DEVICE", "cpu"))
 
@@ -140,6 +146,25 @@ def _catalogue_is_meshed_once() -> Iterator[None]:
     it depends on the pad alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(profile, "sound_gel_mesh", lru_cache(sound_gel_mesh))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _equal_presses_are_meshed_once() -> Iterator[None]:
+    """Tests beside one another press the same pad at the same place; its mesh takes a tenth of a
+    second to a whole one, and depends on pad and focus alone."""
+    known: dict[bytes, TetMesh] = {}
+
+    def meshed(pad: Pad, focus: FocusOptions) -> TetMesh:
+        key = pickle.dumps((pad, focus))
+        if key not in known:
+            if len(known) == KEPT_MESHES:
+                del known[next(iter(known))]
+            known[key] = focused_gel_mesh(pad, focus)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(press_mesh, "focused_gel_mesh", meshed)
         yield
 
 
