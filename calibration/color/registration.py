@@ -48,7 +48,9 @@ REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
 SCALES = (0.86, 0.93, 1.0, 1.07)
-"""Factors on all radii that are tried first."""
+"""Factors on all radii that are tried first, as far as they get better."""
+NEAR_SCALE = 0.005
+"""Factors that differ by less predict presses alike."""
 WORTH = 0.01
 """Share of the loss that a factor other than one has to gain: fits that go on from one another
 differ by less than they are wrong by."""
@@ -155,7 +157,8 @@ def _best_scale(
     scales: Sequence[float],
     tell: Callable[[], None],
 ) -> float:
-    """The factor on all radii with the least loss: a few, then two steps of a parabola."""
+    """The factor on all radii with the least loss: one and its neighbours among ``scales``, further
+    ones while the outermost is best, then two steps of a parabola."""
     losses: dict[float, np.ndarray] = {}
 
     def look(scale: float) -> None:
@@ -164,24 +167,31 @@ def _best_scale(
         )
         tell()
 
-    for scale in scales:
+    def best() -> float:
+        return min(losses, key=lambda scale: float(losses[scale].mean()))
+
+    ladder = sorted(scales)
+    at = int(np.clip(ladder.index(1.0), 1, len(ladder) - 2))
+    low, high = at - 1, at + 1
+    for scale in ladder[low : high + 1]:
         look(scale)
+    while low > 0 and best() == ladder[low]:
+        look(ladder[low := low - 1])
+    while high < len(ladder) - 1 and best() == ladder[high]:
+        look(ladder[high := high + 1])
     for _ in range(2):
         x = np.array(sorted(losses))
         y = np.array([losses[scale].mean() for scale in x])
         middle = int(np.clip(np.argmin(y), 1, len(x) - 2))
         a, b, _ = np.polyfit(x[middle - 1 : middle + 2], y[middle - 1 : middle + 2], 2)
-        best = -b / (2 * a) if a > 0 else x[int(np.argmin(y))]
-        best = round(float(np.clip(best, x[middle - 1], x[middle + 1])), 3)
-        if best in losses:
-            tell()
-            continue
-        look(best)
-    means = {scale: float(np.mean(values)) for scale, values in losses.items()}
-    best = min(means, key=lambda scale: means[scale])
-    gain = losses[1.0] - losses[best]
+        lowest = -b / (2 * a) if a > 0 else x[int(np.argmin(y))]
+        lowest = round(float(np.clip(lowest, x[middle - 1], x[middle + 1])), 3)
+        if np.abs(x - lowest).min() < NEAR_SCALE:
+            break
+        look(lowest)
+    gain = losses[1.0] - losses[best()]
     sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
-    return best if sure and gain.mean() > WORTH * means[1.0] else 1.0
+    return best() if sure and gain.mean() > WORTH * losses[1.0].mean() else 1.0
 
 
 class _Job:
