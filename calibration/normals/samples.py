@@ -130,14 +130,15 @@ def draw_samples(
         # Zoomed windows are wide; only the part of the image that is drawn from is filtered. The
         # far field is seen at its own scale: it is flat at every zoom.
         part = (slice(None), slice(None)) if zoom == 1.0 else window
-        maps = config.image_features(
-            change, scene.background, mask=scene.mask, zoom=zoom, window=part
-        )
         wide = regions if zoom == 1.0 else regions[:-1]
         chosen = [(region[part], max(1, count // len(zooms))) for region, count in wide]
-        for picked in draw_regions(frame.name, chosen, rng):
-            features.append(maps.reshape(-1, config.input_count)[picked])
-            normals.append(wanted[part].reshape(-1, 3)[picked])
+        picked = np.concatenate(list(draw_regions(frame.name, chosen, rng)))
+        features.append(
+            config.image_features(
+                change, scene.background, mask=scene.mask, zoom=zoom, window=part, picked=picked
+            )
+        )
+        normals.append(wanted[part].reshape(-1, 3)[picked])
     return NormalSamples(np.concatenate(features), np.concatenate(normals).astype(np.float32))
 
 

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,9 +18,6 @@ FLAT_SIGMAS = 2.0
 """Tilts below this many standard deviations count as at rest."""
 FLAT_DEG = 3.0
 """Tilts below this angle do anyway."""
-
-
-Maps = TypeVar("Maps", "ReadHeights", NormalMap)
 
 
 @dataclass(frozen=True)
@@ -40,10 +36,6 @@ class ReadHeights:
     None where the model does not know."""
     reading_sigma_m: np.ndarray | None
     """That of the reading alone, which tells places of one image apart."""
-
-    def thinned(self, every: int) -> ReadHeights:
-        """Every ``every``-th row and column of all maps."""
-        return _thinned(self, every)
 
 
 def read_heights(
@@ -96,19 +88,6 @@ def read_heights(
             reading, np.hypot(config.along_factor * along, config.depth_share * np.abs(rise))
         )
     return ReadHeights(found, slope, rise, zero, sigma, reading)
-
-
-def _thinned(maps: Maps, every: int) -> Maps:
-    """Every ``every``-th row and column of a dataclass of maps and of dataclasses of maps."""
-    parts = {item.name: getattr(maps, item.name) for item in fields(maps)}
-    return replace(
-        maps,
-        **{
-            name: part[::every, ::every] if isinstance(part, np.ndarray) else _thinned(part, every)
-            for name, part in parts.items()
-            if part is not None
-        },
-    )
 
 
 def resting_border(found: NormalMap, mask: np.ndarray | None = None) -> np.ndarray | None:
