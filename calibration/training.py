@@ -129,8 +129,8 @@ def descend(
         )
         for optimizer in optimizers
     ]
-    parts = {
-        f"{name}{i}": part
+    parts = {  # Adam's as they were called when it stepped all: trainings begun then go on.
+        f"{name}{i or ''}": part
         for name, several in (("optimizer", optimizers), ("schedule", schedules))
         for i, part in enumerate(several)
     }
