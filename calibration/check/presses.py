@@ -24,7 +24,7 @@ LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
 contact found, or its radius differs by that part. Careful labels: 0.05 to 0.1 on real sets."""
 LABEL_OFF_PX = 6.0
 SURE_OF_CONTACT = 0.4
-"""Confidence of a contact below which it says nothing against a label."""
+"""Share of a contact that is explained and seen below which it says nothing against a label."""
 LABELS_BAD_SHARE = 0.25
 OTHER_SIZE = 1.1
 MIN_SCALED = 4
@@ -103,11 +103,12 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
         center = found.center_gap_px(label, grid)
         radius = found.radius_px - label.radius_px
         # What the detector itself is unsure of is not held against the label.
-        limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px)
-        unsure = 2 * frame.contact.radius_sigma_px
-        sure = frame.contact.confidence >= SURE_OF_CONTACT
+        contact = frame.contact
+        limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px) + 2 * contact.center_sigma_px
         smaller = min(label.radius_px, found.radius_px)
-        off = sure and (center > limit or abs(radius) > LABEL_RADIUS_SHARE * smaller + unsure)
+        widest = LABEL_RADIUS_SHARE * smaller + 2 * contact.radius_sigma_px
+        sure = contact.explained * contact.visible >= SURE_OF_CONTACT
+        off = sure and (center > limit or abs(radius) > widest)
         gaps.append(LabelGap(frame.press.name, center, radius, off))
     return gaps
 

@@ -69,7 +69,7 @@ def in_sigmas(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.n
 
 
 def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
-    circles = scattered(6)
+    circles = scattered(12)
     captures = press_set(circles, [pressed(c) for c in circles])
     found = offsets(captures, contacts_of(captures))
     assert np.abs(found).max() < 0.1
