@@ -106,7 +106,8 @@ def test_what_three_points_do_not_tell(feats: Path) -> None:
     assert {"too_few", "friction_assumed"} <= codes
     assert judge(found.remarks) is Verdict.USABLE
     assert not {"poisson_ratio", "friction_coefficient"} & set(found.estimates)
-    residuals = found.residuals()
+    assert found.stiffness is not None
+    residuals = found.stiffness.residuals()
     # In sample 0.65 %, which three points and two numbers make look better than it is.
     assert residuals["indentation_held_out_worst_relative"] < 0.06
     assert residuals["indentation_held_out_worst_relative"] > 2 * residuals[
