@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -87,22 +88,22 @@ def check_ball(captures: CaptureSet, found: FittedTogether) -> BallCheck | None:
         return None
     start = found.fit
 
-    def fitted(factor: float, sink_ins: Sequence[float]) -> PhotometricFit:
+    @cache
+    def fitted(factor: float, sink_in: float) -> PhotometricFit:
         ball_px = [factor * ball for ball in found.ball_px]
-        fits = [
-            fit_contacts(found.samples, start, ball_px, iterations=ROUNDS, sink_in=sink_in)
-            for sink_in in sink_ins
-        ]
-        return min(fits, key=lambda fit: fit.rms_levels)
+        return fit_contacts(found.samples, start, ball_px, iterations=ROUNDS, sink_in=sink_in)
 
-    fits = {factor: fitted(factor, SINK_INS[:1]) for factor in FACTORS if factor >= 1.0}
+    def best(factor: float, sink_ins: Sequence[float]) -> PhotometricFit:
+        return min((fitted(factor, one) for one in sink_ins), key=lambda fit: fit.rms_levels)
+
+    fits = {factor: fitted(factor, SINK_IN_SCALE) for factor in FACTORS if factor >= 1.0}
     check = _judged(captures.ball_radius_mm, found.ball_px, fits)
     if check.consistent:
         # Smaller balls cannot take that back: the lowest one allowed would only be lower.
         return check
     # Contacts as wide as the ball speak against it whatever the gel does beside them.
     sink_ins = SINK_INS[:1] if check.is_too_narrow else SINK_INS
-    fits = {factor: fitted(factor, sink_ins) for factor in FACTORS}
+    fits = {factor: best(factor, sink_ins) for factor in FACTORS}
     return _judged(captures.ball_radius_mm, found.ball_px, fits)
 
 
