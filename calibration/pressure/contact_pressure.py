@@ -249,7 +249,7 @@ class PressureReader:
     ) -> np.ndarray:
         step = self._coarse.mm_per_px_x, self._coarse.mm_per_px_y
         tolerance = TOLERANCE * max(-float(gap.min()), 1e-3)
-        return pressure_under(gap, step, layer, tolerance, start, film)
+        return pressure_under(gap, step, layer, tolerance, start, film)[0]
 
     def _force_n(self, pressure: np.ndarray) -> float:
         area_m2 = 1e-6 * self._coarse.mm_per_px_x * self._coarse.mm_per_px_y

@@ -109,9 +109,8 @@ def press_layer(
     gap = np.minimum(tool_mm, FAR_MM) - depth_mm
     if (gap >= 0).all():
         raise InputError("the tool does not reach the face; give its height over its lowest point")
-    gap, tolerance = gap.astype(np.float32), tolerance * depth_mm
     near = None if start is None else start.pressure
-    pressure, sunk = _solved(gap, step_mm, layer, tolerance, near)
+    pressure, sunk = pressure_under(gap, step_mm, layer, tolerance * depth_mm, near)
     return LayerPress(-sunk.astype(np.float64), pressure.astype(np.float64))
 
 
@@ -129,7 +128,7 @@ def press_in_view(
     """
     reached = tool_mm < depth_mm
     if not reached.any():
-        reached[:] = True  # ``press_layer`` says so.
+        reached[:] = True  # ``press_layer`` refuses it.
     lines = [np.flatnonzero(reached.any(axis=axis)) // PART * PART for axis in (1, 0)]
     part = tuple(slice(int(at[0]), int(at[-1]) + PART) for at in lines)
     near = press_layer(tool_mm[part], depth_mm, step_mm, layer, tolerance=tolerance)
@@ -183,8 +182,9 @@ def pressure_under(
     tolerance_mm: float,
     start: np.ndarray | None = None,
     film_mm: float = 0.0,
-) -> np.ndarray:
-    """Contact pressure of a face that may not rise above ``gap_mm``, as of ``LayerPress``.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contact pressure of a face that may not rise above ``gap_mm``, as of ``LayerPress``, and how
+    far the face sinks under it.
 
     Args:
         gap_mm: Height of the tool over the face at rest [mm], negative below it, shape [h, w];
@@ -196,21 +196,10 @@ def pressure_under(
         film_mm: How far the tool itself gives way under a unit of this pressure.
 
     Returns:
-        Pressure times 2 (1 - nu^2) / E, at least 0, float32, shape [h, w].
+        Pressure times 2 (1 - nu^2) / E, at least 0, and the sinking [mm], float32, shape [h, w].
     """
     # Single precision is a thousandth of the smallest tolerance, and transforms take half the time.
-    return _solved(gap_mm.astype(np.float32), step_mm, layer, tolerance_mm, start, film_mm)[0]
-
-
-def _solved(
-    gap_mm: np.ndarray,
-    step_mm: tuple[float, float],
-    layer: BondedLayer,
-    tolerance_mm: float,
-    start: np.ndarray | None = None,
-    film_mm: float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """As ``pressure_under``, and the sinking [mm] under it, shape [h, w]."""
+    gap_mm = gap_mm.astype(np.float32)
     if start is not None:
         pressure = np.where(gap_mm < FAR_MM, start, 0.0).astype(np.float32)
     elif min(gap_mm.shape) >= 2 * COARSEST:
@@ -218,7 +207,7 @@ def _solved(
         rows, columns = (count - count % 2 for count in gap_mm.shape)
         blocks = gap_mm[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).min(axis=(1, 3))
         double = (2 * step_mm[0], 2 * step_mm[1])
-        coarse, _ = _solved(blocks, double, layer, tolerance_mm, film_mm=film_mm)
+        coarse, _ = pressure_under(blocks, double, layer, tolerance_mm, film_mm=film_mm)
         pressure = np.zeros_like(gap_mm)
         pressure[:rows, :columns] = coarse.repeat(2, axis=0).repeat(2, axis=1)
     else:
