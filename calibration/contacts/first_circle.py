@@ -48,7 +48,7 @@ def _standing_out(strength: np.ndarray) -> tuple[np.ndarray, float]:
     highest = max(np.percentile(strength, 99.5), 0.6 * float(strength.max()))
     strong = np.maximum(strength - SHADOW_LEVEL * highest, 0.0)
     small = cv2.resize(strong.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    # How far discs stand out is told by coarser pictures; where the best one is, by this one.
+    # Coarser pictures say which disc stands out most, this one where it is.
     radii = np.geomspace(max(2.0, MIN_RADIUS_PX / factor), min(size) / 2.2, 24)
     best = radii[np.argmax([_scores(small, radius, SOUGHT_PX).max() for radius in radii])]
     scores = _scores(small, best)

@@ -322,7 +322,7 @@ class InverseTraining:
         descend(
             self.layers, loss, after_step,
             steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
-            # Windows of one pixel say nearly the same: what they differ by is told apart, too.
+            # Windows of one pixel say nearly the same: Muon learns their differences as fast.
             matrices=[weight for weight, _ in self.layers[:-1]],
         )  # fmt: skip
 

@@ -177,7 +177,7 @@ def test_boards_to_profile_report_and_maps(
     assert camera.mm_per_px_x == pytest.approx(24.0 / 270.0, rel=0.01)
     assert optics is not None and optics.provenance.kind == "calibrated"
     assert optics.fx_px == pytest.approx(270.0, abs=5 * optics.provenance.spread["fx_px"] + 1)
-    # Drawn in air: of both poses that are told, that of straight sight lines.
+    # Drawn in air: of both poses in the report, that of straight sight lines.
     (straight,) = (p for p in figures["on_gel"]["poses"] if not p["refracted"])
     assert straight["position_mm"][2] == pytest.approx(-24.0, rel=0.02)
     assert optics.distortion[0] == pytest.approx(-0.1, abs=0.05)
