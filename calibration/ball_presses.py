@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     presses_on_camera,
@@ -20,6 +21,7 @@ from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
@@ -131,14 +133,36 @@ def ball_presses(
     )
 
 
+MEAN_OF = 4
+"""Presses that have a mean light."""
+
+
 def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProfile:
-    """``profile`` with the background of the captures; as it is where it has that already."""
+    """``profile`` with the background of the captures in the mean light of their presses."""
     assert folder.background is not None
-    own = profile.background
-    if own is not None and folder.background.sha256 in own.provenance.inputs.values():
-        return profile
-    found = folder.once.of(("background",), lambda: calibrate_background(folder, profile))
-    return found.apply_to(profile.without("background"))
+    return folder.once.of(
+        ("background", profile.grid()),
+        lambda: _in_mean_light(calibrate_background(folder, profile)),
+    ).apply_to(profile.without("background"))
+
+
+def _in_mean_light(found: BackgroundCalibration) -> BackgroundCalibration:
+    """The background in the mean light of the presses, which most images of the session have."""
+    lights = [frame.drift for frame in found.frames if frame.kind == "press"]
+    if len(lights) < MEAN_OF:
+        return found
+    gain, at_level, gradient = (
+        np.median([part(light) for light in lights], axis=0)
+        for part in (
+            lambda light: light.gain,
+            lambda light: light.shift(light.level),
+            lambda light: light.gradient,
+        )
+    )
+    level = np.mean([light.level for light in lights], axis=0)
+    mean = LightDrift(gain, at_level - (gain - 1.0) * level, gradient)
+    image = np.clip(mean.apply(found.image), 0.0, 255.0).astype(np.float32)
+    return replace(found, image=image, method=found.method + "; in the mean light of the presses")
 
 
 def with_captured_background(

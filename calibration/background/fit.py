@@ -21,7 +21,6 @@ from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.light.untouched import (
     background_from_presses,
-    steady_pixels,
     untouched_pixels,
 )
 from taccel_lab.calibration.shared_remarks import TOO_FEW
@@ -68,9 +67,7 @@ def calibrate_background(
         image, kind = source.read(), source.kind
         light = fit_light(image, reference, mask)
         seen = untouched_pixels(image, reference, light, mask)
-        used = seen if kind != "press" else steady_pixels(image, reference, light, mask)
-        if seen.mean() < MIN_SEEN_SHARE:
-            used = np.zeros_like(used)
+        used = seen if seen.mean() >= MIN_SEEN_SHARE else np.zeros_like(seen)
         compared.append(_Compared(source, light, seen, used))
         steady = light.remove(image.astype(np.float64))
         if kind == "press" and not from_presses:

@@ -225,7 +225,6 @@ class _Fitting:
                     render_taxim_table(table, item.surface, fit.background),
                     item.captured,
                     item.circle,
-                    fit,
                 ),
             )
             for item in held
@@ -236,11 +235,10 @@ class _Fitting:
         rendered: np.ndarray,
         captured: np.ndarray,
         circle: ContactCircle,
-        fit: ColorFit,
     ) -> ImageScore:
         """Figures of a render in the light of the capture."""
         grid = self.captures.grid
-        light = light_beside(captured, fit.background, circle, grid, self.captures.mask)
+        light = light_beside(captured, rendered, circle, grid, self.captures.mask)
         return score_image(np.clip(light.apply(rendered), 0.0, 255.0), captured, circle, grid)
 
     def _noise_floor(self) -> float:

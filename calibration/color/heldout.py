@@ -184,8 +184,9 @@ class _HeldoutScoring:
         surface: BallSurface,
         bare: ImageScore,
     ) -> HeldoutPress:
-        light = light_beside(image, self.fit.background, figures_in, self.grid, self.mask)
         (rendered,) = tactile_images(self.fit.model, self.fit.background, [surface])
+        # Against the render, which has the gel's shade beside the contact, too.
+        light = light_beside(image, rendered, figures_in, self.grid, self.mask)
         shown = np.clip(light.apply(rendered), 0.0, 255.0)
         return HeldoutPress(
             press.name, image, figures_in, start, "found" if press.circle is None else "label",

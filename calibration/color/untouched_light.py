@@ -7,7 +7,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import crop_slices
-from taccel_lab.calibration.light.fit import PRIOR_SIGMA, enough_pixels, fit_light
+from taccel_lab.calibration.light.fit import PRIOR_SIGMA, enough_pixels, fit_press_light
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.geometry import PixelGrid
 
@@ -29,7 +29,7 @@ def light_beside(
     """
     beside = beside_pixels(circle, grid, mask)
     if enough_pixels(beside):
-        return fit_light(frame, background, beside)
+        return fit_press_light(frame, background, beside)
     unknown = np.tile(np.diag(PRIOR_SIGMA**2), (3, 1, 1))
     return LightDrift(np.ones(3), np.zeros(3), covariance=unknown)
 

@@ -14,7 +14,7 @@ from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.registration import joining_frames
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.fit import fit_press_light
 from taccel_lab.calibration.normals.reading_error import KnownPress, ReadingErrors, errors_of
 from taccel_lab.calibration.normals.samples import (
     CaptureScene,
@@ -43,7 +43,7 @@ READING = "reading the held-out presses"
 
 def in_background_light(image: np.ndarray, scene: CaptureScene) -> np.ndarray:
     """A frame in the light of the background, as the model will bring new ones to it."""
-    light = fit_light(image, scene.background, scene.mask)
+    light = fit_press_light(image, scene.background, scene.mask)
     return light.remove(image).astype(np.float32)
 
 

@@ -7,18 +7,19 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.fit import fit_light, fit_press_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.other_light import light_of_background
 from taccel_lab.calibration.light.pattern_shift import pattern_shift
-from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
+from taccel_lab.calibration.normals.light_errors import COARSE_PX, LightErrors, grey_light_sigma_mm
 from taccel_lab.calibration.normals.touch import Touch, touch_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -316,16 +317,43 @@ class SurfaceReader:
 
     def lit(self, image: np.ndarray) -> LitImage:
         """An image as small as it is read, in the profile's light: gain, offset and gradient of
-        each channel against the untouched sensor, contacts being outliers, are taken off."""
-        levels = self._small(image).astype(np.float32)
-        light = self._light(levels)
-        shown = self._day.remove(light.remove(levels))
-        return LitImage(shown.astype(np.float32), light)
+        each channel against the untouched sensor are taken off.
 
-    def _light(self, levels: np.ndarray) -> LightDrift:
+        The first look takes a contact for an outlier. Where it finds one, the gel has sunk beside
+        it, and its light is fitted as that of a press.
+        """
+        levels = self._small(image).astype(np.float32)
+        first = self._shown(levels, self._light(levels, fit_light))
+        if not self._is_dented(first):
+            return first
+        return self._shown(levels, self._light(levels, fit_press_light))
+
+    def _shown(self, levels: np.ndarray, light: LightDrift) -> LitImage:
+        return LitImage(self._day.remove(light.remove(levels)).astype(np.float32), light)
+
+    def _light(self, levels: np.ndarray, fit: Callable[..., LightDrift] = fit_light) -> LightDrift:
         part = np.s_[:: self._light_step, :: self._light_step]
         mask = None if self.mask is None else self.mask[part]
-        return fit_light(levels[part], self.untouched[part], mask)
+        return fit(levels[part], self.untouched[part], mask)
+
+    def _is_dented(self, lit: LitImage) -> bool:
+        """Whether a coarse look at an image shows a contact."""
+        if self.response is not None:
+            rise_m = self.response.read(lit.levels, self.background, self.mask).height_m
+            return touch_of(rise_m, None, self.grid).any
+        assert self.normal_model is not None
+        every = max(1, min(lit.levels.shape[:2]) // COARSE_PX)
+        found = read_heights(
+            self.normal_model,
+            lit.levels,
+            self.background,
+            self.grid,
+            mask=self.mask,
+            rest_normals=self._rest_normals,
+            uncertainty=False,
+            every=every,
+        )
+        return touch_of(found.rise_m, None, self.grid.thinned(every)).any
 
     def read_lit(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
         """The surface under an image of ``lit``; without ``uncertainty`` the touch is decided by

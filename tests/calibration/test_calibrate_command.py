@@ -44,9 +44,7 @@ def folder(tmp_path: Path) -> Path:
 def command(folder: Path, **changes: Any) -> CalibrateColor:
     """A short fit over the base profile into ``profile`` beside the captures."""
     values = {"base": folder.parent / "base", "steps": 5}
-    return CalibrateColor(
-        folder, folder.parent / "profile", **(values | {"drift": "off"} | changes)
-    )
+    return CalibrateColor(folder, folder.parent / "profile", **(values | changes))
 
 
 def test_the_fitted_table_lies_beside_the_report_and_is_exported(

@@ -300,5 +300,5 @@ def test_a_smaller_image_gives_the_same_depth_at_the_same_place(clean: Clean) ->
     assert coarse.rise_m.min() == pytest.approx(fine.rise_m.min(), rel=0.03)
     a, b = fine.figures(whole.grid), coarse.figures(half.grid)
     assert b["deepest_gel_mm"] == pytest.approx(a["deepest_gel_mm"], abs=0.25)
-    quick = half.read_levels(half.in_own_light(image), uncertainty=False)
+    quick = half.read_lit(half.lit(image), uncertainty=False)
     assert quick.height_sigma_m is None and (quick.rise_m == coarse.rise_m).all()
