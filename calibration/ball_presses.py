@@ -20,11 +20,13 @@ from taccel_lab.calibration.check.block_findings import capture_findings, refusi
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
+from taccel_lab.signals.rest_surface import rest_surface
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ class BallPresses:
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
     """Presses left out, and how far the circles found lie from labels."""
-    surfaces: tuple[BallSurface, ...] = ()
-    """Of the training presses in their circles, in order, where somebody made them."""
+    surfaces: tuple[BallSurface, ...]
+    """Of the training presses in their circles, in order."""
 
     @property
     def heldout(self) -> CaptureSet | None:
@@ -95,6 +97,11 @@ def ball_presses(
             stated="thickness_mm" in folder.design,
         )  # fmt: skip
     extended = profile if gel is None else gel.apply_to(profile)
+    layer, rest = layer_of(extended), rest_surface(extended.mesh, captures.grid)
+    surfaces = folder.once.of(
+        ("surfaces", captures.grid, split, options.circles, layer),
+        lambda: tuple(layer_surfaces(usable.captures, usable.circles, layer, rest)),
+    )
     return BallPresses(
         profile=extended,
         gel=gel,
@@ -107,6 +114,7 @@ def ball_presses(
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
         remarks=tuple(usable.remarks),
+        surfaces=surfaces,
     )
 
 

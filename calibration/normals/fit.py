@@ -14,6 +14,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.base_profile import stated_scale_share
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
@@ -22,7 +23,6 @@ from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.press_circles import placed_presses
 from taccel_lab.calibration.color.untouched_light import choose_drift
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
@@ -95,7 +95,7 @@ def calibrate_normals(
     settings = InverseFitOptions(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
     )
-    presses = placed_presses(folder, base, "normals", options, options.drift, progress)
+    presses = ball_presses(folder, base, "normals", options, progress)
     training, circles = presses.training, presses.circles
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
@@ -236,7 +236,7 @@ def fit_normals(
         held.run(captures, progress)
         failures |= held.failures
         fit = replace(fit, model=widened(fit.model, held.errors))
-        joining = held.joining(training, synthetic_presses and synthetic_presses.colors)
+        joining = held.joining()
         every = [*training, *joining]
         if joining:
             final = _in_bands_of(fit, going.go_on(joining, progress), _steepest_deg(every, scene))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.color.registration import register_presses
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import BallSurface
@@ -65,8 +63,6 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
 ) -> None:
     """The whole calibration, twice: weights, background, circles and split stay to the bit."""
-    short = partial(register_presses, fit=BRIEF)
-    monkeypatch.setattr("taccel_lab.calibration.color.press_circles.register_presses", short)
     captures, _ = synthetic_captures(8, noise=1.0)
     names = [press.name for press in captures.presses]
     folder = write_captures(tmp_path / "captures", captures, () if labelled else names)
