@@ -16,7 +16,11 @@ from taccel_lab.calibration.base_profile import (
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
+from taccel_lab.calibration.check.block_findings import (
+    capture_findings,
+    refusing_with,
+    rejected_labels,
+)
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
@@ -31,7 +35,8 @@ from taccel_lab.signals.rest_surface import rest_surface
 
 @dataclass(frozen=True)
 class BallPresses:
-    """Presses and profile on one pixel grid, split before any image was read."""
+    """Presses and profile on one pixel grid, split before any image was read; labels that images
+    reject are taken off after that."""
 
     profile: SensorProfile
     """The profile that is extended, on the grid of the captures and with the gel's thickness."""
@@ -79,13 +84,14 @@ def ball_presses(
     Raises:
         InputError: Captures that cannot be used, with what their check found.
     """
-    folder = with_measured_scale(folder, base)
+    once, folder = folder.once, with_measured_scale(folder, base)
     require_labels_and_view(folder, base, block)
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)
         split = captures.split(options.holdout_every)
-        usable = folder.once.of(
+        captures = captures.without_labels(rejected_labels(folder, progress))
+        usable = once.of(
             ("circles", captures.grid, split, options.circles),
             lambda: usable_circles(
                 captures.only(split.train), options.circles, cache=cache, progress=progress
@@ -98,7 +104,7 @@ def ball_presses(
         )  # fmt: skip
     extended = profile if gel is None else gel.apply_to(profile)
     layer, rest = layer_of(extended), rest_surface(extended.mesh, captures.grid)
-    surfaces = folder.once.of(
+    surfaces = once.of(
         ("surfaces", captures.grid, split, options.circles, layer),
         lambda: tuple(layer_surfaces(usable.captures, usable.circles, layer, rest)),
     )

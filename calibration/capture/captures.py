@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -112,6 +112,8 @@ class CapturedPress:
     """Where a stage pressed, along any two axes at right angles [mm]."""
     checked: bool = False
     """A person has corrected the circle (``contacts.toml``): it wins over any detection."""
+    rejected: bool = False
+    """Its label was one that the image rejects, and was taken off."""
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def image(self) -> np.ndarray:
@@ -157,6 +159,21 @@ class CaptureSet:
     def split(self, holdout_every: int) -> PressSplit:
         """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""
         return split_presses(self.presses, holdout_every, self.heldout, self.source)
+
+    @property
+    def rejected(self) -> frozenset[str]:
+        """Names of the presses whose labels their images reject."""
+        return frozenset(press.name for press in self.presses if press.rejected)
+
+    def without_labels(self, names: Collection[str]) -> CaptureSet:
+        """The set with the labels of these presses taken off, which their images reject."""
+        return replace(
+            self,
+            presses=tuple(
+                replace(press, circle=None, rejected=True) if press.name in names else press
+                for press in self.presses
+            ),
+        )
 
     def only(self, indices: Sequence[int]) -> CaptureSet:
         """The set with some of its presses, in the order given."""

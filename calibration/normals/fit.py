@@ -54,6 +54,7 @@ from taccel_lab.calibration.normals.score import (
     reliability_of,
 )
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.surfaces.ball_in_layer import (
     depth_share,
     layer_of,
@@ -247,8 +248,9 @@ def fit_normals(
         scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
+        rejected=frozenset() if heldout is None else heldout.rejected,
         split=split,
-        reliability=reliability_of(items, scene) if items else None,
+        reliability=reliability_of(items, scene) if in_figures(items) else None,
         synthetic=synthetic,
         gel=None,
         frozen_radius95_sigmas=frozen.radius95_sigmas,

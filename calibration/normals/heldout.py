@@ -60,6 +60,7 @@ class HeldoutReading:
     failures: dict[str, str] = field(default_factory=dict)
     """Presses that could not be read, and why."""
     errors: list[ReadingErrors] = field(default_factory=list)
+    """Of presses whose labels their images do not reject."""
 
     def run(self, training: CaptureSet, progress: Progress) -> None:
         """Place each press by its label, read it and score it."""
@@ -89,7 +90,11 @@ class HeldoutReading:
             rest_normals=scene.rest_normals,
         )  # fmt: skip
         wanted_mm = None if surface is None else surface.displacement_mm()
-        self.items.append(score_heldout(read, frame, press.circle, scene, wanted_mm))
+        self.items.append(
+            score_heldout(read, frame, press.circle, scene, wanted_mm, rejected=press.rejected)
+        )
+        if press.rejected:
+            return
         found = errors_of(self.model, _known(scene, frame), scene, read)
         self.errors += [] if found is None else [found]
 

@@ -203,6 +203,16 @@ def test_labels_that_disagree(tmp_path: Path) -> None:
     assert many.severity == Severity.ERROR and "--circles detected" in many.message
 
 
+def test_images_reject_single_labels_and_no_shift_that_all_share(tmp_path: Path) -> None:
+    maker = CaptureMaker(circles=list(SOME))
+    maker.labels = [replace(c, u_px=c.u_px + 9) for c in maker.circles]
+    maker.labels[2] = replace(maker.labels[2], u_px=maker.labels[2].u_px - 24)
+    maker.change([5], lambda _: gel())
+    found = check(maker, tmp_path)
+    assert len(by_code(found)["labels_off"].frames) > 4
+    assert found.rejected_labels == {"p02", "p05"}
+
+
 def test_a_label_outside_the_image_is_told_once(tmp_path: Path) -> None:
     maker = few()
     maker.labels = [
@@ -292,7 +302,7 @@ def test_frame_without_contact(tmp_path: Path) -> None:
     found = check(maker, tmp_path)
     finding = by_code(found)["no_contact"]
     assert finding.frames == ("p08",) and finding.severity == Severity.WARNING and found.usable
-    for i in (1, 5, 9):
+    for i in (1, 3, 5, 7, 9):
         maker.images[i] = gel()
     found = check(maker, tmp_path / "many")
     assert by_code(found)["no_contact"].severity == Severity.ERROR and not found.usable

@@ -149,6 +149,24 @@ def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
 
 
+def test_a_label_that_its_image_rejects_stands_beside_the_figures(sound: Sound) -> None:
+    captures, surfaces = sound
+    split = captures.split(4)
+    whole = calibrated(captures, surfaces, options=QUICK)
+    wrong, gone, kept = split.heldout_names
+    spoilt = with_images(captures, {split.heldout[1]: captures.background})
+    spoilt = replace(spoilt, heldout=split.heldout_names).without_labels([wrong, gone])
+    result = calibrated(spoilt, surfaces, options=QUICK)
+    score = {item.name: item.score.crop_psnr_db for item in whole.heldout}[kept]
+    assert result.heldout_means()["crop_psnr_db"] == pytest.approx(score, abs=0.01)
+    assert result.placement == "label"
+    figures = result.figures()
+    assert set(figures["failures"]) == {gone} and figures["heldout_failed"] == 0
+    assert figures["rejected_labels"][gone] is None and figures["rejected_labels"][wrong] > 25
+    (remark,) = [remark for remark in result.remarks if remark.code == "labels_rejected"]
+    assert wrong in remark.message and f"{gone} (not found)" in remark.message
+
+
 def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
