@@ -341,7 +341,7 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     bright = float(np.percentile(scene.background, 90))
     needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
     noise = change.noise_levels(ContactCircle(float(center[0]), float(center[1]), radius))
-    noisy = contrast < MIN_CONTRAST_OVER_NOISE * noise
+    noisy = contrast <= MIN_CONTRAST_OVER_NOISE * noise
     if contrast < needed or noisy:
         raise (UntouchedError if noisy else InputError)(
             f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
