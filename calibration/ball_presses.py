@@ -21,9 +21,11 @@ from taccel_lab.calibration.check.block_findings import (
     refusing_with,
     rejected_labels,
 )
+from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
@@ -90,7 +92,9 @@ def ball_presses(
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)
         split = captures.split(options.holdout_every)
-        captures = captures.without_labels(rejected_labels(folder, progress))
+        as_given = options.circles == "labels"
+        rejected = frozenset[str]() if as_given else rejected_labels(folder, progress)
+        captures = captures.without_labels(rejected)
         usable = once.of(
             ("circles", captures.grid, split, options.circles),
             lambda: usable_circles(
@@ -103,6 +107,12 @@ def ball_presses(
             stated="thickness_mm" in folder.design,
         )  # fmt: skip
     extended = profile if gel is None else gel.apply_to(profile)
+    # Rejected labels are of no more use to anybody: those alone are no fault of the rest.
+    findings = [
+        finding
+        for finding in findings
+        if finding.code != LABELS_OFF.code or not rejected.issuperset(finding.frames)
+    ]
     layer, rest = layer_of(extended), rest_surface(extended.mesh, captures.grid)
     surfaces = once.of(
         ("surfaces", captures.grid, split, options.circles, layer),
@@ -119,9 +129,16 @@ def ball_presses(
         labels=usable.labels,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
-        remarks=tuple(usable.remarks),
+        remarks=(*usable.remarks, *_without_label(captures.only(split.train))),
         surfaces=surfaces,
     )
+
+
+def _without_label(training: CaptureSet) -> list[Remark]:
+    if not training.rejected:
+        return []
+    names = sorted(training.rejected)
+    return [LABELS_UNUSED(count=len(names), names=name_some(names), frames=names)]
 
 
 def with_captured_background(
