@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from taccel_lab.calibration.base_profile import (
     require_labels_and_view,
     with_measured_scale,
 )
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import (
@@ -37,8 +37,8 @@ from taccel_lab.signals.rest_surface import rest_surface
 
 @dataclass(frozen=True)
 class BallPresses:
-    """Presses and profile on one pixel grid, split before any image was read; labels that images
-    reject are taken off after that."""
+    """Presses and profile on one pixel grid, split by names and labels alone. Labels that images
+    reject are taken off."""
 
     profile: SensorProfile
     """The profile that is extended, on the grid of the captures and with the gel's thickness."""
@@ -90,11 +90,11 @@ def ball_presses(
     require_labels_and_view(folder, base, block)
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
-        captures, profile = presses_on_camera(folder, base)
-        split = captures.split(options.holdout_every)
         as_given = options.circles == "labels"
         rejected = frozenset[str]() if as_given else rejected_labels(folder, progress)
-        captures = captures.without_labels(rejected)
+        kept = replace(folder, presses=without_labels(folder.presses, rejected))
+        captures, profile = presses_on_camera(kept, base)
+        split = captures.split(options.holdout_every)
         usable = once.of(
             ("circles", captures.grid, split, options.circles),
             lambda: usable_circles(

@@ -163,7 +163,8 @@ class _HeldoutScoring:
             try:
                 started.append((press, image, self._start(press, image)))
             except InputError as error:
-                self.failures.append(HeldoutFailure(press.name, str(error), None, press.rejected))
+                failure = HeldoutFailure(press.name, str(error), None, press.mislabelled)
+                self.failures.append(failure)
         surfaces = self._surfaces([s[0] for s in started], [s[2] for s in started])
         found = []
         for (press, image, start), surface in zip(started, surfaces, strict=True):
@@ -171,7 +172,7 @@ class _HeldoutScoring:
             bare = score_image(self.captures.background, image, figures_in, self.grid)
             reason = surface if isinstance(surface, str) else self._no_light(figures_in)
             if isinstance(surface, str) or reason:
-                self.failures.append(HeldoutFailure(press.name, reason, bare, press.rejected))
+                self.failures.append(HeldoutFailure(press.name, reason, bare, press.mislabelled))
                 continue
             found.append(self._scored(press, image, figures_in, start, surface, bare))
         return found, self.failures
@@ -222,6 +223,6 @@ class _HeldoutScoring:
         shown = np.clip(drift.apply(rendered), 0.0, 255.0)
         return HeldoutPress(
             press.name, image, figures_in, start, "found" if press.circle is None else "label",
-            press.rejected, surface, rendered, shown,
+            press.mislabelled, surface, rendered, shown,
             score_image(shown, image, figures_in, self.grid), bare,
         )  # fmt: skip

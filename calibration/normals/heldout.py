@@ -91,9 +91,9 @@ class HeldoutReading:
         )  # fmt: skip
         wanted_mm = None if surface is None else surface.displacement_mm()
         self.items.append(
-            score_heldout(read, frame, press.circle, scene, wanted_mm, rejected=press.rejected)
+            score_heldout(read, frame, press.circle, scene, wanted_mm, rejected=press.mislabelled)
         )
-        if press.rejected:
+        if press.mislabelled:
             return
         found = errors_of(self.model, _known(scene, frame), scene, read)
         self.errors += [] if found is None else [found]

@@ -18,6 +18,7 @@ from taccel_lab.calibration.capture import (
     load_capture_folder,
     load_captures,
 )
+from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
@@ -155,7 +156,9 @@ def test_a_label_that_its_image_rejects_stands_beside_the_figures(sound: Sound) 
     whole = calibrated(captures, surfaces, options=QUICK)
     wrong, gone, kept = split.heldout_names
     spoilt = with_images(captures, {split.heldout[1]: captures.background})
-    spoilt = replace(spoilt, heldout=split.heldout_names).without_labels([wrong, gone])
+    presses = without_labels(spoilt.presses, [wrong, gone])
+    spoilt = replace(spoilt, heldout=split.heldout_names, presses=presses)
+    assert spoilt.split(4) == replace(captures, heldout=split.heldout_names).split(4)
     result = calibrated(spoilt, surfaces, options=QUICK)
     score = {item.name: item.score.crop_psnr_db for item in whole.heldout}[kept]
     assert result.heldout_means()["crop_psnr_db"] == pytest.approx(score, abs=0.01)

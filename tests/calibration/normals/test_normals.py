@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
@@ -72,9 +73,9 @@ def test_a_label_that_its_image_rejects_widens_nothing(clean: Clean) -> None:
     captures, _, result = clean
     split = captures.split(4)
     wrong = split.heldout_names[0]
-    training = captures.only(split.train)
+    training, held = captures.only(split.train), captures.only(split.heldout)
     reading = HeldoutReading(
-        result.fit.model, captures.only(split.heldout).without_labels([wrong]),
+        result.fit.model, replace(held, presses=without_labels(held.presses, [wrong])),
         LabelPlacement.of(training.presses, circles_of(training)),
         result.scene, flat_rest(GRID), None, EXACT, False,
     )  # fmt: skip
