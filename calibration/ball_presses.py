@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     presses_on_camera,
@@ -33,6 +34,19 @@ from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.rest_surface import rest_surface
+
+
+@dataclass(frozen=True)
+class Untouched:
+    """The untouched sensor that colours and normals were fitted against."""
+
+    block: BackgroundBlock
+    image: np.ndarray
+    """RGB levels, shape [height_px, width_px, 3]."""
+
+    def onto(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with this background."""
+        return profile.with_block(self.block, self.image)
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,12 @@ class BallPresses:
     """Presses left out, and how far the circles found lie from labels."""
     surfaces: tuple[BallSurface, ...]
     """Of the training presses in their circles, in order."""
+
+    @property
+    def untouched(self) -> Untouched | None:
+        """The background that they are fitted against; None where the profile has none."""
+        block, image = self.profile.background, self.profile.background_rgb
+        return None if block is None or image is None else Untouched(block, image)
 
     @property
     def heldout(self) -> CaptureSet | None:
@@ -118,6 +138,7 @@ def ball_presses(
         ("surfaces", captures.grid, split, options.circles, layer),
         lambda: tuple(layer_surfaces(usable.captures, usable.circles, layer, rest)),
     )
+    extended = with_background(extended, folder)
     return BallPresses(
         profile=extended,
         gel=gel,
@@ -139,6 +160,16 @@ def _without_label(training: CaptureSet) -> list[Remark]:
         return []
     names = sorted(training.rejected)
     return [LABELS_UNUSED(count=len(names), names=name_some(names), frames=names)]
+
+
+def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProfile:
+    """``profile`` with the background of the captures; as it is where it has that already."""
+    assert folder.background is not None
+    own = profile.background
+    if own is not None and folder.background.sha256 in own.provenance.inputs.values():
+        return profile
+    found = folder.once.of(("background",), lambda: calibrate_background(folder, profile))
+    return found.apply_to(profile.without("background"))
 
 
 def with_captured_background(

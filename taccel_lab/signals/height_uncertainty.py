@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import resting_height
 
 DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
@@ -88,7 +88,7 @@ class HeightUncertainty:
         weights, zero = self._counted(weights, zero)
         variance = np.zeros(sigma.shape)
         for field in smooth_errors(coarse.height_px, coarse.width_px, self._length):
-            error = height_from_slopes(sigma[..., None] * field, coarse, weights=weights, zero=zero)
+            error = resting_height(sigma[..., None] * field, coarse, weights=weights, zero=zero)
             variance += error**2
         smoothing = SMOOTHING_PX * coarse.width_px / self.grid.width_px
         variance = gaussian_filter(variance / DRAWS, smoothing, mode="nearest")
@@ -109,7 +109,7 @@ class HeightUncertainty:
         error = slope * (slope_sigma / steepness)[..., None]
         weights, zero = self._counted(weights, zero)
         error = self._resized(error, self._coarse)
-        height = height_from_slopes(error, self._coarse, weights=weights, zero=zero)
+        height = resting_height(error, self._coarse, weights=weights, zero=zero)
         return np.abs(self._resized(height, self.grid))
 
     def _counted(

@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalMap, NormalModel
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import resting_height
 
 BAND_SIGMAS = 2.0
 """Standard deviations within which 95 % of the heights lie."""
@@ -30,7 +30,7 @@ class ReadHeights:
     rise_m: np.ndarray
     """Rise over the resting face [m], shape [height_px, width_px]."""
     zero: np.ndarray | None
-    """Pixels that it is counted from, bool; None for the whole border."""
+    """Pixels at rest that it is counted from, bool; None for the whole border."""
     sigma_m: np.ndarray | None
     """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
     None where the model does not know."""
@@ -77,7 +77,7 @@ def read_heights(
     if rest_normals is not None:
         # The change of height from rest is integrated: on a curved gel the rest is known already.
         slope = slope + rest_normals[..., :2] / rest_normals[..., 2:]
-    rise = height_from_slopes(slope, grid, weights=weights, zero=zero)
+    rise = resting_height(slope, grid, weights=weights, zero=zero)
     sigma = reading = None
     if uncertainty and model.config.height_factor > 0:
         config, slope_sigma = model.config, found.slope_sigma()

@@ -21,6 +21,8 @@ MIN_WEIGHT = 1e-6
 """Weight of a masked pixel: none of its slopes is used, but the surface spans it smoothly."""
 RELATIVE_TOLERANCE = 1e-10
 MAX_ITERATIONS = 500
+PLANE_PRIOR = 0.1
+"""Spread of the resting pixels, in half sides of the image, below which they tell no plane."""
 
 
 def height_from_slopes(
@@ -53,8 +55,7 @@ def height_from_slopes(
     if not np.isfinite(slope).all():
         raise InputError("slopes are NaN or infinite; give such pixels the weight 0")
     if zero is None:
-        zero = np.ones(shape, dtype=bool)
-        zero[1:-1, 1:-1] = False
+        zero = border_of(shape)
     elif zero.shape != shape or not zero.any():
         raise InputError(
             f"zero has shape {zero.shape} with {int(zero.sum())} pixels; {shape} wanted"
@@ -80,6 +81,43 @@ def height_from_slopes(
         edge_slopes = tuple(np.where(k, s, 0.0) for k, s in zip(known, edge_slopes, strict=True))
         height = _solve_weighted(_divergence(edge_slopes, edge_weights, steps), edge_weights, steps)
     return height - height[zero].mean()
+
+
+def border_of(shape: tuple[int, int]) -> np.ndarray:
+    """Outermost pixels of an image, bool, of this shape."""
+    border = np.ones(shape, dtype=bool)
+    border[1:-1, 1:-1] = False
+    return border
+
+
+def resting_height(
+    slope: np.ndarray,
+    grid: PixelGrid,
+    *,
+    weights: np.ndarray | None = None,
+    zero: np.ndarray | None = None,
+) -> np.ndarray:
+    """``height_from_slopes`` of a surface that lies at rest in the pixels ``zero``: their plane is
+    taken off, too."""
+    height = height_from_slopes(slope, grid, weights=weights, zero=zero)
+    return height - plane_of(height, border_of(height.shape) if zero is None else zero)
+
+
+def plane_of(height: np.ndarray, zero: np.ndarray) -> np.ndarray:
+    """The plane through the heights [m] of the pixels ``zero``, shape [height_px, width_px].
+
+    An error that all slopes share tilts the whole surface; the resting border shows it. Where
+    ``zero`` is a narrow part of the image the plane's slopes are drawn to 0 (``PLANE_PRIOR``).
+    """
+    u, v = (np.linspace(-1.0, 1.0, count) for count in height.shape[::-1])
+    rows, columns = np.nonzero(zero)
+    place = np.stack([u[columns], v[rows]])
+    middle, mean = place.mean(axis=1), float(height[rows, columns].mean())
+    away, off = place - middle[:, None], height[rows, columns] - mean
+    gram = away @ away.T / len(rows) + PLANE_PRIOR**2 * np.eye(2)
+    slope = np.linalg.solve(gram, away @ off / len(rows))
+    plane_u, plane_v = slope[0] * (u - middle[0]), slope[1] * (v - middle[1])
+    return mean + plane_u[None, :] + plane_v[:, None]
 
 
 def solve_poisson(right_side: np.ndarray, steps_m: tuple[float, float]) -> np.ndarray:
