@@ -15,19 +15,27 @@ from taccel_lab.calibration.base_profile import (
     require_labels_and_view,
     with_measured_scale,
 )
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
+from taccel_lab.calibration.check.block_findings import (
+    capture_findings,
+    refusing_with,
+    rejected_labels,
+)
+from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
+from taccel_lab.signals.rest_surface import rest_surface
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,8 @@ class Untouched:
 
 @dataclass(frozen=True)
 class BallPresses:
-    """Presses and profile on one pixel grid, split before any image was read."""
+    """Presses and profile on one pixel grid, split by names and labels alone. Labels that images
+    reject are taken off."""
 
     profile: SensorProfile
     """The profile that is extended, on the grid of the captures and with the gel's thickness."""
@@ -68,8 +77,8 @@ class BallPresses:
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
     """Presses left out, and how far the circles found lie from labels."""
-    surfaces: tuple[BallSurface, ...] = ()
-    """Of the training presses in their circles, in order, where somebody made them."""
+    surfaces: tuple[BallSurface, ...]
+    """Of the training presses in their circles, in order."""
 
     @property
     def untouched(self) -> Untouched | None:
@@ -99,13 +108,16 @@ def ball_presses(
     Raises:
         InputError: Captures that cannot be used, with what their check found.
     """
-    folder = with_measured_scale(folder, base)
+    once, folder = folder.once, with_measured_scale(folder, base)
     require_labels_and_view(folder, base, block)
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
-        captures, profile = presses_on_camera(folder, base)
+        as_given = options.circles == "labels"
+        rejected = frozenset[str]() if as_given else rejected_labels(folder, progress)
+        kept = replace(folder, presses=without_labels(folder.presses, rejected))
+        captures, profile = presses_on_camera(kept, base)
         split = captures.split(options.holdout_every)
-        usable = folder.once.of(
+        usable = once.of(
             ("circles", captures.grid, split, options.circles),
             lambda: usable_circles(
                 captures.only(split.train), options.circles, cache=cache, progress=progress
@@ -117,6 +129,17 @@ def ball_presses(
             stated="thickness_mm" in folder.design,
         )  # fmt: skip
     extended = profile if gel is None else gel.apply_to(profile)
+    # Rejected labels are of no more use to anybody: those alone are no fault of the rest.
+    findings = [
+        finding
+        for finding in findings
+        if finding.code != LABELS_OFF.code or not rejected.issuperset(finding.frames)
+    ]
+    layer, rest = layer_of(extended), rest_surface(extended.mesh, captures.grid)
+    surfaces = once.of(
+        ("surfaces", captures.grid, split, options.circles, layer),
+        lambda: tuple(layer_surfaces(usable.captures, usable.circles, layer, rest)),
+    )
     extended = with_background(extended, folder)
     return BallPresses(
         profile=extended,
@@ -129,8 +152,16 @@ def ball_presses(
         labels=usable.labels,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
-        remarks=tuple(usable.remarks),
+        remarks=(*usable.remarks, *_without_label(captures.only(split.train))),
+        surfaces=surfaces,
     )
+
+
+def _without_label(training: CaptureSet) -> list[Remark]:
+    if not training.rejected:
+        return []
+    names = sorted(training.rejected)
+    return [LABELS_UNUSED(count=len(names), names=name_some(names), frames=names)]
 
 
 MEAN_OF = 4

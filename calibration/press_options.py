@@ -18,7 +18,7 @@ class BallPressOptions:
     """One press in this many is held out to score the result, chosen by position and by the hash
     of the names; 0 holds none out. [split] in captures.toml takes precedence."""
     circles: Literal["fused", "labels", "detected"] = "fused"
-    """Contact circles to start from: those given, those found in the images, or the better estimate
+    """Contact circles of the others: those given, those found in the images, or the better estimate
     from both. A press without a given circle takes the one found. Held-out presses take no part:
     their given circles alone place them for the figures."""
     thickness: ThicknessMode = "auto"

@@ -75,6 +75,23 @@ class ResultSummary(Summary):
         return type(self).__name__, rows
 
 
+class Placed(Protocol):
+    """A held-out press."""
+
+    @property
+    def rejected(self) -> bool:
+        """Whether its image rejects its label: it stands beside the figures."""
+        ...
+
+
+PlacedType = TypeVar("PlacedType", bound=Placed)
+
+
+def in_figures(items: Sequence[PlacedType]) -> list[PlacedType]:
+    """The held-out presses that means are over: a wrong label is no wrong render or reading."""
+    return [item for item in items if not item.rejected]
+
+
 class Fit(Protocol):
     """A fitted model."""
 

@@ -17,6 +17,17 @@ HELDOUT_FAILED = RemarkKind(
     Severity.WARNING,
     "{count} held-out presses could not be used and count as the bare gel: {reasons}",
 )
+LABELS_UNUSED = RemarkKind(
+    "labels_unused",
+    Severity.INFO,
+    "images reject the circles given with {count} presses ({names}): found ones are fitted there",
+)
+LABELS_REJECTED = RemarkKind(
+    "labels_rejected",
+    Severity.WARNING,
+    "{count} held-out presses stand beside the figures, which are over the others: their images "
+    "reject the circles given with them, and they are placed where a contact is found: {names}",
+)
 HELDOUT_ERROR = RemarkKind(
     "heldout_error",
     Severity.WARNING,

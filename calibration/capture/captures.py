@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -112,11 +112,28 @@ class CapturedPress:
     """Where a stage pressed, along any two axes at right angles [mm]."""
     checked: bool = False
     """A person has corrected the circle (``contacts.toml``): it wins over any detection."""
+    rejected: ContactCircle | None = None
+    """A label that the image rejects, taken off."""
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
+
+    @property
+    def mislabelled(self) -> bool:
+        """Whether its image rejects the label that came with it."""
+        return self.rejected is not None
 
     def image(self) -> np.ndarray:
         """The image, RGB uint8, shape [height_px, width_px, 3]."""
         return self.read()
+
+
+def without_labels(
+    presses: Sequence[CapturedPress], names: Collection[str]
+) -> tuple[CapturedPress, ...]:
+    """The presses with the labels of some taken off, which their images reject."""
+    return tuple(
+        replace(press, circle=None, rejected=press.circle) if press.name in names else press
+        for press in presses
+    )
 
 
 @dataclass(frozen=True)
@@ -155,8 +172,15 @@ class CaptureSet:
         return {"background": self.background_sha256} | {p.name: p.sha256 for p in self.presses}
 
     def split(self, holdout_every: int) -> PressSplit:
-        """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""
-        return split_presses(self.presses, holdout_every, self.heldout, self.source)
+        """Presses to fit and to hold out, by names and labels alone (``split_presses``), also those
+        that images reject."""
+        given = [replace(press, circle=press.circle or press.rejected) for press in self.presses]
+        return split_presses(given, holdout_every, self.heldout, self.source)
+
+    @property
+    def rejected(self) -> frozenset[str]:
+        """Names of the presses whose labels their images reject."""
+        return frozenset(press.name for press in self.presses if press.mislabelled)
 
     def only(self, indices: Sequence[int]) -> CaptureSet:
         """The set with some of its presses, in the order given."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.optical_design import Light, Triple
-from taccel_lab.sensors.registry import known_sensor
+from taccel_lab.sensors.registry import known_sensor, sensor_families
 
 GENERIC = ("flat_pad",)
 """Families that stand for any sensor: their figures contradict nothing."""
@@ -38,6 +40,20 @@ class SensorFacts:
     """Whether all its lamps are white: grey levels stand for depth."""
 
 
+@cache
+def catalogue_view_mm() -> tuple[float, float]:
+    """Longer side of what a camera shows [mm] that 95 % of further sensors have, by those of the
+    catalogue: Student's prediction interval of its logarithm."""
+    families = [family for family in sensor_families().values() if family.name not in GENERIC]
+    logs = np.log([_longer_mm(family.parameters().grid()) for family in families])
+    reach = student_t.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) * np.sqrt(1 + 1 / len(logs))
+    return float(np.exp(logs.mean() - reach)), float(np.exp(logs.mean() + reach))
+
+
+def _longer_mm(grid: PixelGrid) -> float:
+    return max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
+
+
 def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFacts | None:
     """Figures of the sensor called ``name``, with what ``design`` states otherwise; None when there
     is no such family or profile.
@@ -57,12 +73,11 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
     pad = parameters.pad()
     size = np.ptp(pad.bounds_mm(), axis=0)
     grid = parameters.grid()
-    view = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
     return SensorFacts(
         family=name,
         # A shell on a hard dome is thinner than it is high.
         thickness_mm=float(parameters.values().get("thickness_mm", size[2])),
-        view_mm=float(view),
+        view_mm=_longer_mm(grid),
         image_px=(grid.width_px, grid.height_px),
         drop_mm=_drop_mm(pad, size, grid),
         handedness=_handedness([(lamp.rgb, _middle_mm(lamp)) for lamp in lamps]),

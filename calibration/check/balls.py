@@ -8,8 +8,8 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
 - slopes: a ball that is too small has contacts steeper than the gel beside them
-  (``taccel_lab.calibration.contacts.ball_radius``; a ball that is stated too large does not show
-  there);
+  (``taccel_lab.calibration.contacts.ball_radius``). A ball that is stated too large does not show
+  there, which is remarked;
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of two
   balls differ as their radii do.
 """
@@ -24,14 +24,14 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.sensor_facts import SensorFacts
+from taccel_lab.calibration.capture.sensor_facts import SensorFacts, catalogue_view_mm
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import fit_together
 from taccel_lab.calibration.contacts.grey import LABEL_SHARE, LABEL_SIGMA_PX
-from taccel_lab.calibration.surfaces.design import fitted_parameters
+from taccel_lab.calibration.surfaces.design import fitted_parameters, past_largest_pad
 from taccel_lab.calibration.surfaces.view import view_remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
@@ -48,7 +48,7 @@ ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
 SAME_PROPORTIONS = 0.02
 """Difference of two images' proportions up to which they may show the same."""
-FITTED_PRESSES, MIN_PRESSES = 12, 4
+FITTED_PRESSES, MIN_PRESSES, MIN_TRAVELS = 12, 4, 2
 FEW_SHARE = 0.1
 """So many contacts may be wrongly found or labelled before the radius is at fault."""
 SCALE_FACTOR = 1.4
@@ -155,7 +155,7 @@ def _check_travel(
         radius = _radius_mm(frame, ball_radius_mm) or ball_radius_mm
         contact = circle.radius_px * grid.mm_per_px_x
         ratios.append(contact**2 / depth / radius)
-    if len(ratios) < 2:
+    if len(ratios) < MIN_TRAVELS:
         return []
     ratio = float(np.median(ratios))
     if 1 / TRAVEL_SLACK <= ratio <= 2 * TRAVEL_SLACK:
@@ -230,9 +230,15 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         provenance={},
     )
     found = check_ball(chosen, fit_together(chosen))
-    if found is None:
+    if found is None or (found.consistent and _told_otherwise(folder)):
         return []
     return found.remarks(remarks.BY_COLOR)
+
+
+def _told_otherwise(folder: CaptureFolder) -> bool:
+    """Whether travel or several balls bound the radius from above, too."""
+    travels = sum(press.depth_mm is not None for press in folder.presses)
+    return travels >= MIN_TRAVELS or len(folder.ball_radii_mm()) > 1
 
 
 def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str) -> list[Remark]:
@@ -257,18 +263,20 @@ def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str)
 def check_scale(
     grid: PixelGrid, mask: np.ndarray | None, facts: SensorFacts, design: Mapping[str, Any]
 ) -> list[Remark]:
-    """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view."""
-    found = view_remarks(fitted_parameters(facts.family, grid, design), grid, mask)
+    """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view, or
+    that of the catalogue's sensors where it is none of them."""
+    found = past_largest_pad(facts.family, grid, design) or view_remarks(
+        fitted_parameters(facts.family, grid, design), grid, mask
+    )
     if any(remark.severity == Severity.ERROR for remark in found):
         return found
     longer = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
-    if facts.view_mm is not None and not (1 / SCALE_FACTOR < longer / facts.view_mm < SCALE_FACTOR):
-        found.append(
-            remarks.SCALE_UNUSUAL(
-                mm_per_px=grid.mm_per_px_x,
-                length=longer,
-                family=facts.family,
-                usual=facts.view_mm,
-            )
-        )
+    if facts.view_mm is None:
+        low, high = catalogue_view_mm()
+        usual = f"sensors usually show {low:.0f} to {high:.0f} mm"
+    else:
+        low, high = facts.view_mm / SCALE_FACTOR, facts.view_mm * SCALE_FACTOR
+        usual = f"a {facts.family} usually shows {facts.view_mm:.1f} mm"
+    if not low < longer < high:
+        found.append(remarks.SCALE_UNUSUAL(mm_per_px=grid.mm_per_px_x, length=longer, usual=usual))
     return found

@@ -32,6 +32,11 @@ def capture_check(folder: CaptureFolder, progress: Progress = silent) -> Capture
     return folder.once.of("check", lambda: check_captures(folder, progress=progress))
 
 
+def rejected_labels(folder: CaptureFolder, progress: Progress = silent) -> frozenset[str]:
+    """Presses of ``folder`` whose labels their images reject."""
+    return capture_check(folder, progress).rejected_labels
+
+
 @contextmanager
 def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
     """A refusal inside names what the check found as well: the cause may be among it. Remarks that

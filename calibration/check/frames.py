@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
+from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact, UntouchedError
 from taccel_lab.calibration.contacts.seen import seen_contact
 from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import fit_light
@@ -46,6 +46,8 @@ class FrameFigures:
     """Why no contact was found; empty when one was."""
     cut: bool
     """Whether the border of the image cuts the contact."""
+    untouched: bool
+    """Whether nothing in the image stands out from the noise."""
     saturated_share: float
     """Pixels of the contact (of the image, without one) with a channel at 254 or above."""
     texture: float
@@ -98,12 +100,13 @@ def _measure(
     image = press.image()
     small = thumb(image)
     light = fit_light(small, background_small)
-    contact, fault, cut = None, "", False
+    contact, fault, cut, untouched = None, "", False, False
     try:
         contact = seen_contact(press, background, grid, mask, grey)
     except InputError as error:
         fault = str(error).removeprefix(f"{press.source}: ")
         cut = isinstance(error, CutContactError)
+        untouched = isinstance(error, UntouchedError)
     circle = contact.circle if contact is not None else press.circle
     size = WorkingSize(grid)
     saturated = size.picture((image.max(axis=-1) >= SATURATED_LEVEL).astype(np.float32))
@@ -131,6 +134,7 @@ def _measure(
         contact=contact,
         fault=fault,
         cut=cut,
+        untouched=untouched,
         saturated_share=float(saturated[disc].mean(dtype=np.float64)) if disc.any() else 0.0,
         texture=texture,
         texture_correlation=correlation,

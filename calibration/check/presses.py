@@ -13,6 +13,8 @@ from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_c
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.usable import too_many_lost
 from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
 from taccel_lab.errors import InputError
@@ -29,6 +31,8 @@ LABELS_BAD_SHARE = 0.25
 OTHER_SIZE = 1.1
 MIN_SCALED = 4
 """Labels from which on a common factor between them and the contacts is looked for."""
+MIN_SHIFTED = 4
+"""Labels from which on a shift that they share is told from one of a single label."""
 FEW_PRESSES = 10
 ONE_SPOT_RADII = 2.0
 """Presses are at one spot when their centres lie within this many contact radii."""
@@ -91,26 +95,62 @@ class LabelGap:
     radius_px: float
     """Found less labelled."""
     off: bool
+    rejected: bool
+    """Off from where the labels' common shift puts it, too: the press alone is labelled wrongly."""
 
 
 def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap]:
     """Of every press that has both a label that can be one and a contact found."""
-    gaps, wrong = [], _misplaced(frames, grid)
-    for frame in frames:
-        if frame.contact is None or frame.press.circle is None or frame.press.name in wrong:
-            continue
-        found, label = frame.contact.circle, frame.press.circle
-        center = found.center_gap_px(label, grid)
-        radius = found.radius_px - label.radius_px
-        # What the detector itself is unsure of is not held against the label.
-        contact = frame.contact
-        limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px) + 2 * contact.center_sigma_px
-        smaller = min(label.radius_px, found.radius_px)
-        widest = LABEL_RADIUS_SHARE * smaller + 2 * contact.radius_sigma_px
-        sure = contact.explained * contact.visible >= SURE_OF_CONTACT
-        off = sure and (center > limit or abs(radius) > widest)
-        gaps.append(LabelGap(frame.press.name, center, radius, off))
-    return gaps
+    wrong = _misplaced(frames, grid)
+    pairs = [
+        (frame.press.name, frame.contact, frame.press.circle)
+        for frame in frames
+        if frame.contact is not None
+        and frame.press.circle is not None
+        and frame.press.name not in wrong
+    ]
+    if not pairs:
+        return []
+    found = circle_array([contact.circle for _, contact, _ in pairs])
+    apart = found - circle_array([label for *_, label in pairs])
+    common = np.median(apart, axis=0) if len(pairs) >= MIN_SHIFTED else np.zeros(3)
+    return [
+        LabelGap(
+            name,
+            contact.circle.center_gap_px(label, grid),
+            float(gap[2]),
+            off := _is_off(gap, contact, label, grid),
+            off and _is_off(gap - common, contact, label, grid),
+        )
+        for (name, contact, label), gap in zip(pairs, apart, strict=True)
+    ]
+
+
+def _is_off(
+    gap: np.ndarray, contact: DetectedContact, label: ContactCircle, grid: PixelGrid
+) -> bool:
+    """Whether ``gap``, found less labelled u, v and radius [px], is more than careful labels are
+    off by; what the detector itself is unsure of is not held against the label."""
+    if contact.explained * contact.visible < SURE_OF_CONTACT:
+        return False
+    center = float(np.hypot(gap[0], gap[1] * grid.mm_per_px_y / grid.mm_per_px_x))
+    limit = max(LABEL_OFF_PX, LABEL_OFF_SHARE * label.radius_px) + 2 * contact.center_sigma_px
+    smaller = min(label.radius_px, contact.circle.radius_px)
+    widest = LABEL_RADIUS_SHARE * smaller + 2 * contact.radius_sigma_px
+    return center > limit or abs(float(gap[2])) > widest
+
+
+def rejected_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> frozenset[str]:
+    """Presses whose labels their images reject: the contact is elsewhere, or nothing touches. A
+    circle that a person has corrected is never among them."""
+    off = {gap.name for gap in label_gaps(frames, grid) if gap.rejected}
+    return frozenset(
+        frame.press.name
+        for frame in frames
+        if frame.press.circle is not None
+        and not frame.press.checked
+        and (frame.press.name in off or frame.untouched)
+    )
 
 
 def _misplaced(frames: Sequence[FrameFigures], grid: PixelGrid) -> dict[str, str]:

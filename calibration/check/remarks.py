@@ -166,8 +166,8 @@ BALL_CONTRADICTED = RemarkKind(
 SCALE_UNUSUAL = RemarkKind(
     "scale_unusual",
     Severity.WARNING,
-    "at {mm_per_px:g} mm/px the image is {length:.1f} mm long, that of a {family} usually "
-    "{usual:.1f} mm: check the scale, or the crop of the images",
+    "at {mm_per_px:g} mm/px the image is {length:.1f} mm long, {usual}: check the scale, or the "
+    "crop of the images",
     ("scale", "color", "normals", "depth"),
 )
 SIZE_OTHER = RemarkKind(

@@ -23,6 +23,7 @@ from taccel_lab.calibration.check.presses import (
     check_contacts,
     found_circles,
     label_gaps,
+    rejected_labels,
 )
 from taccel_lab.calibration.check.targets import check_targets
 from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
@@ -56,6 +57,11 @@ class CaptureCheck:
     def usable(self) -> bool:
         """Whether nothing stops what the captures are there for."""
         return all(finding.severity != Severity.ERROR for finding in self.findings)
+
+    @property
+    def rejected_labels(self) -> frozenset[str]:
+        """Presses whose labels their images reject."""
+        return frozenset() if self.grid is None else rejected_labels(self.frames, self.grid)
 
     def figures(self) -> dict[str, Any]:
         """Everything found, ready for JSON."""

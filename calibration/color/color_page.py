@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
 from taccel_lab.calibration.color.heldout import HeldoutPress, mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.result import in_figures, mean_figures
 from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import INK, in_report_style, new_figure
@@ -105,13 +105,18 @@ def _summary(result: ColorCalibration) -> str:
         parts.append(result.gel.sentence())
     if result.has_scores:
         score = result.heldout_means()
-        failed = f" ({len(result.failures)} of them failed)" if result.failures else ""
+        failures, scored = in_figures(result.failures), in_figures(result.heldout)
+        failed = f" ({len(failures)} of them failed)" if failures else ""
         parts.append(
-            f"{len(result.heldout) + len(result.failures)} presses that nothing had seen before "
+            f"{len(scored) + len(failures)} presses that nothing had seen before "
             f"the model was frozen{failed} are rendered in the light of each capture, "
             f"{PLACED_BY[result.placement]}, at {score['crop_psnr_db']:.1f} dB in the "
             f"crop around the contact and {score['disc_l1']:.2f} levels of error inside it."
         )
+        if result.rejected:
+            parts.append(
+                f"Beside them, with labels that images reject: {', '.join(result.rejected)}."
+            )
         if result.final is not None:
             presses = len(result.final.inputs)
             parts.append(f"The profile's colours were fitted to all {presses} presses after that.")

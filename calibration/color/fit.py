@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
@@ -28,8 +29,6 @@ from taccel_lab.calibration.color.heldout import (
 )
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
-from taccel_lab.calibration.color.press_circles import placed_presses
-from taccel_lab.calibration.color.registration import joining_frames
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
@@ -70,7 +69,7 @@ def calibrate_color(
     settings = ColorFitOptions(
         **{item.name: getattr(options, item.name) for item in fields(ColorTraining)}
     )
-    presses = placed_presses(folder, base, "color", options, progress, cache=options.cache)
+    presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
     surfaces = partial(
         layer_surfaces,
@@ -175,7 +174,7 @@ class _Fitting:
             self.progress(SCORING, 1, 1)
         every = list(self.frames)
         if heldout is not None:
-            every += self._frames_of(heldout, held, fit)
+            every += _joining(heldout, held)
         final = None
         if len(every) > len(self.frames):
             final = fit_color_model(
@@ -196,23 +195,6 @@ class _Fitting:
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
-
-    def _frames_of(
-        self, heldout: HeldoutSet, held: Sequence[HeldoutPress], fit: ColorFit
-    ) -> list[ColorFrame]:
-        """Held-out presses as the last fit takes them. One that is rendered no better than the bare
-        background shows something else."""
-        captures = heldout.captures
-        hashes = {press.name: press.sha256 for press in captures.presses}
-        frames = [
-            ColorFrame(press.name, press.captured, press.placed, press.surface, hashes[press.name])
-            for press in held
-            if press.score.crop_psnr_db > press.background_only.crop_psnr_db
-        ]
-        return joining_frames(
-            fit.model, fit.options, self.frames, captures, frames, self.background,
-            heldout.surfaces,
-        )  # fmt: skip
 
     def _table_scores(
         self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
@@ -248,6 +230,17 @@ class _Fitting:
             for frame in self.frames
         ]
         return float(np.nanmean(floors)) if np.isfinite(floors).any() else math.nan
+
+
+def _joining(heldout: HeldoutSet, held: Sequence[HeldoutPress]) -> list[ColorFrame]:
+    """Held-out presses as the last fit takes them. One that is rendered no better than the bare
+    background shows something else."""
+    hashes = {press.name: press.sha256 for press in heldout.captures.presses}
+    return [
+        ColorFrame(press.name, press.captured, press.placed, press.surface, hashes[press.name])
+        for press in held
+        if press.score.crop_psnr_db > press.background_only.crop_psnr_db
+    ]
 
 
 def _valid_region(

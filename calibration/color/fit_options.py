@@ -37,11 +37,3 @@ class ColorFitOptions(ColorTraining):
                 raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         require_bands("color model", self.position_bands)
         require_seed(self.seed)
-
-
-SHORT_FIT = ColorFitOptions(
-    hidden=(48, 48), steps=160, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
-    far_pixels=200, learning_rate=2e-2,
-)  # fmt: skip
-"""Fits that settle questions, such as where a press is: a third of a second each. Longer ones learn
-wrong circles by heart: 400 steps cost RVSATHU 0.7 dB."""

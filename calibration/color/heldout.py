@@ -6,7 +6,8 @@ press does, as the labels of the *training* presses lie against where these were
 (``LabelPlacement``): nothing of the image is used. A press without a label is placed where its
 contact is found in its image (``found``), by the search that knows no colour model.
 
-A press that cannot be placed or has no surface, or that is gone, counts as the bare background.
+A press that cannot be placed or has no surface, or that is gone, counts as the bare background. One
+whose label its image rejects is rendered where it is found, and stands beside the mean figures.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.untouched_light import light_beside
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.result import in_figures, mean_figures
 from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
@@ -68,6 +69,8 @@ class HeldoutPress:
     placed: ContactCircle
     """Where it is rendered: where its label puts it, or where it was found."""
     placement: Placement
+    rejected: bool
+    """Whether the image rejects the label."""
     surface: BallSurface
     """Under the press in that circle."""
     rendered: np.ndarray
@@ -88,6 +91,8 @@ class HeldoutFailure:
     reason: str
     background_only: ImageScore | None
     """None where nobody knows where to look: the worst of the other presses then counts."""
+    rejected: bool = False
+    """Whether a label was given that the image rejects."""
 
 
 def score_heldout(
@@ -103,15 +108,18 @@ def score_heldout(
 def mean_heldout(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
 ) -> dict[str, float]:
-    """Mean figures of all held-out presses, failures as the bare background."""
-    return mean_figures([item.score for item in presses] + _bare(presses, failures))
+    """Mean figures of the held-out presses but those with rejected labels, failures as the bare
+    background."""
+    kept, failed = in_figures(presses), in_figures(failures)
+    return mean_figures([item.score for item in kept] + _bare(presses, failed))
 
 
 def mean_bare(
     presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
 ) -> dict[str, float]:
-    """Mean figures of the bare background over all held-out presses."""
-    return mean_figures([item.background_only for item in presses] + _bare(presses, failures))
+    """Mean figures of the bare background over the same presses."""
+    kept, failed = in_figures(presses), in_figures(failures)
+    return mean_figures([item.background_only for item in kept] + _bare(presses, failed))
 
 
 def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -> list[ImageScore]:
@@ -140,14 +148,15 @@ class _HeldoutScoring:
             try:
                 started.append((press, image, self._start(press, image)))
             except InputError as error:
-                self.failures.append(HeldoutFailure(press.name, str(error), None))
+                failure = HeldoutFailure(press.name, str(error), None, press.mislabelled)
+                self.failures.append(failure)
         surfaces = self._surfaces([s[0] for s in started], [s[2] for s in started])
         found = []
         for (press, image, start), surface in zip(started, surfaces, strict=True):
             figures_in = press.circle or start
             bare = score_image(self.captures.background, image, figures_in, self.grid)
             if isinstance(surface, str):
-                self.failures.append(HeldoutFailure(press.name, surface, bare))
+                self.failures.append(HeldoutFailure(press.name, surface, bare, press.mislabelled))
                 continue
             found.append(self._scored(press, image, figures_in, start, surface, bare))
         return found, self.failures
@@ -190,5 +199,6 @@ class _HeldoutScoring:
         shown = np.clip(light.apply(rendered), 0.0, 255.0)
         return HeldoutPress(
             press.name, image, figures_in, start, "found" if press.circle is None else "label",
-            surface, rendered, shown, score_image(shown, image, figures_in, self.grid), bare,
+            press.mislabelled, surface, rendered, shown,
+            score_image(shown, image, figures_in, self.grid), bare,
         )  # fmt: skip

@@ -8,9 +8,11 @@ import numpy as np
 from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.shared_remarks import (
     HELDOUT_ERROR,
     HELDOUT_FAILED,
+    LABELS_REJECTED,
     NOTHING_HELD_OUT,
     TOO_FEW,
 )
@@ -67,10 +69,17 @@ def _against_background(result: ColorCalibration) -> list[Remark]:
 
 
 def _failures(result: ColorCalibration) -> list[Remark]:
-    if not result.failures:
-        return []
-    named = "; ".join(f"{item.name}: {item.reason}" for item in result.failures)
-    return [HELDOUT_FAILED(count=len(result.failures), reasons=named)]
+    found = []
+    if failures := in_figures(result.failures):
+        named = "; ".join(f"{item.name}: {item.reason}" for item in failures)
+        found.append(HELDOUT_FAILED(count=len(failures), reasons=named))
+    if result.rejected:
+        names = [
+            name + (" (not found)" if psnr is None else f" ({psnr:.1f} dB)")
+            for name, psnr in result.rejected.items()
+        ]
+        found.append(LABELS_REJECTED(count=len(names), names=", ".join(names)))
+    return found
 
 
 def _outliers(result: ColorCalibration) -> list[Remark]:

@@ -23,7 +23,7 @@ from taccel_lab.calibration.color.heldout import (
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.result import ScoredFit, mean_figures
+from taccel_lab.calibration.result import ScoredFit, in_figures, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
@@ -46,7 +46,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
     heldout: list[HeldoutPress]
     """Presses that were held out and could be rendered."""
     failures: list[HeldoutFailure]
-    """Presses that were held out and could not: they count as the bare background."""
+    """Presses that were held out and could not: they count as the bare background, but those whose
+    labels their images reject."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
     label_shift: LabelPlacement
@@ -80,12 +81,20 @@ class ColorCalibration(ScoredFit[ColorFit]):
     @property
     def has_scores(self) -> bool:
         """Whether there are figures of held-out presses, be they of failures."""
-        return bool(self.heldout) or any(item.background_only for item in self.failures)
+        failures = in_figures(self.failures)
+        return bool(in_figures(self.heldout)) or any(item.background_only for item in failures)
+
+    @property
+    def rejected(self) -> dict[str, float | None]:
+        """PSNR of the crop [dB] of held-out presses whose labels their images reject, rendered
+        where they are found; None where they are not. They stand beside the mean figures."""
+        scores = {p.name: p.score.crop_psnr_db for p in self.heldout if p.rejected}
+        return scores | {item.name: None for item in self.failures if item.rejected}
 
     @property
     def placement(self) -> Placement:
         """How the held-out presses were placed: ``found`` where any comes without a label."""
-        return "found" if any(p.placement == "found" for p in self.heldout) else "label"
+        return "found" if any(p.placement == "found" for p in in_figures(self.heldout)) else "label"
 
     def heldout_means(self) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as the bare background."""
@@ -120,7 +129,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
     def _common_figures(self) -> dict[str, Any]:
         found: dict[str, Any] = {
             "failures": {item.name: item.reason for item in self.failures},
-            "heldout_failed": len(self.failures),
+            "heldout_failed": len(in_figures(self.failures)),
+            "rejected_labels": self.rejected,
             "noise_floor_l1": self.noise_floor_l1,
             "train_disc_l1": self.fit.disc_l1_train,
             "loss_curve": self.fit.loss_curve,
@@ -191,7 +201,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
                 residuals[f"heldout_{key}"] = value
             if self.heldout:
                 spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
-            residuals["heldout_failures"] = float(len(self.failures))
+            residuals["heldout_failures"] = float(len(in_figures(self.failures)))
+            residuals["heldout_labels_rejected"] = float(len(self.rejected))
         return Provenance(
             kind="calibrated",
             method=self._method(),
@@ -218,7 +229,9 @@ class ColorCalibration(ScoredFit[ColorFit]):
             parts.append(
                 f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "
                 f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
-                f"{self.placement}, {len(self.failures)} failed"
+                f"{self.placement}, {len(in_figures(self.failures))} failed"
+                + f", {len(self.rejected)} with a rejected label apart"
+                * bool(self.rejected)
             )
         parts += [self.then_fitted] * (self.final is not None)
         return "; ".join(parts)

@@ -48,21 +48,14 @@ def train(
     grid: PixelGrid,
     options: ColorFitOptions,
     *,
-    start: ColorModel | None = None,
     progress: Progress = silent,
 ) -> TrainedColors:
-    """Fit the network to ``samples``.
-
-    ``start`` is a model to go on from; its shape and the scales of its inputs stay. Deterministic
-    for a seed: it runs on one thread.
-    """
-    config = _scaled_config(samples, grid, options) if start is None else start.config
+    """Fit the network to ``samples``. Deterministic for a seed: it runs on one thread."""
+    config = _scaled_config(samples, grid, options)
     pressed, at_rest, wanted = _tensors(config, samples)
     generator = torch.Generator().manual_seed(options.seed)
     shapes = expected_shapes(config)
     weights = initial_weights(shapes, generator)
-    if start is not None:
-        weights = {name: value.copy() for name, value in start.weights.items()}
     layers = trainable(layer_tensors(config, weights))
     curve: list[tuple[int, float]] = []
 

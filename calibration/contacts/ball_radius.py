@@ -19,7 +19,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.contacts.fit import FittedTogether
 from taccel_lab.calibration.contacts.photometric import PhotometricFit, fit_contacts
-from taccel_lab.calibration.contacts.remarks import WRONG_BALL_RADIUS
+from taccel_lab.calibration.contacts.remarks import BALL_FROM_BELOW, WRONG_BALL_RADIUS
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE
 from taccel_lab.calibration.contacts.uncertainty import OTHER_SINK_IN_SCALE
 from taccel_lab.report.remark import Remark
@@ -63,10 +63,19 @@ class BallCheck:
         return self.pinned > self.count / 4
 
     def remarks(self, blocks: Sequence[str] = ()) -> list[Remark]:
-        """That the radius is wrong, with figures; ``blocks`` are those that it concerns."""
-        if self.consistent:
-            return []
+        """That the radius is wrong, with figures, or that nothing bounds it from above; ``blocks``
+        are those that it concerns."""
         at = self.tried_mm.index(self.stated_mm)
+        if self.consistent:
+            return [
+                BALL_FROM_BELOW(
+                    rms=self.rms_levels[at],
+                    stated=self.stated_mm,
+                    larger=self.tried_mm[-1],
+                    larger_rms=self.rms_levels[-1],
+                    blocks=blocks,
+                )
+            ]
         best = int(np.argmin(self.rms_levels))
         return [
             WRONG_BALL_RADIUS(

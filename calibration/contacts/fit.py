@@ -47,6 +47,7 @@ from taccel_lab.calibration.contacts.result import (
     DetectedContact,
     FoundContacts,
     Refusal,
+    UntouchedError,
 )
 from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
@@ -66,12 +67,15 @@ MIN_CONTRAST_LEVELS = 12.0
 MIN_CONTRAST_DARK_LEVELS = 5.0
 """The same on a dark sensor: a tenth of its background's 90th percentile, but at least this."""
 MIN_CONTRAST_OVER_NOISE = 6.0
-MIN_INLIER_FRACTION = 0.4
-MIN_EXPLAINED = 0.6
-CERTAINLY_EXPLAINED = 0.9
-MIN_GATHERED = 0.6
-"""Part of a strong colour change through the contact that has to end within two radii: an edge
-goes on."""
+MIN_ROUND = 0.9
+"""Least ``roundness`` of a contact."""
+RIM_WORTH = 0.75
+"""What the share of rays that see a rim adds to that of the colour change that a ball explains: a
+smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's."""
+MOST_RIM = 0.4
+"""Share of the rays from which on a rim is round all about: it adds no more."""
+GATHERED = 0.6
+"""Part of a strong colour change through a contact that ends within two radii: an edge goes on."""
 MIN_VISIBLE, MIN_LABELLED_VISIBLE = 0.55, 0.2
 """Share of the rings around a contact that has to lie in the image and outside the mask; the same
 where a label says that a contact is there, which a corner of the image may cut to a quarter."""
@@ -337,8 +341,9 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     bright = float(np.percentile(scene.background, 90))
     needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
     noise = change.noise_levels(ContactCircle(float(center[0]), float(center[1]), radius))
-    if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * noise:
-        raise InputError(
+    noisy = contrast <= MIN_CONTRAST_OVER_NOISE * noise
+    if contrast < needed or noisy:
+        raise (UntouchedError if noisy else InputError)(
             f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
             f"255 over a noise of {noise:.1f}, at least {needed:g} levels and "
             f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. If it shows a "
@@ -382,6 +387,17 @@ def _rim_share(change: ColorChange, circle: ContactCircle) -> float:
     return float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
 
 
+def roundness(explained: float, rim_share: float, gathered: float) -> float:
+    """How much speaks for a ball's round contact, about 1 and more where all does.
+
+    Args:
+        explained: Share of the colour change that a ball's slope explains, at most 1.
+        rim_share: Share of the rays from the centre that see the rim.
+        gathered: Share of the strong colour change that lies within two radii.
+    """
+    return (explained + RIM_WORTH * min(rim_share, MOST_RIM)) * min(1.0, gathered / GATHERED)
+
+
 def _accept(
     start: _Start,
     contact: FittedContact,
@@ -396,23 +412,19 @@ def _accept(
     height, width = change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
-    round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
-        contact.explained >= MIN_EXPLAINED and _rim_share(change, circle) >= MIN_INLIER_FRACTION
+    rim, gathered = (
+        _rim_share(change, circle),
+        gathered_share(change.strength(), center, circle.radius_px),
     )
-    gathered = gathered_share(change.strength(), center, circle.radius_px)
-    if (
-        not round_enough
-        or gathered < MIN_GATHERED
-        or not MIN_RADIUS_PX <= circle.radius_px <= limit
-    ):
+    score = roundness(contact.explained, rim, gathered)
+    if score < MIN_ROUND or not MIN_RADIUS_PX <= circle.radius_px <= limit:
         raise InputError(
-            f"{start.name}: no round contact found; {_rim_share(change, circle):.0%} of the rays "
-            f"agree on a circle of radius {own.radius_px:.1f} px; a ball's slope explains "
-            f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
-            f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {pixels * MIN_RADIUS_PX:g} to "
-            f"{pixels * limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "
-            "shows a contact, give its circle"
+            f"{start.name}: no round contact found; {rim:.0%} of the rays agree on a circle of "
+            f"radius {own.radius_px:.1f} px ({pixels * MIN_RADIUS_PX:g} to {pixels * limit:g} are "
+            f"contacts); a ball's slope explains {max(contact.explained, 0):.0%} of the colour "
+            f"change, {gathered:.0%} of which lies within two radii; that is a score of "
+            f"{max(score, 0):.2f}, at least {MIN_ROUND:g} is needed. If it shows a contact, give "
+            "its circle"
         )
     beyond = own.beyond_px(grid)
     known = label is not None and label.center_gap_px(own, grid) < own.radius_px

@@ -11,6 +11,13 @@ PRESSES_LEFT_OUT = RemarkKind(
     Severity.WARNING,
     "{lost} of {count} presses were left out: {names}. {reasons}.{advice}",
 )
+BALL_FROM_BELOW = RemarkKind(
+    "ball_from_below",
+    Severity.INFO,
+    "images bound the ball's radius from below only: {larger:.3g} mm would leave {larger_rms:.2f} "
+    "levels, the stated {stated:g} mm leave {rms:.2f}. Is that its radius, not its diameter, and "
+    "the scale right? Presses of known depth_mm, or of a second ball, tell",
+)
 WRONG_BALL_RADIUS = RemarkKind(
     "wrong_ball_radius",
     Severity.ERROR,

@@ -45,6 +45,10 @@ class Refusal:
     """A contact is there, but the image's border or the mask cuts it: no fault of the captures."""
 
 
+class UntouchedError(InputError):
+    """An image in which no change of colour stands out from the noise: nothing touches the gel."""
+
+
 class CutContactError(InputError):
     """A contact that reaches out of the image, or is mostly masked."""
 

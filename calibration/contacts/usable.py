@@ -23,10 +23,10 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import Channel
 
-MAX_LOST_SHARE = 0.1
-"""Part of the presses that may show no contact; beyond, something is wrong with the whole set."""
-MAX_CUT_SHARE = 0.5
-"""Part of the presses whose contact the border may cut: that is no fault of the whole set."""
+LEAST_PRESSES = 6
+"""With so many left, presses without a contact do not stop the others."""
+MAX_LOST_SHARE = 0.5
+"""Part of the presses that may be lost; beyond, something is wrong with the whole set."""
 
 
 def usable_presses(
@@ -42,8 +42,7 @@ def usable_presses(
     ``grey`` sensor (``find_contacts``) are found soon enough without.
 
     Raises:
-        InputError: More than a tenth of the presses show no contact, or more than half of them one
-            that is cut by the border; with every reason.
+        InputError: Too many are lost (``too_many_lost``); with every reason.
     """
     if cache and grey is None:
         found = cached_contacts(captures, progress)
@@ -81,12 +80,13 @@ def left_out_remark(press_count: int, refusals: Sequence[Refusal]) -> Remark:
 
 
 def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
-    """Whether so many presses without a usable contact speak against the whole set.
+    """Whether so many presses without a usable contact speak against the whole set: more than half
+    of them, or all but five, as long as one of them is not just cut.
 
     ``cut`` has an entry for each of them: whether the image's border is what cuts its contact.
     """
-    empty = sum(not border for border in cut)
-    return empty > MAX_LOST_SHARE * press_count or len(cut) > MAX_CUT_SHARE * press_count
+    few = press_count - len(cut) < LEAST_PRESSES
+    return (few and not all(cut)) or len(cut) > MAX_LOST_SHARE * press_count
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.capture.split import PressSplit
@@ -21,7 +22,6 @@ from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.press_circles import placed_presses
 from taccel_lab.calibration.color.untouched_light import noise_floor_l1
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.normals.heldout import HeldoutReading, in_background_light
@@ -52,6 +52,7 @@ from taccel_lab.calibration.normals.score import (
     reliability_of,
 )
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.surfaces.ball_in_layer import (
     depth_share,
     layer_of,
@@ -93,7 +94,7 @@ def calibrate_normals(
     settings = InverseFitOptions(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
     )
-    presses = placed_presses(folder, base, "normals", options, progress)
+    presses = ball_presses(folder, base, "normals", options, progress)
     training, circles = presses.training, presses.circles
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
@@ -233,7 +234,7 @@ def fit_normals(
         held.run(captures, progress)
         failures |= held.failures
         fit = replace(fit, model=widened(fit.model, held.errors))
-        joining = held.joining(training, synthetic_presses and synthetic_presses.colors)
+        joining = held.joining()
         every = [*training, *joining]
         if joining:
             final = _in_bands_of(fit, going.go_on(joining, progress), _steepest_deg(every, scene))
@@ -244,8 +245,9 @@ def fit_normals(
         scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
+        rejected=frozenset() if heldout is None else heldout.rejected,
         split=split,
-        reliability=reliability_of(items, scene) if items else None,
+        reliability=reliability_of(items, scene) if in_figures(items) else None,
         synthetic=synthetic,
         gel=None,
         frozen_radius95_sigmas=frozen.radius95_sigmas,

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.color.registration import joining_frames
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_press_light
@@ -28,12 +24,10 @@ from taccel_lab.calibration.surfaces.ball_in_layer import (
     LARGEST_RADII,
     ball_surface,
     deeper_per_mm,
-    layer_surfaces,
 )
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress
-from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.read_heights import read_heights
 from taccel_lab.signals.rest_surface import RestSurface
@@ -65,6 +59,7 @@ class HeldoutReading:
     failures: dict[str, str] = field(default_factory=dict)
     """Presses that could not be read, and why."""
     errors: list[ReadingErrors] = field(default_factory=list)
+    """Of presses whose labels their images do not reject."""
 
     def run(self, training: CaptureSet, progress: Progress) -> None:
         """Place each press by its label, read it and score it."""
@@ -93,47 +88,18 @@ class HeldoutReading:
             rest_normals=scene.rest_normals,
         )  # fmt: skip
         wanted_mm = None if surface is None else surface.displacement_mm()
-        self.items.append(score_heldout(read, frame, press.circle, scene, wanted_mm))
+        self.items.append(
+            score_heldout(read, frame, press.circle, scene, wanted_mm, rejected=press.mislabelled)
+        )
+        if press.mislabelled:
+            return
         found = errors_of(self.model, _known(scene, frame), scene, read)
         self.errors += [] if found is None else [found]
 
-    def joining(
-        self, training: Sequence[InverseFrame], colors: ColorModel | None
-    ) -> list[InverseFrame]:
-        """The presses as the last fit takes them, placed by ``colors`` where there are any and by
-        label otherwise. One that is read no better than by a flat guess shows something else."""
-        scored = [i.frame for i in self.items if i.used.mean_deg < i.used.flat_deg]
-        pad = self.pad
-        if colors is None or pad is None:
-            return scored
-        known, placed = (
-            [
-                ColorFrame(frame.name, frame.image, frame.circle, frame.surface, frame.sha256)
-                for frame in frames
-                if frame.surface is not None
-            ]
-            for frames in (training, scored)
-        )
-        placed = joining_frames(
-            colors,
-            ColorFitOptions(),
-            known,
-            self.captures,
-            placed,
-            self.scene.background,
-            lambda captures, circles: layer_surfaces(captures, circles, pad, self.rest),
-        )
-        return [
-            replace(
-                frame,
-                circle=at.circle,
-                surface=at.surface,
-                circle_sigma_px=frame.circle_sigma_px
-                if at.circle == frame.circle
-                else self.circle_sigma_px,
-            )
-            for frame, at in zip(scored, placed, strict=True)
-        ]
+    def joining(self) -> list[InverseFrame]:
+        """The presses as the last fit takes them, where they were read. One that is read no better
+        than by a flat guess shows something else."""
+        return [i.frame for i in self.items if i.used.mean_deg < i.used.flat_deg]
 
 
 def _known(scene: CaptureScene, frame: InverseFrame) -> KnownPress:

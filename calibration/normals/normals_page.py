@@ -7,6 +7,7 @@ from functools import partial
 
 from taccel_lab.calibration.normals.pictures import draw_errors, draw_reliability
 from taccel_lab.calibration.normals.result import NormalCalibration
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.report.page import Page, Picture, Table
 
 WORST_SHOWN = 10
@@ -16,7 +17,7 @@ WORST_SHOWN = 10
 def normals_page(result: NormalCalibration) -> Page:
     """Tables worst first, error maps, reliability and training of one calibration."""
     tables, pictures = [], []
-    if result.heldout:
+    if result.has_scores:
         tables = [_summary(result), _presses(result)]
         pictures = [
             Picture(
@@ -53,11 +54,12 @@ def _sentence(result: NormalCalibration) -> str:
     )
     if result.gel is not None:
         text += f"{result.gel.sentence()} "
-    if not result.heldout:
+    if not result.has_scores:
         return text + "No press was held out."
     scores = result.heldout_means("used")
+    count = len(in_figures(result.heldout))
     text += (
-        f"Normals of {len(result.heldout)} held-out presses are off by {scores['mean_deg']:.2f} "
+        f"Normals of {count} held-out presses are off by {scores['mean_deg']:.2f} "
         f"degrees on average (a flat guess by {scores['flat_deg']:.1f}). " + _depth_sentence(result)
     )
     if result.final is not None:
@@ -118,7 +120,8 @@ def _summary(result: NormalCalibration) -> Table:
         "drawn by hand are off by a pixel or more, an error in both columns. Absolute depths are "
         "compared with the ball pressed into the stated pad until it touches in the circle: "
         "another thickness shifts them. Presses that could not be read count as flat: "
-        f"{', '.join(result.failures) or 'none'}.",
+        f"{', '.join(result.failed) or 'none'}. Beside the figures, with labels that images "
+        f"reject: {', '.join(sorted(result.rejected)) or 'none'}.",
     )
 
 

@@ -13,6 +13,7 @@ from taccel_lab.calibration.shared_remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,
     HELDOUT_FAILED,
+    LABELS_REJECTED,
     NOTHING_HELD_OUT,
     TOO_FEW,
 )
@@ -36,7 +37,7 @@ def remarks_of(
         wanted = "give 30 to 50, spread over the image"
         grave = count < LEAST_PRESSES
         found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=grave))
-    if not result.heldout:
+    if not result.has_scores:
         found.append(NOTHING_HELD_OUT())
     else:
         scores = result.heldout_means("used")
@@ -46,9 +47,15 @@ def remarks_of(
             error = f"{scores['mean_deg']:.1f} degrees, {share:.0%} of what a flat guess is off"
             advice = "check the circles, the ball's radius and the scale, or give more presses"
             found.append(HELDOUT_ERROR(what="normals", error=error, advice=advice, grave=grave))
-    if result.failures:
-        reasons = "; ".join(f"{name}: {why}" for name, why in result.failures.items())
-        found.append(HELDOUT_FAILED(count=len(result.failures), reasons=reasons))
+    if result.failed:
+        reasons = "; ".join(f"{name}: {why}" for name, why in result.failed.items())
+        found.append(HELDOUT_FAILED(count=len(result.failed), reasons=reasons))
+    if result.rejected:
+        names = [
+            name + (" (not found)" if deg is None else f" ({deg:.1f} degrees)")
+            for name, deg in result.rejected_deg().items()
+        ]
+        found.append(LABELS_REJECTED(count=len(names), names=", ".join(names)))
     change = np.mean([_grey_share(frame, scene) for frame in training])
     if change < GREY_LEVELS:
         alike = f"grey (channels change alike, to {change:.1f} levels)"

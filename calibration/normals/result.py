@@ -15,7 +15,7 @@ from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import SyntheticScore
 from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
-from taccel_lab.calibration.result import ScoredFit, mean_figures
+from taccel_lab.calibration.result import ScoredFit, in_figures, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
@@ -29,7 +29,11 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """Background, pixel grid, ball and resting face of the captures."""
     heldout: tuple[HeldoutNormals, ...]
     failures: dict[str, str]
-    """Held-out presses that could not be read, and why: they count as a flat guess."""
+    """Held-out presses that could not be read, and why: they count as a flat guess, but those whose
+    labels their images reject."""
+    rejected: frozenset[str]
+    """Held-out presses whose labels their images reject: they are read where they are found, and
+    stand beside the mean figures."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
     reliability: Reliability | None
@@ -65,13 +69,29 @@ class NormalCalibration(ScoredFit[InverseFit]):
 
     def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as flat guesses."""
-        scores = [getattr(item, circles) for item in self.heldout]
-        return mean_figures(scores + [flat_guess(scores)] * len(self.failures))
+        scores = [getattr(item, circles) for item in in_figures(self.heldout)]
+        return mean_figures(scores + [flat_guess(scores)] * len(self.failed))
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Those of ``failures`` that count in the figures."""
+        return {name: why for name, why in self.failures.items() if name not in self.rejected}
+
+    def rejected_deg(self) -> dict[str, float | None]:
+        """Mean error [degrees] of the held-out presses with rejected labels where they are found;
+        None where they are not."""
+        found = {item.name: item.used.mean_deg for item in self.heldout}
+        return {name: found.get(name) for name in sorted(self.rejected)}
+
+    @property
+    def has_scores(self) -> bool:
+        """Whether there are figures of held-out presses."""
+        return bool(in_figures(self.heldout))
 
     def absolute_means(self) -> dict[str, float] | None:
         """Mean absolute depth figures of the held-out presses that were read; None without a pad or
         such presses."""
-        depths = [asdict(item.depth) for item in self.heldout if item.depth is not None]
+        depths = [asdict(i.depth) for i in in_figures(self.heldout) if i.depth is not None]
         if not depths:
             return None
         return {key: float(np.mean([depth[key] for depth in depths])) for key in depths[0]}
@@ -88,7 +108,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
             for item in sorted(self.heldout, key=lambda item: -item.used.mean_deg)
         ]
         held: dict[str, Any] | None = None
-        if self.heldout:
+        if self.has_scores:
             held = {
                 "absolute_depth": self.absolute_means(),
                 "in_given_circles": self.heldout_means("given"),
@@ -100,6 +120,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
             "heldout": held,
             "split": None if self.split is None else self.split.figures(),
             "failures": self.failures,
+            "rejected_labels": self.rejected_deg(),
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "synthetic_presses": None if self.synthetic is None else asdict(self.synthetic),
             "gel_thickness": None if self.gel is None else self.gel.figures(),
@@ -146,15 +167,17 @@ class NormalCalibration(ScoredFit[InverseFit]):
         if left_out:
             residuals["left_out_angle_deg"] = float(np.mean(left_out))
             spread["left_out_angle_deg"] = float(np.std(left_out))
-        if self.heldout:
+        if self.has_scores:
             for key, value in self.heldout_means("used").items():
                 residuals[f"heldout_{key}"] = value
             absolute = self.absolute_means()
             if absolute is not None:
                 residuals["heldout_absolute_depth_mae_mm"] = absolute["mae_mm"]
             residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
-            residuals["heldout_failures"] = float(len(self.failures))
-            spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
+            residuals["heldout_failures"] = float(len(self.failed))
+            residuals["heldout_labels_rejected"] = float(len(self.rejected))
+            kept = [item.used.mean_deg for item in in_figures(self.heldout)]
+            spread["heldout_angle_deg"] = float(np.std(kept))
         if not residuals:
             residuals["train_angle_deg"] = self.fit.curve[-1][1]
         if self.synthetic is not None:

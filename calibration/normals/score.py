@@ -17,6 +17,7 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
     usable_pixels,
 )
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap
 from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights
@@ -83,6 +84,8 @@ class HeldoutNormals:
     used: AngleScore
     """In the circle that the label puts there as the training presses say (``LabelPlacement``);
     without a label, in the one found in the image."""
+    rejected: bool = False
+    """Whether the image rejects the label: it stands beside the mean figures."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,8 @@ def score_heldout(
     given: ContactCircle | None,
     scene: CaptureScene,
     wanted_mm: np.ndarray | None = None,
+    *,
+    rejected: bool = False,
 ) -> HeldoutNormals:
     """Compare a press, read as ``depth`` does, with its ball, and absolute heights with the rise of
     the face under it, ``wanted_mm``, shape [height_px, width_px]."""
@@ -147,6 +152,7 @@ def score_heldout(
         error_deg=error,
         given=score_circle(predicted, height, given or frame.circle, scene),
         used=score_circle(predicted, height, frame.circle, scene),
+        rejected=rejected,
     )
 
 
@@ -194,9 +200,9 @@ def ball_depth_mm(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
 
 
 def reliability_of(items: Sequence[HeldoutNormals], scene: CaptureScene) -> Reliability:
-    """Pool the held-out pixels of all presses."""
+    """Pool the pixels of the held-out presses that figures are over, at least one."""
     errors, sigmas, radii = [], [], []
-    for item in items:
+    for item in in_figures(items):
         inside = np.isfinite(item.error_deg)
         normals = true_normals(item.frame, scene)[inside]
         circle_deg = np.degrees(circle_angle_rad(item.frame, scene, normals))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.surfaces import remarks
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
@@ -43,9 +44,12 @@ def fitted_design(
     ``overrides`` are parameters that were measured, such as the gel's thickness; they win.
 
     Raises:
-        InputError: Parameters that cannot be built, or a sensor whose package cannot be loaded.
+        InputError: Parameters that cannot be built, a sensor whose package cannot be loaded, or
+            images that show more than any pad.
     """
     given = dict(overrides or {})
+    for remark in past_largest_pad(sensor, grid, given):
+        raise InputError(remark.message)
     if sensor == FLAT_PAD:
         return catalogue_profile(FLAT_PAD, {**_made_to_measure(grid), **given})
     turned = _turned(sensor, grid)
@@ -80,6 +84,32 @@ def fitted_parameters(
     """Parameters of ``fitted_design``, without meshing it."""
     given = _made_to_measure(grid) if sensor == FLAT_PAD else _turned(sensor, grid)
     return sensor_family(sensor).parameters({**given, **overrides})
+
+
+def past_largest_pad(sensor: str, grid: PixelGrid, overrides: Mapping[str, Any]) -> list[Remark]:
+    """That images show more than any pad made to measure can have, by the bounds of its design:
+    their scale is wrong."""
+    if sensor != FLAT_PAD:
+        return []
+    most = sensor_family(FLAT_PAD).parameters_type.parameters()
+    sides = {
+        name: float(most[name].maximum or np.inf)
+        for name in ("length_x_mm", "length_y_mm")
+        if name not in overrides
+    }
+    made = _made_to_measure(grid)
+    if all(made[name] <= side for name, side in sides.items()):
+        return []
+    return [
+        remarks.SCALE_PAST_PAD(
+            mm_per_px_x=grid.mm_per_px_x,
+            mm_per_px_y=grid.mm_per_px_y,
+            width=grid.width_px * grid.mm_per_px_x,
+            height=grid.height_px * grid.mm_per_px_y,
+            pad_x=sides.get("length_x_mm", overrides.get("length_x_mm")),
+            pad_y=sides.get("length_y_mm", overrides.get("length_y_mm")),
+        )
+    ]
 
 
 def _upright(sensor: str, overrides: Mapping[str, Any]) -> SensorProfile:

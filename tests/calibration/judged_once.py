@@ -47,7 +47,7 @@ def judge_slopes_once(patch: pytest.MonkeyPatch) -> None:
     known: dict[str, Any] = {}
 
     def judged(folder: CaptureFolder, background: np.ndarray) -> Any:
-        presses = [(press.sha256, press.radius_mm) for press in folder.presses]
+        presses = [(p.sha256, p.radius_mm, p.depth_mm) for p in folder.presses]
         about = (presses, folder.sensor, folder.mm_per_px, folder.ball_radius_mm, folder.mask)
         return _remembered(known, (about, background), lambda: check_slopes(folder, background))
 

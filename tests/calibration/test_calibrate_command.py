@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,6 @@ import pytest
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.block_findings import capture_check
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.registration import register_presses
 from taccel_lab.cli.calibrate.blocks import CalibrateColor
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
@@ -67,8 +64,6 @@ def test_bands_of_the_positional_encoding_are_asked_for(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_check(monkeypatch)
-    short = partial(register_presses, fit=ColorFitOptions(hidden=(16,), steps=60))
-    monkeypatch.setattr("taccel_lab.calibration.color.press_circles.register_presses", short)
     command(folder, position_bands=2, holdout_every=0, table=False).run()
     assert "No press was held out" in capsys.readouterr().out
     profile = load_profile(folder.parent / "profile")

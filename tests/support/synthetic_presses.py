@@ -201,6 +201,9 @@ def with_circles(
 def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits go without the check of the captures, whose findings other tests look at."""
     monkeypatch.setattr("taccel_lab.calibration.ball_presses.capture_findings", lambda *_: [])
+    monkeypatch.setattr(
+        "taccel_lab.calibration.ball_presses.rejected_labels", lambda *_: frozenset()
+    )
 
 
 def tiny_profile(grid: PixelGrid) -> SensorProfile:

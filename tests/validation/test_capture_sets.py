@@ -99,6 +99,30 @@ def test_good_captures_are_usable(imported: Imported) -> None:
     assert "wrong_ball_radius" not in codes(check)
 
 
+def test_a_label_that_was_moved_is_rejected_and_no_other(imported: Imported) -> None:
+    folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 6)
+    assert not check_captures(folder, fit_ball=False).rejected_labels
+    first, *others = folder.presses
+    assert first.circle is not None
+    away = 1.5 * first.circle.radius_px
+    toward = away if first.circle.u_px < 160 else -away
+    wrong = replace(first, circle=replace(first.circle, u_px=first.circle.u_px + toward))
+    spoilt = replace(folder, presses=(wrong, *others))
+    assert check_captures(spoilt, fit_ball=False).rejected_labels == {first.name}
+
+
+@pytest.mark.parametrize("name", ["gelsight_rvsathu_sim2real", "gelslim_mcubelab"])
+def test_scales_of_sensors_outside_the_catalogue(name: str, imported: Imported) -> None:
+    """As stated nothing is said; a quarter is unusual, and eightfold is more than any pad."""
+    folder = some_presses(imported(name)[0], 5)
+    assert folder.sensor == "flat_pad" and folder.mm_per_px is not None
+    x, y = folder.mm_per_px
+    for factor, told in ((1.0, None), (0.25, "scale_unusual"), (8.0, "scale_past_pad")):
+        scaled = replace(folder, mm_per_px=(factor * x, factor * y))
+        found = set(codes(check_captures(scaled, fit_ball=False)))
+        assert found & {"scale_unusual", "scale_past_pad"} == ({told} if told else set())
+
+
 def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None:
     folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
     foreign = replace(imported("gsmini_gs_sdk")[0].presses[0], name="foreign")

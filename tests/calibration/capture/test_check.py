@@ -12,9 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.capture.sensor_facts import catalogue_view_mm
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
 from taccel_lab.calibration.check.balls import check_balls
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 from tests.calibration.drawn.faults import blur, drift
@@ -203,6 +206,16 @@ def test_labels_that_disagree(tmp_path: Path) -> None:
     assert many.severity == Severity.ERROR and "--circles detected" in many.message
 
 
+def test_images_reject_single_labels_and_no_shift_that_all_share(tmp_path: Path) -> None:
+    maker = CaptureMaker(circles=list(SOME))
+    maker.labels = [replace(c, u_px=c.u_px + 9) for c in maker.circles]
+    maker.labels[2] = replace(maker.labels[2], u_px=maker.labels[2].u_px - 24)
+    maker.change([5], lambda _: gel())
+    found = check(maker, tmp_path)
+    assert len(by_code(found)["labels_off"].frames) > 4
+    assert found.rejected_labels == {"p02", "p05"}
+
+
 def test_a_label_outside_the_image_is_told_once(tmp_path: Path) -> None:
     maker = few()
     maker.labels = [
@@ -292,7 +305,7 @@ def test_frame_without_contact(tmp_path: Path) -> None:
     found = check(maker, tmp_path)
     finding = by_code(found)["no_contact"]
     assert finding.frames == ("p08",) and finding.severity == Severity.WARNING and found.usable
-    for i in (1, 5, 9):
+    for i in (1, 3, 5, 7, 9):
         maker.images[i] = gel()
     found = check(maker, tmp_path / "many")
     assert by_code(found)["no_contact"].severity == Severity.ERROR and not found.usable
@@ -360,6 +373,41 @@ def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
     found = check_captures(maker.load(tmp_path))
     assert ("wrong_ball_radius" in by_code(found)) == (stated < 2.0)
     assert found.usable == (stated == 2.0)
+    assert ("ball_from_below" in by_code(found)) == (stated == 2.0)
+
+
+def test_a_larger_ball_is_asked_about_where_no_travel_tells(tmp_path: Path) -> None:
+    """A diameter that is typed for the radius: colours fit it as well, and are said to."""
+    maker = CaptureMaker(circles=spread_circles(6), radius_mm=4.0, labelled=False)
+    found = by_code(check_captures(maker.load(tmp_path / "none")))
+    assert found["ball_from_below"].severity == Severity.INFO
+    assert "8.8 mm would leave" in found["ball_from_below"].message
+    depths_mm = [(0.1 * c.radius_px) ** 2 / (1.4 * 2.0) for c in maker.circles]
+    maker.extra = [f"depth_mm = {depth:.4f}" for depth in depths_mm]
+    told = by_code(check_captures(maker.load(tmp_path / "travel")))
+    assert "ball_contradicted" in told and "ball_from_below" not in told
+
+
+def test_a_scale_ten_times_off_is_named(tmp_path: Path) -> None:
+    """Of a sensor that is in no catalogue: 160 mm of gel, and contacts wider than the ball."""
+    maker = few(mm_per_px=1.0, radius_mm=12.4)
+    folder = maker.load(tmp_path)
+    found = by_code(check_captures(folder, fit_ball=False))
+    shown = "at 1 x 1 mm/px the image shows 160.0 x 120.0 mm, more than the pad"
+    assert shown in found["scale_past_pad"].message
+    assert "at 1 mm/px, the ball 12.4 mm" in found["ball_too_small"].message
+    with pytest.raises(InputError, match=r"check the scale") as caught:
+        base_profile(None, folder)
+    assert shown in str(caught.value)
+
+
+@pytest.mark.parametrize(("mm_per_px", "told"), [(0.05, True), (0.1, False), (0.25, False)])
+def test_a_view_that_no_sensor_has(tmp_path: Path, mm_per_px: float, told: bool) -> None:
+    """8 mm; the catalogue's sensors show 17 to 44."""
+    found = by_code(check(few(mm_per_px=mm_per_px, radius_mm=5.0), tmp_path))
+    assert ("scale_unusual" in found) == told
+    low, high = catalogue_view_mm()
+    assert 10 < low < 17 and 44 < high < 60
 
 
 def test_view_past_the_pad(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,12 @@ from taccel_lab.calibration.capture import (
     load_capture_folder,
     load_captures,
 )
+from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.color.registration import register_presses
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import BallSurface
@@ -65,8 +64,6 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
 ) -> None:
     """The whole calibration, twice: weights, background, circles and split stay to the bit."""
-    short = partial(register_presses, fit=BRIEF)
-    monkeypatch.setattr("taccel_lab.calibration.color.press_circles.register_presses", short)
     captures, _ = synthetic_captures(8, noise=1.0)
     names = [press.name for press in captures.presses]
     folder = write_captures(tmp_path / "captures", captures, () if labelled else names)
@@ -146,6 +143,26 @@ def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     rendered = [item.score.crop_psnr_db for item in result.heldout]
     assert result.heldout_means()["crop_psnr_db"] == pytest.approx(np.mean([*rendered, worst]))
     assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
+
+
+def test_a_label_that_its_image_rejects_stands_beside_the_figures(sound: Sound) -> None:
+    captures, surfaces = sound
+    split = captures.split(4)
+    whole = calibrated(captures, surfaces, options=QUICK)
+    wrong, gone, kept = split.heldout_names
+    spoilt = with_images(captures, {split.heldout[1]: captures.background})
+    presses = without_labels(spoilt.presses, [wrong, gone])
+    spoilt = replace(spoilt, heldout=split.heldout_names, presses=presses)
+    assert spoilt.split(4) == replace(captures, heldout=split.heldout_names).split(4)
+    result = calibrated(spoilt, surfaces, options=QUICK)
+    score = {item.name: item.score.crop_psnr_db for item in whole.heldout}[kept]
+    assert result.heldout_means()["crop_psnr_db"] == pytest.approx(score, abs=0.01)
+    assert result.placement == "label"
+    figures = result.figures()
+    assert set(figures["failures"]) == {gone} and figures["heldout_failed"] == 0
+    assert figures["rejected_labels"][gone] is None and figures["rejected_labels"][wrong] > 25
+    (remark,) = [remark for remark in result.remarks if remark.code == "labels_rejected"]
+    assert wrong in remark.message and f"{gone} (not found)" in remark.message
 
 
 def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.color.fit_options import SHORT_FIT
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
@@ -27,6 +27,10 @@ from tests.support.synthetic_presses import GRID, flat_background, known_change,
 QUICK = InverseFitOptions(
     samples=SampleOptions(disc_pixels=600, sink_in_pixels=600, flat_pixels=200, zooms=2),
     members=3, hidden=(24, 24), steps=350, batch_pixels=384,
+)  # fmt: skip
+SHORT_FIT = ColorFitOptions(
+    hidden=(48, 48), steps=160, batch_pixels=1024, disc_pixels=1500, ring_pixels=900,
+    far_pixels=200, learning_rate=2e-2,
 )  # fmt: skip
 PAD = BondedLayer(4.0, 0.48)
 Clean = tuple[CaptureSet, list[BallSurface], NormalCalibration]

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import (
     READING,
@@ -19,6 +21,7 @@ from taccel_lab.calibration.normals.fit import (
     fit_normals,
 )
 from taccel_lab.calibration.normals.heldout import READING as READING_HELDOUT
+from taccel_lab.calibration.normals.heldout import HeldoutReading
 from taccel_lab.calibration.normals.network_fit import (
     TASK,
     TASK_AGAIN,
@@ -28,13 +31,14 @@ from taccel_lab.calibration.normals.network_fit import (
 from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import CaptureScene, SampleOptions
+from taccel_lab.calibration.normals.samples import EXACT, CaptureScene, SampleOptions
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.progress import silent
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
@@ -63,6 +67,26 @@ from tests.support.synthetic_presses import (
 from tests.support.synthetic_presses import calibrated as fit_colors
 
 pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def test_a_label_that_its_image_rejects_widens_nothing(clean: Clean) -> None:
+    captures, _, result = clean
+    split = captures.split(4)
+    wrong = split.heldout_names[0]
+    training, held = captures.only(split.train), captures.only(split.heldout)
+    reading = HeldoutReading(
+        result.fit.model, replace(held, presses=without_labels(held.presses, [wrong])),
+        LabelPlacement.of(training.presses, circles_of(training)),
+        result.scene, flat_rest(GRID), None, EXACT, False,
+    )  # fmt: skip
+    reading.run(training, silent)
+    assert [item.name for item in reading.items if item.rejected] == [wrong]
+    assert len(reading.errors) == len(reading.items) - 1 == 3
+    found = replace(result, heldout=tuple(reading.items), rejected=frozenset([wrong]))
+    others = [item.used.mean_deg for item in result.heldout if item.name != wrong]
+    assert found.heldout_means("used")["mean_deg"] == pytest.approx(np.mean(others))
+    apart = found.figures()["rejected_labels"]
+    assert list(apart) == [wrong] and apart[wrong] < 5.0
 
 
 def test_perfect_captures_are_read_to_the_networks_precision(clean: Clean) -> None:

@@ -271,8 +271,11 @@ def test_flat_pads_are_made_to_measure() -> None:
 
 
 def test_a_view_larger_than_any_pad_is_refused() -> None:
+    wide = PixelGrid(640, 480, 0.2, 0.2)
+    with pytest.raises(InputError, match=r"128.0 x 96.0 mm, more than the pad of 60 x 60 mm"):
+        fitted_design("flat_pad", wide)
     with pytest.raises(InputError, match="length_x_mm"):
-        fitted_design("flat_pad", PixelGrid(640, 480, 0.2, 0.2))
+        fitted_design("flat_pad", wide, {"length_x_mm": 140.0, "length_y_mm": 100.0})
 
 
 def test_dimensions_given_win_over_the_turn() -> None:
