@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays of users and tensors of a device: functions take either and give back what they got."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar, cast
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import torch
+
+Array = TypeVar("Array", np.ndarray, "torch.Tensor")
+
+
+def tensor_of(
+    values: np.ndarray | torch.Tensor,
+    dtype: torch.dtype | None = None,
+    like: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """The values as a tensor: an array on the CPU, or on the device of ``like``, without a copy
+    where none is needed."""
+    import torch
+
+    device = None if like is None else like.device
+    return torch.as_tensor(values, dtype=dtype, device=device)
+
+
+def as_given(found: torch.Tensor, given: Array) -> Array:
+    """A result as an array where ``given`` was one, as a tensor otherwise."""
+    return cast(Array, found.cpu().numpy() if isinstance(given, np.ndarray) else found)
