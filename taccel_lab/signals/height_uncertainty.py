@@ -24,7 +24,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.resampling import on_grid, smoothed_to
 from taccel_lab.signals.slope_integration import height_from_slopes
-from taccel_lab.signals.tensors import Array, as_given, tensor_of
+from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -111,7 +111,7 @@ class HeightUncertainty:
         import torch
 
         slopes, sigma = (tensor_of(values, torch.float64) for values in (slope, slope_sigma))
-        steepness = torch.linalg.vector_norm(slopes, dim=-1).clamp(min=TINY_SLOPE)
+        steepness = length2(slopes).clamp(min=TINY_SLOPE)
         error = (slopes * (sigma / steepness)[..., None]).movedim(-1, 0)
         weights, zero = self._counted(weights, zero, slopes)
         error = on_grid(error, self._size(self._coarse)).movedim(0, -1)

@@ -100,11 +100,10 @@ class FeatureWindows:
     averages: torch.Tensor
     """Of the change [units], shape [3 scale, image, h, w] in blocks."""
     across: torch.Tensor
-    """Of the wider windows, by rows of blocks and columns of pixels, with a column more on either
-    side, shape [3 scale, image, h, width_px + 2]."""
+    """Of the wider windows, by rows of blocks and columns of pixels, shape [3 scale, image, h,
+    width_px]."""
     down: torch.Tensor
-    """By rows of pixels, with one more on either side, and columns of blocks, shape [3 scale,
-    image, height_px + 2, w]."""
+    """By rows of pixels and columns of blocks, shape [3 scale, image, height_px, w]."""
     reach: torch.Tensor
     """Pixels over which a variation is stated, shape [3 scale, 1]."""
     known: torch.Tensor
@@ -137,14 +136,16 @@ class FeatureWindows:
             levels = background.movedim(-1, 0).float() / LEVELS_PER_UNIT
             widest = max([*scales_px, *slope_scales_px])
             known = torch.cat([_average(levels, widest, mask, {}), known])
-        wide = [windows[scale] for scale in slope_scales_px]
-        # Half a difference over two pixels is that of one at the border, where a line goes on.
-        varied = torch.cat(wide) if wide else units[:0]
+        averages = torch.cat([windows[scale] for scale in scales_px])
+        if tuple(slope_scales_px) == tuple(scales_px[len(scales_px) - len(slope_scales_px) :]):
+            varied = averages[len(averages) - 3 * len(slope_scales_px) :]
+        else:
+            varied = torch.cat([windows[scale] for scale in slope_scales_px])
         return cls(
             block_px=1,
-            averages=torch.cat([windows[scale] for scale in scales_px]),
-            across=extended(varied, -1),
-            down=extended(varied, -2),
+            averages=averages,
+            across=varied,
+            down=varied,
             reach=units.new_tensor(slope_scales_px).repeat_interleave(3)[:, None] * zoom,
             known=known,
         )
@@ -178,12 +179,10 @@ class FeatureWindows:
         averages = self.averages.flatten(1).index_select(1, picked)
         parts = [averages, self.known.flatten(1).index_select(1, row * width + columns)]
         if len(self.across):
-            wide = self.across.shape[-1]
-            at_row = rows * wide
-            du = self._variation(self.across, lambda u: at_row + u, columns, wide)
-            high = self.down.shape[-2]
-            at_column = images * (high * width) + columns
-            dv = self._variation(self.down, lambda v: at_column + v * width, row, high)
+            wide, high = self.across.shape[-1], self.down.shape[-2]
+            row_start, column_start = rows * wide, images * (high * width) + columns
+            du = self._variation(self.across, lambda u: row_start + u, columns, wide)
+            dv = self._variation(self.down, lambda v: column_start + v * width, row, high)
             both = torch.stack([du.unflatten(0, (-1, 3)), dv.unflatten(0, (-1, 3))], dim=1)
             parts.insert(1, both.flatten(0, 2))
         return torch.cat(parts)
@@ -197,15 +196,20 @@ class FeatureWindows:
     ) -> torch.Tensor:
         """Mean over each block of half the difference of the pixels beside a pixel; of a block's
         inner ones nothing is left of it. ``place`` of a pixel of a line of ``count``."""
-        flat, first = lines.flatten(1), block * self.block_px
+        flat, size = lines.flatten(1), self.block_px
+        first = block * size
+        last = (first + size - 1).clamp(max=count - 1)
 
-        def at(step: int) -> torch.Tensor:
-            return flat.index_select(1, place((first + step).clamp(max=count - 1)))
+        def at(pixel: torch.Tensor) -> torch.Tensor:
+            return flat.index_select(1, place(pixel.clamp(0, count - 1)))
 
-        size = self.block_px
-        rise = at(size + 1) - at(0)
+        start, end = at(first), at(last)
+        # Beside the border a line goes on as between the last two pixels.
+        before = at(first - 1).where(first > 0, 2 * start - at(first + 1))
+        after = at(last + 1).where(last < count - 1, 2 * end - at(last - 1))
+        rise = after - before
         if size > 1:
-            rise += at(size) - at(1)
+            rise += end - start
         return rise * (self.reach / (2 * size))
 
 
@@ -213,10 +217,13 @@ def halved(values: torch.Tensor, axis: int) -> torch.Tensor:
     """Means of two neighbours along an axis; one that is left over at its end stays."""
     import torch
 
-    even, odd = values.movedim(axis, -1)[..., ::2], values.movedim(axis, -1)[..., 1::2]
+    lines = values.transpose(axis, -1)
+    even, odd = lines[..., ::2], lines[..., 1::2]
     count = odd.shape[-1]
-    found = 0.5 * (even[..., :count] + odd)
-    return torch.cat([found, even[..., count:]], dim=-1).movedim(-1, axis)
+    found = torch.add(even[..., :count], odd).mul_(0.5)
+    if even.shape[-1] > count:
+        found = torch.cat([found, even[..., count:]], dim=-1)
+    return found.transpose(axis, -1)
 
 
 def extended(values: torch.Tensor, axis: int) -> torch.Tensor:

@@ -16,21 +16,22 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.block_reading import HALVINGS, read_in_blocks
+from taccel_lab.signals.block_reading import read_in_blocks
 from taccel_lab.signals.model_settings import require_camera_size
 from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
 from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z
-from taccel_lab.signals.tensors import Array, as_given, tensor_of
+from taccel_lab.signals.tensors import Array, Given, as_given, length2, tensor_of
+from taccel_lab.signals.tilts_at_rest import TiltsAtRest, tilts_at_rest
 
 if TYPE_CHECKING:
     import torch
@@ -68,7 +69,7 @@ class NormalMap(Generic[Array]):
         angle's error grows with 1 + slope^2 where it becomes one of the slope."""
         import torch
 
-        tilt = torch.linalg.vector_norm(tensor_of(self.tilt_rad), dim=-1).clamp(max=MAX_TILT_RAD)
+        tilt = length2(tensor_of(self.tilt_rad)).clamp(max=MAX_TILT_RAD)
         sigma = torch.deg2rad(tensor_of(self.sigma_deg)) / tilt.cos().square()
         return as_given(sigma, self.sigma_deg)
 
@@ -78,10 +79,10 @@ class NormalMap(Generic[Array]):
         upright = normals[..., 2:].clamp(min=math.cos(MAX_TILT_RAD))
         return as_given(-normals[..., :2] / upright, self.normals)
 
-    def numpy(self) -> NormalMap[np.ndarray]:
-        """With arrays."""
+    def like(self, given: Given) -> NormalMap[Given]:
+        """With arrays where ``given`` is one, with tensors otherwise."""
         maps = (self.normals, self.tilt_rad, self.sigma_deg, self.radius95_deg)
-        return NormalMap(*(tensor_of(values).cpu().numpy() for values in maps))
+        return NormalMap(*(as_given(tensor_of(values), given) for values in maps))
 
 
 class NormalModel:
@@ -182,9 +183,9 @@ class NormalModel:
         import torch
 
         shape = (self.config.height_px, self.config.width_px, 3)
-        for name, found in (("image", image.shape[-3:]), ("background", background.shape)):
-            if tuple(found) != shape:
-                raise InputError(f"{name} has shape {tuple(found)}, the normal model needs {shape}")
+        for name, size in (("image", image.shape[-3:]), ("background", background.shape)):
+            if tuple(size) != shape:
+                raise InputError(f"{name} has shape {tuple(size)}, the normal model needs {shape}")
         with torch.inference_mode():
             on = torch.empty(0, device=self.device)
             images = tensor_of(image, like=on).reshape(-1, *shape)
@@ -207,14 +208,17 @@ class NormalModel:
             if kept is not None:
                 tilt = tilt.where(kept[::every, ::every, None], 0.0)
             lead = image.shape[:-3]
-            tilt, error = tilt.reshape(*lead, *tilt.shape[1:]), error.reshape(*lead, *error.shape[1:])
+            tilt, error = (
+                tilt.reshape(*lead, *tilt.shape[1:]),
+                error.reshape(*lead, *error.shape[1:]),
+            )
             normals = relative_normals(tilt)
             if rest_normals is not None:
                 rest = tensor_of(rest_normals[::every, ::every], tilt.dtype, on)
                 normals = rotate_from_z(normals, rest)
             sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
-            read = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
-        return read.numpy() if isinstance(image, np.ndarray) else read
+            found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
+        return found.like(image)
 
     def _width(self, scale: int) -> float:
         """Of a window, to sort them by; a single pixel, all of whose noise shows, comes last."""
@@ -310,40 +314,6 @@ class NormalModel:
         return tilt.cpu().numpy(), error.cpu().numpy()
 
 
-class TiltsAtRest:
-    """What the members of a model give for unchanged places, each asked for once."""
-
-    def __init__(self, config: NormalModelConfig, halvings: int, device: str) -> None:
-        import torch
-
-        size = 2**halvings
-        count = -(-config.height_px // size) * -(-config.width_px // size)
-        self._tilts = torch.zeros((config.members, count, 2), device=device)
-        self._asked = torch.zeros(count, dtype=torch.bool, device=device)
-
-    def at(
-        self,
-        places: torch.Tensor,
-        features: torch.Tensor,
-        ask: Callable[[torch.Tensor], torch.Tensor],
-    ) -> torch.Tensor:
-        """Tilts of places [n], shape [member, n, 2]; ``ask`` gives those of features [feature, n],
-        which belong to the places."""
-        new = (~self._asked[places]).nonzero()[:, 0]
-        if len(new):
-            self._tilts[:, places[new]] = ask(features.index_select(1, new))
-            self._asked[places[new]] = True
-        return self._tilts.index_select(1, places)
-
-
-@lru_cache(maxsize=4)
-def tilts_at_rest(
-    config: NormalModelConfig, weights_sha256: bytes, device: str
-) -> tuple[TiltsAtRest, ...]:
-    """Those of a model, by pixels and by blocks, kept from one reader of a profile to the next."""
-    return tuple(TiltsAtRest(config, halvings, device) for halvings in range(HALVINGS + 1))
-
-
 def expected_shapes(config: NormalModelConfig) -> dict[str, tuple[int, ...]]:
     """Shape of each weight array by name, in the order of the layers."""
     shapes: dict[str, tuple[int, ...]] = {}
@@ -417,7 +387,7 @@ def _cut(tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Angle of tilts [..., 2], cut at 85 degrees, and its sine over the tilt, shape [..., 1]."""
     import torch
 
-    angle = torch.linalg.vector_norm(tilt, dim=-1, keepdim=True)
+    angle = length2(tilt)[..., None]
     cut = angle.clamp(max=MAX_TILT_RAD)
     # sin(a) / a without dividing by a zero angle.
     return cut, torch.sinc(cut / math.pi) * torch.where(angle > cut, cut / angle, 1.0)

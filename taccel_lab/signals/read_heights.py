@@ -12,7 +12,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalMap, NormalModel
 from taccel_lab.signals.slope_integration import height_from_slopes
-from taccel_lab.signals.tensors import Array, as_given, tensor_of
+from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -97,7 +97,7 @@ def read_heights(
         sigma = torch.hypot(reading, off)
         sigma, reading = as_given(sigma, image), as_given(reading, image)
     return ReadHeights(
-        found.numpy() if isinstance(image, np.ndarray) else found,
+        found.like(image),
         as_given(slope, image),
         as_given(rise, image),
         as_given(zero, image),
@@ -106,14 +106,12 @@ def read_heights(
     )
 
 
-def resting_border(
-    found: NormalMap[torch.Tensor], mask: np.ndarray | None = None
-) -> torch.Tensor:
+def resting_border(found: NormalMap[torch.Tensor], mask: np.ndarray | None = None) -> torch.Tensor:
     """Border pixels that are flat, bool, shape [..., h, w]; the whole border where next to none
     are."""
     import torch
 
-    tilt_deg = torch.rad2deg(torch.linalg.vector_norm(found.tilt_rad, dim=-1))
+    tilt_deg = torch.rad2deg(length2(found.tilt_rad))
     flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg).clamp(min=FLAT_DEG)
     rows, columns = tilt_deg.shape[-2:]
     depth = max(2, min(rows, columns) // 20)

@@ -124,7 +124,9 @@ def test_every_second_row_and_column_reads_as_pixels_of_the_whole_image() -> Non
     pixels = by_pixels(model, image, background)[::2, ::2]
     found = model.predict(image, background, every=2)
     np.testing.assert_allclose(found.tilt_rad, pixels[..., :2], atol=1e-5)
-    np.testing.assert_allclose(np.radians(found.sigma_deg) * RAYLEIGH_MEAN, pixels[..., 2], rtol=1e-5)
+    np.testing.assert_allclose(
+        np.radians(found.sigma_deg) * RAYLEIGH_MEAN, pixels[..., 2], rtol=1e-5
+    )
     known = whole.rise_m[::2, ::2]
     off = (thin.rise_m - thin.rise_m.mean()) - (known - known.mean())
     assert np.abs(off).max() < 0.03 * np.ptp(known)
