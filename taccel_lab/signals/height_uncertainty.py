@@ -107,11 +107,12 @@ class HeightUncertainty:
     ) -> Array:
         """Height [m], shape [..., height_px, width_px], that is gained or lost where each slope
         from rest, shape [..., h, w, 2], is steeper or flatter by its standard deviation; the rest
-        as in ``sigma_m``."""
+        as in ``sigma_m``. A slope below its deviation has no direction that errors lie along: they
+        count as much less as it is below, whether noise is averaged over blocks or not."""
         import torch
 
         slopes, sigma = (tensor_of(values, torch.float64) for values in (slope, slope_sigma))
-        steepness = length2(slopes).clamp(min=TINY_SLOPE)
+        steepness = torch.maximum(length2(slopes), sigma).clamp(min=TINY_SLOPE)
         error = (slopes * (sigma / steepness)[..., None]).movedim(-1, 0)
         weights, zero = self._counted(weights, zero, slopes)
         error = on_grid(error, self._size(self._coarse)).movedim(0, -1)
