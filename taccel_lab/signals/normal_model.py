@@ -186,7 +186,7 @@ class NormalModel:
         for name, size in (("image", image.shape[-3:]), ("background", background.shape)):
             if tuple(size) != shape:
                 raise InputError(f"{name} has shape {tuple(size)}, the normal model needs {shape}")
-        with torch.inference_mode():
+        with torch.no_grad():
             on = torch.empty(0, device=self.device)
             images = tensor_of(image, like=on).reshape(-1, *shape)
             light = tensor_of(background, torch.float32, on)
@@ -308,7 +308,7 @@ class NormalModel:
         """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature]."""
         import torch
 
-        with torch.inference_mode():
+        with torch.no_grad():
             raw = torch.as_tensor(features, dtype=torch.float32, device=self.device).T
             tilt, error = self._judged(self._outputs(raw), self._still(raw), None)
         return tilt.cpu().numpy(), error.cpu().numpy()
