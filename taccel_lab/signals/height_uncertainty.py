@@ -33,6 +33,8 @@ DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
 POINTS_PER_LENGTH = 2.0
 """Of the grid that errors are integrated on."""
+TRIAL_TOLERANCE = 1e-5
+"""Of trials with masked pixels: far below what so few of them leave open."""
 TINY_SLOPE = 1e-9
 SMOOTHING_PX = 6.0
 """The spread of few trials is uneven; its square is averaged over this many pixels."""
@@ -96,6 +98,7 @@ class HeightUncertainty:
             coarse,
             weights=weights,
             zero=None if zero is None else zero[..., None, :, :],
+            tolerance=TRIAL_TOLERANCE,
         )
         variance = errors.square().mean(dim=-3)
         smoothing = SMOOTHING_PX * coarse.width_px / self.grid.width_px
