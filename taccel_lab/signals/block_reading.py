@@ -65,7 +65,7 @@ def read_in_blocks(
         levels.append(levels[-1].halved())
     colors = [level.averages[narrowest] for level in levels]
     found = answer(HALVINGS, levels[-1], None).unflatten(1, levels[-1].shape)
-    single = _single(pixels, mask)
+    kept = _kept(pixels, mask)
     finer = torch.ones_like(found[0], dtype=torch.bool)
     limit = None
     for k in range(HALVINGS, 0, -1):
@@ -73,18 +73,15 @@ def read_in_blocks(
         limit = _limit(bend, BEND) if limit is None else limit
         texture = _texture(colors[0], colors[k], 2**k)
         uneven = texture > _limit(texture, TEXTURE_LEVELS / LEVELS_PER_UNIT)
-        finer = finer & (_widened(bend > limit) | uneven)
+        # Lines from a block's middle reach into those beside it.
+        beside = _widened((bend > limit) | _any(~kept, 2**k, bend.shape))
         level = levels[k - 1]
-        found, finer = (doubled(values, level.shape) for values in (found, finer))
-        alone = doubled(single, level.shape)
-        if mask is None:
-            chosen = finer | alone
-        else:
-            chosen = finer & ~alone if k > 1 else (finer | alone) & mask
+        finer = doubled(finer & (beside | uneven), level.shape)
+        found = doubled(found, level.shape)
+        chosen = finer & _any(kept, 2 ** (k - 1), level.shape)
         picked = chosen.flatten().nonzero()[:, 0]
         if len(picked):
             found.flatten(1)[:, picked] = answer(k - 1, level, picked)
-        single = alone
     return found
 
 
@@ -110,18 +107,23 @@ def _between(values: torch.Tensor, times: int) -> torch.Tensor:
     return found[..., times:-times, times:-times]
 
 
-def _single(pixels: FeatureWindows, mask: torch.Tensor | None) -> torch.Tensor:
-    """Largest blocks in and beside which something is masked or cut off at the border, whose pixels
-    are read one by one, bool, shape [image, h, w]."""
+def _kept(pixels: FeatureWindows, mask: torch.Tensor | None) -> torch.Tensor:
+    """Pixels that count, filled up to whole largest blocks with others, bool, shape [1, h, w]."""
     import torch
 
-    images, height, width = pixels.shape
+    _, height, width = pixels.shape
     size = 2**HALVINGS
-    gone = pixels.averages.new_zeros((1, height, width)) if mask is None else (~mask).float()[None]
-    after = (0, -width % size, 0, -height % size)
-    gone = torch.nn.functional.pad(gone, after, value=1.0)
-    blocks = torch.nn.functional.max_pool2d(gone, size) > 0
-    return _widened(blocks).expand(images, -1, -1)
+    kept = pixels.averages.new_ones((1, height, width)) if mask is None else mask.float()[None]
+    return torch.nn.functional.pad(kept, (0, -width % size, 0, -height % size)) > 0
+
+
+def _any(flags: torch.Tensor, times: int, shape: Sequence[int]) -> torch.Tensor:
+    """Blocks of so many pixels in which a flag [1, height_px, width_px] is set, [1, h, w] of
+    ``shape``."""
+    import torch
+
+    blocks = torch.nn.functional.max_pool2d(flags.float(), times) > 0
+    return blocks[:, : shape[-2], : shape[-1]]
 
 
 def _bend(slopes: torch.Tensor) -> torch.Tensor:
