@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     presses_on_camera,
@@ -25,6 +26,19 @@ from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
+
+
+@dataclass(frozen=True)
+class Untouched:
+    """The untouched sensor that colours and normals were fitted against."""
+
+    block: BackgroundBlock
+    image: np.ndarray
+    """RGB levels, shape [height_px, width_px, 3]."""
+
+    def onto(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with this background."""
+        return profile.with_block(self.block, self.image)
 
 
 @dataclass(frozen=True)
@@ -54,6 +68,12 @@ class BallPresses:
     """Presses left out, and how far the circles found lie from labels."""
     surfaces: tuple[BallSurface, ...] = ()
     """Of the training presses in their circles, in order, where somebody made them."""
+
+    @property
+    def untouched(self) -> Untouched | None:
+        """The background that they are fitted against; None where the profile has none."""
+        block, image = self.profile.background, self.profile.background_rgb
+        return None if block is None or image is None else Untouched(block, image)
 
     @property
     def heldout(self) -> CaptureSet | None:
@@ -95,6 +115,7 @@ def ball_presses(
             stated="thickness_mm" in folder.design,
         )  # fmt: skip
     extended = profile if gel is None else gel.apply_to(profile)
+    extended = with_background(extended, folder)
     return BallPresses(
         profile=extended,
         gel=gel,
@@ -108,6 +129,16 @@ def ball_presses(
         findings=tuple(findings),
         remarks=tuple(usable.remarks),
     )
+
+
+def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProfile:
+    """``profile`` with the background of the captures; as it is where it has that already."""
+    assert folder.background is not None
+    own = profile.background
+    if own is not None and folder.background.sha256 in own.provenance.inputs.values():
+        return profile
+    found = folder.once.of(("background",), lambda: calibrate_background(folder, profile))
+    return found.apply_to(profile.without("background"))
 
 
 def with_captured_background(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -167,17 +166,6 @@ def on_grid(
             bool(rectified),
         )
     )
-
-
-def stated_scale_share(camera: CameraBlock) -> float:
-    """Standard deviation of the scale as a share of it, as the camera's calibration states it; 0
-    where it states none."""
-    spread = camera.provenance.spread
-    shares = [
-        spread.get(f"mm_per_px_{axis}", 0.0) / scale
-        for axis, scale in (("x", camera.mm_per_px_x), ("y", camera.mm_per_px_y))
-    ]
-    return math.hypot(*shares) / math.sqrt(2)
 
 
 def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:

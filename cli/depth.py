@@ -26,7 +26,8 @@ class Depth:
     deviation and the pressure, `<name>.png` shows them, and `<name>.json` has depth, position, area
     and force with its 95 % interval, from the contact of an elastic layer. Heights are
     metres in the gel frame, zero on untouched gel, negative in a dent. The +- is one standard
-    deviation of the absolute depth, calibration included. Images that cannot be a press of this
+    deviation of the absolute depth, calibration included. The light of each image is brought to the
+    profile's, and an untouched gel reads as no contact, 0 N. Images that cannot be a press of this
     sensor are listed with the reason. The others are still read, and the exit code is 2.
     """
 
@@ -45,9 +46,6 @@ class Depth:
     """Rectification maps (.npz) of `taccel-lab calibrate camera --maps`, for raw images."""
     method: Literal["auto", "normals", "depth"] = "auto"
     """Model to read with. auto: normals, if the profile has both."""
-    drift: Literal["auto", "on", "off"] = "auto"
-    """Bring the light of each image to the background's first. auto: as in the
-    calibration, and of colour images whose light lies beyond the calibrated."""
     json: bool = False
     """Print the figures as JSON instead of a line per image."""
 
@@ -94,7 +92,6 @@ class Depth:
             mask=mask,
             background_name=str(self.background or "the background"),
             method=self.method,
-            drift=self.drift,
         )
         reader = TouchReader(surfaces)
 
@@ -112,12 +109,11 @@ class Depth:
 
 
 def _lines(path: Path, about: dict[str, Any]) -> list[str]:
-    sigma = about["max_depth_sigma_mm"]
+    sigma, (column, row) = about["max_depth_sigma_mm"], about["deepest_px"]
+    depth = f"{about['max_depth_mm']:.3f} " + ("" if sigma is None else f"+- {sigma:.3f} ")
+    said = f"{depth}mm deep at ({column}, {row}) px, {about['touched_mm2']:.2f} mm2 touched"
     return [
-        f"{path.name}: {about['max_depth_mm']:.3f} "
-        + ("" if sigma is None else f"+- {sigma:.3f} ")
-        + f"mm deep at ({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
-        f"{about['touched_mm2']:.2f} mm2 touched",
+        f"{path.name}: {said if about['touched'] else about['depth_words']}",
         *_force_lines(about),
         *(f"  {warning}" for warning in (*about["warnings"], *about["force_remarks"])),
     ]

@@ -18,6 +18,7 @@ from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.light.untouched import (
     background_from_presses,
     steady_pixels,
@@ -32,6 +33,8 @@ from taccel_lab.report.remark import Remark, Severity
 CLIPPED_SHARE = 0.01
 MIN_SEEN_SHARE = 0.15
 """A frame that shows less untouched gel than this is left out."""
+GRAIN_SHARE = 1 / 40
+"""What is smooth over more than this part of the shorter side is no grain."""
 MIN_SEEN_FRAMES = 3
 """Frames that have to show a new speck."""
 
@@ -41,11 +44,12 @@ def calibrate_background(
 ) -> BackgroundCalibration:
     """The untouched sensor from all the frames of ``folder``, in the light of its background.
 
-    The background image, the other untouched images and the untouched parts of the presses are
-    brought to one light and averaged; without any untouched image the background is the median of
-    the presses. Each frame is then compared with the mean of the others. ``base`` is what the
-    result extends; of it only the kind of image counts. Raises InputError when there is nothing to
-    make a background of, and for raw images of a rectified profile.
+    The background image and the other untouched images are brought to one light and averaged;
+    presses beside their contacts add fine grain alone, held-out ones nothing. Without any untouched
+    image the background is the median of the presses. Each frame is then compared with the mean of
+    the others. ``base`` is what the result extends; of it only the kind of image counts. Raises
+    InputError when there is nothing to make a background of, and for raw images of a rectified
+    profile.
     """
     require_image_of(base, folder)
     sources = _sources(folder)
@@ -69,7 +73,10 @@ def calibrate_background(
             used = np.zeros_like(used)
         compared.append(_Compared(source, light, seen, used))
         steady = light.remove(image.astype(np.float64))
-        running.add(steady, used)
+        if kind == "press" and not from_presses:
+            running.add(reference + _grain(steady - reference, used), used)
+        else:
+            running.add(steady, used)
         if kind != "background":
             new.add(steady - reference, seen)
         progress("comparing the frames", k + 1, len(sources))
@@ -101,10 +108,21 @@ def calibrate_background(
         method=(
             "median of the untouched parts of the presses"
             if from_presses
-            else "mean of the untouched images and the untouched parts of the presses"
+            else "mean of the untouched images, with the fine grain of the presses beside their "
+            "contacts"
         )
         + ", each frame's gain, offset and gradient of the light taken off",
     )
+
+
+def _grain(difference: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """What a press adds to the background: its fine grain [levels], shape [h, w, 3].
+
+    The gel sinks far beyond a contact, and its colours change smoothly there. So what is smooth of
+    the background is that of untouched images alone, and no press moves it.
+    """
+    sigma = max(GRAIN_SHARE * min(used.shape), 1.0)
+    return difference - smoothed(difference, used, sigma)
 
 
 @dataclass(frozen=True)
@@ -138,7 +156,8 @@ def _sources(folder: CaptureFolder) -> list[_Source]:
     for i, frame in enumerate(folder.untouched):
         name = f"untouched_{i}_{frame.name}"
         sources.append(_Source(name, "untouched", frame.sha256, frame.read))
-    sources += [_Source(p.name, "press", p.sha256, p.read) for p in folder.presses]
+    presses = folder.fitted().presses if sources else folder.presses
+    sources += [_Source(p.name, "press", p.sha256, p.read) for p in presses]
     if not sources:
         raise InputError(
             f"{folder.source} holds neither an untouched image nor presses; give background or "

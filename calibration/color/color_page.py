@@ -105,13 +105,12 @@ def _summary(result: ColorCalibration) -> str:
         parts.append(result.gel.sentence())
     if result.has_scores:
         score = result.heldout_means()
-        light = " in the light of each capture" if result.drift_corrected else ""
         failed = f" ({len(result.failures)} of them failed)" if result.failures else ""
         parts.append(
             f"{len(result.heldout) + len(result.failures)} presses that nothing had seen before "
-            f"the model was frozen{failed} are rendered{light}, {PLACED_BY[result.placement]}, at "
-            f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
-            f"{score['disc_l1']:.2f} levels of error inside it."
+            f"the model was frozen{failed} are rendered in the light of each capture, "
+            f"{PLACED_BY[result.placement]}, at {score['crop_psnr_db']:.1f} dB in the "
+            f"crop around the contact and {score['disc_l1']:.2f} levels of error inside it."
         )
         if result.final is not None:
             presses = len(result.final.inputs)
@@ -133,8 +132,7 @@ def _tables(result: ColorCalibration) -> list[Table]:
                 "Held-out presses; quote the first column. By label: where the label puts the "
                 "ball, plus the mean shift of the training labels. Failures count as the bare "
                 "background."
-                + (" Renders are in the capture's own light, fitted beyond 3 contact radii."
-                   if result.drift_corrected else ""),
+                " Renders are in the capture's own light, fitted beyond 2 contact radii.",
             )
         )  # fmt: skip
     tables.append(_press_table(result))

@@ -9,7 +9,7 @@ is made to all presses: profiles get that one, with the scores of the first.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -25,7 +25,6 @@ from taccel_lab.calibration.color.heldout import (
     HeldoutPress,
     HeldoutSet,
     score_heldout,
-    without_light,
 )
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
@@ -34,14 +33,8 @@ from taccel_lab.calibration.color.registration import joining_frames
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.color.untouched_light import (
-    choose_drift,
-    fit_untouched_light,
-    noise_floor_l1,
-    too_little_left,
-)
+from taccel_lab.calibration.color.untouched_light import light_beside, noise_floor_l1
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
@@ -52,7 +45,6 @@ from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.rest_surface import rest_surface
 
-COMPARING = "comparing the light of the frames"
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
 """Findings of the check that the calibration says in its own words."""
@@ -78,9 +70,7 @@ def calibrate_color(
     settings = ColorFitOptions(
         **{item.name: getattr(options, item.name) for item in fields(ColorTraining)}
     )
-    presses = placed_presses(
-        folder, base, "color", options, options.drift, progress, cache=options.cache
-    )
+    presses = placed_presses(folder, base, "color", options, progress, cache=options.cache)
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
     surfaces = partial(
         layer_surfaces,
@@ -93,13 +83,13 @@ def calibrate_color(
         presses.surfaces,
         HeldoutSet.of(presses.captures, presses.split, surfaces),
         options=settings,
-        drift=options.drift,
+        background=presses.profile.background_rgb,
         labels=presses.labels,
         table=options.table,
         remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
     )
-    return replace(found, gel=presses.gel)
+    return replace(found, gel=presses.gel, untouched=presses.untouched)
 
 
 def fit_color(
@@ -109,7 +99,7 @@ def fit_color(
     heldout: HeldoutSet | None = None,
     *,
     options: ColorFitOptions = ColorFitOptions(),
-    drift: DriftMode | None = None,
+    background: np.ndarray | None = None,
     labels: LabelPlacement | None = None,
     table: bool = False,
     remarks: Sequence[Remark] = (),
@@ -123,7 +113,7 @@ def fit_color(
         surfaces: Their surfaces, in order.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         options: Settings of the fit.
-        drift: Whether drift is taken off (``DriftChoice``); None leaves it to ``options``.
+        background: Untouched sensor to fit and render on, levels; that of ``captures`` when None.
         labels: Where labels put held-out presses; by ``circles`` when None.
         table: Fit Taxim's table too, as a baseline and for export.
         remarks: What is known of the captures already.
@@ -145,23 +135,23 @@ def fit_color(
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
         for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
     ]
-    found = _Fitting(captures, frames, options, progress, drift, labels, table)
+    untouched = captures.background if background is None else background
+    found = _Fitting(captures, frames, untouched, options, progress, labels, table)
     result = found.run(surfaces, heldout)
     return replace(result, remarks=(*remarks, *color_remarks(result)))
 
 
 @dataclass
 class _Fitting:
-    """One fit on its way: what was chosen of the light so far."""
+    """One fit on its way."""
 
     captures: CaptureSet
     frames: list[ColorFrame]
+    background: np.ndarray
     options: ColorFitOptions
     progress: Progress
-    drift: DriftMode | None
     labels: LabelPlacement | None
     table: bool
-    drift_choice: DriftChoice | None = None
 
     def run(
         self,
@@ -169,13 +159,9 @@ class _Fitting:
         heldout: HeldoutSet | None,
     ) -> ColorCalibration:
         captures, grid, mask = self.captures, self.captures.grid, self.captures.mask
-        self._choose_drift()
-        dark = {} if heldout is None else without_light(heldout.captures, self.options.remove_drift)
-        for name, reason in dark.items():
-            self.progress(f"{name} will count as a failure: {reason}", 1, 1)
         circles = tuple(frame.circle for frame in self.frames)
         fit = fit_color_model(
-            self.frames, captures.background, grid, self.options, mask=mask, progress=self.progress
+            self.frames, self.background, grid, self.options, mask=mask, progress=self.progress
         )
         table = None
         if self.table:
@@ -192,15 +178,8 @@ class _Fitting:
             every += self._frames_of(heldout, held, fit)
         final = None
         if len(every) > len(self.frames):
-            # On the background of the first fit, which normals are read against, too.
             final = fit_color_model(
-                every,
-                captures.background,
-                grid,
-                self.options,
-                mask=mask,
-                rest_image=fit.background,
-                progress=self.progress,
+                every, self.background, grid, self.options, mask=mask, progress=self.progress
             )
         return ColorCalibration(
             fit=fit,
@@ -214,7 +193,6 @@ class _Fitting:
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
             valid_region=_valid_region(every, (final or fit).model),
             circles=circles,
-            drift_choice=self.drift_choice,
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
@@ -232,29 +210,9 @@ class _Fitting:
             if press.score.crop_psnr_db > press.background_only.crop_psnr_db
         ]
         return joining_frames(
-            fit.model, fit.options, self.frames, captures, frames, self.captures.background,
+            fit.model, fit.options, self.frames, captures, frames, self.background,
             heldout.surfaces,
         )  # fmt: skip
-
-    def _choose_drift(self) -> None:
-        if self.drift is None:
-            return
-        captures, grid = self.captures, self.captures.grid
-
-        def frames() -> Iterator[tuple[np.ndarray, ContactCircle]]:
-            for done, frame in enumerate(self.frames):
-                self.progress(COMPARING, done, len(self.frames))
-                yield frame.image, frame.circle
-
-        choice = choose_drift(frames(), captures.background, grid, captures.mask, self.drift)
-        self.progress(COMPARING, len(self.frames), len(self.frames))
-        if self.drift == "auto" and choice.remove:
-            # A contact that fills its frame leaves nothing to tell that frame's light by.
-            circles = [frame.circle for frame in self.frames]
-            filled = any(too_little_left(circle, grid, captures.mask) for circle in circles)
-            choice = replace(choice, remove=not filled)
-        self.drift_choice = choice
-        self.options = replace(self.options, remove_drift=choice.remove)
 
     def _table_scores(
         self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
@@ -280,26 +238,18 @@ class _Fitting:
         circle: ContactCircle,
         fit: ColorFit,
     ) -> ImageScore:
-        """Figures of a render in the light of the capture, where the fit took drift off."""
+        """Figures of a render in the light of the capture."""
         grid = self.captures.grid
-        if self.options.remove_drift:
-            drift = fit_untouched_light(captured, fit.background, circle, grid, self.captures.mask)
-            rendered = np.clip(drift.apply(rendered), 0.0, 255.0)
-        return score_image(rendered, captured, circle, grid)
+        light = light_beside(captured, fit.background, circle, grid, self.captures.mask)
+        return score_image(np.clip(light.apply(rendered), 0.0, 255.0), captured, circle, grid)
 
     def _noise_floor(self) -> float:
-        floors = []
-        for frame in self.frames:
-            try:
-                floors.append(
-                    noise_floor_l1(
-                        frame.image, self.captures.background, frame.circle, self.captures.grid
-                    )
-                )
-            except InputError:
-                # This contact fills the image; the others tell the floor.
-                continue
-        return float(np.mean(floors)) if floors else math.nan
+        grid, mask = self.captures.grid, self.captures.mask
+        floors = [
+            noise_floor_l1(frame.image, self.background, frame.circle, grid, mask)
+            for frame in self.frames
+        ]
+        return float(np.nanmean(floors)) if np.isfinite(floors).any() else math.nan
 
 
 def _valid_region(

@@ -27,12 +27,6 @@ class ColorFitOptions(ColorTraining):
     """Pixels drawn per frame between 1.3 and 2.5 contact radii."""
     far_pixels: int = 1500
     """Pixels drawn per frame beyond 2.5 contact radii."""
-    remove_drift: bool = False
-    """Fit and remove an affine drift of the background in each training frame. Off, the background
-    and the model settle on the mean light of the captures; on, they keep to the light of the one
-    background image. Off scores better on Taxim's GelSight presses: L1 in the disc of left-out
-    presses 2.2 against 3.2 levels when they alternate, 2.2 to 2.8 against 3.3 to 3.8 when a block
-    of 12 neighbours is left out. On a camera with automatic white balance it has to be on."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch_pixels", "disc_pixels", "ring_pixels", "far_pixels"):

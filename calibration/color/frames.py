@@ -10,15 +10,11 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.untouched_light import fit_untouched_light, too_little_left
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
-
-NO_DRIFT = LightDrift(np.ones(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -43,22 +39,6 @@ class ColorSamples:
     displacement_mm: np.ndarray
     change: np.ndarray
     """Captured minus background [levels], shape [n, 3]."""
-
-
-def frame_drift(
-    frame: ColorFrame,
-    background: np.ndarray,
-    grid: PixelGrid,
-    mask: np.ndarray | None,
-    options: ColorFitOptions,
-) -> LightDrift:
-    """Drift of a frame against the background; none where the options leave it in."""
-    if not options.remove_drift:
-        return NO_DRIFT
-    reason = too_little_left(frame.circle, grid, mask)
-    if reason:
-        raise InputError(f"{frame.name}: {reason}; give drift off, or leave the press out")
-    return fit_untouched_light(frame.image, background, frame.circle, grid, mask)
 
 
 def draw_samples(
@@ -97,7 +77,8 @@ def samples_at(
 ) -> ColorSamples:
     """Given pixels of a frame; ``pixel_idx`` counts along rows."""
     surface = frame.surface
-    image = drift.remove(frame.image.reshape(-1, 3)[pixel_idx].astype(np.float64))
+    there = drift.at(pixel_idx, grid.height_px, grid.width_px)
+    image = there.remove(frame.image.reshape(-1, 3)[pixel_idx].astype(np.float64))
     return ColorSamples(
         pixel_uv(ColorModelConfig(grid.width_px, grid.height_px), pixel_idx),
         surface.normals.reshape(-1, 3)[pixel_idx],

@@ -24,9 +24,8 @@ from taccel_lab.calibration.capture.captures import (
 )
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
-from taccel_lab.calibration.color.frames import NO_DRIFT
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.color.untouched_light import fit_untouched_light, too_little_left
+from taccel_lab.calibration.color.untouched_light import light_beside
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.result import mean_figures
@@ -74,7 +73,7 @@ class HeldoutPress:
     rendered: np.ndarray
     """RGB levels in the light of the background, float32, shape [height_px, width_px, 3]."""
     shown: np.ndarray
-    """The same in the light of the capture: its drift applied where the fit took drift off."""
+    """The same in the light of the capture."""
     score: ImageScore
     """Of ``shown``."""
     background_only: ImageScore
@@ -89,20 +88,6 @@ class HeldoutFailure:
     reason: str
     background_only: ImageScore | None
     """None where nobody knows where to look: the worst of the other presses then counts."""
-
-
-def without_light(captures: CaptureSet, remove_drift: bool) -> dict[str, str]:
-    """Held-out presses whose light cannot be fitted, by their labels alone: name and reason.
-
-    Known before the fit, so that nobody waits for it to hear that a contact is too large.
-    """
-    found = {}
-    for press in captures.presses:
-        if remove_drift and press.circle is not None:
-            reason = too_little_left(press.circle, captures.grid, captures.mask)
-            if reason:
-                found[press.name] = reason
-    return found
 
 
 def score_heldout(
@@ -161,9 +146,8 @@ class _HeldoutScoring:
         for (press, image, start), surface in zip(started, surfaces, strict=True):
             figures_in = press.circle or start
             bare = score_image(self.captures.background, image, figures_in, self.grid)
-            reason = surface if isinstance(surface, str) else self._no_light(figures_in)
-            if isinstance(surface, str) or reason:
-                self.failures.append(HeldoutFailure(press.name, reason, bare))
+            if isinstance(surface, str):
+                self.failures.append(HeldoutFailure(press.name, surface, bare))
                 continue
             found.append(self._scored(press, image, figures_in, start, surface, bare))
         return found, self.failures
@@ -191,11 +175,6 @@ class _HeldoutScoring:
                     found.append(f"it has no surface: {error}")
             return found
 
-    def _no_light(self, circle: ContactCircle) -> str:
-        if not self.fit.options.remove_drift:
-            return ""
-        return too_little_left(circle, self.grid, self.mask)
-
     def _scored(
         self,
         press: CapturedPress,
@@ -205,13 +184,9 @@ class _HeldoutScoring:
         surface: BallSurface,
         bare: ImageScore,
     ) -> HeldoutPress:
-        drift = NO_DRIFT
-        if self.fit.options.remove_drift:
-            drift = fit_untouched_light(
-                image, self.fit.background, figures_in, self.grid, self.mask
-            )
+        light = light_beside(image, self.fit.background, figures_in, self.grid, self.mask)
         (rendered,) = tactile_images(self.fit.model, self.fit.background, [surface])
-        shown = np.clip(drift.apply(rendered), 0.0, 255.0)
+        shown = np.clip(light.apply(rendered), 0.0, 255.0)
         return HeldoutPress(
             press.name, image, figures_in, start, "found" if press.circle is None else "label",
             surface, rendered, shown, score_image(shown, image, figures_in, self.grid), bare,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,10 +15,9 @@ from taccel_lab.calibration.color.frames import (
     ColorFrame,
     ColorSamples,
     draw_samples,
-    frame_drift,
 )
 from taccel_lab.calibration.color.training import train
-from taccel_lab.calibration.light.average import average_background
+from taccel_lab.calibration.color.untouched_light import light_beside
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -51,31 +50,30 @@ def fit_color_model(
     options: ColorFitOptions = ColorFitOptions(),
     *,
     mask: np.ndarray | None = None,
-    rest_image: np.ndarray | None = None,
     progress: Progress = silent,
 ) -> ColorFit:
     """Fit the colour model to ``frames``.
 
     ``background`` is the untouched sensor, RGB levels, shape [height_px, width_px, 3]; pixels
-    where ``mask`` is false are never used. ``rest_image`` is the one to render on, that of
-    ``rest_background`` when None. Deterministic for a seed on one thread.
+    where ``mask`` is false are never used. Deterministic for a seed on one thread.
     """
     started = time.perf_counter()
     if not frames:
         raise InputError("the colour fit needs at least one press")
-    drifts = {frame.name: frame_drift(frame, background, grid, mask, options) for frame in frames}
-    if rest_image is None:
-        rest_image = rest_background(frames, background, drifts, grid, mask)
-    samples = draw_samples(frames, rest_image, drifts, grid, mask, options)
+    drifts = {
+        frame.name: light_beside(frame.image, background, frame.circle, grid, mask)
+        for frame in frames
+    }
+    samples = draw_samples(frames, background, drifts, grid, mask, options)
     trained = train(samples, grid, options, progress=progress)
     model = ColorModel(trained.model.config, trained.model.weights, steepest_deg(samples))
     residuals = {
-        frame.name: disc_l1(model, frame, rest_image, drifts[frame.name], grid, mask)
+        frame.name: disc_l1(model, frame, background, drifts[frame.name], grid, mask)
         for frame in frames
     }
     return ColorFit(
         model=model,
-        background=rest_image,
+        background=background.astype(np.float32),
         loss_curve=trained.curve,
         disc_l1_train=residuals,
         drifts=drifts,
@@ -88,23 +86,6 @@ def fit_color_model(
 def steepest_deg(samples: ColorSamples) -> float:
     """Tilt of the steepest normals that a fit is shown: one in 10,000 leans further."""
     return math.degrees(math.acos(np.clip(np.quantile(samples.normals[:, 2], 1e-4), 0.0, 1.0)))
-
-
-def rest_background(
-    frames: Sequence[ColorFrame],
-    background: np.ndarray,
-    drifts: Mapping[str, LightDrift],
-    grid: PixelGrid,
-    mask: np.ndarray | None,
-) -> np.ndarray:
-    """The background to render on: averaged with the untouched parts of the frames."""
-    return average_background(
-        background,
-        [frame.image for frame in frames],
-        [frame.circle.untouched(grid) for frame in frames],
-        [drifts[frame.name] for frame in frames],
-        mask,
-    )
 
 
 def disc_l1(
@@ -126,5 +107,6 @@ def disc_l1(
         surface.displacement_mm()[disc],
         surface.rest_normals[disc],
     )
-    rendered = drift.apply(np.clip(rest_image[disc] + change, 0.0, 255.0))
+    light = drift.at(np.flatnonzero(disc), grid.height_px, grid.width_px)
+    rendered = light.apply(np.clip(rest_image[disc] + change, 0.0, 255.0))
     return float(np.abs(rendered - frame.image[disc]).mean())

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 
 
@@ -30,10 +29,6 @@ class ColorOptions(ColorTraining, BallPressOptions):
 
     cache: bool = True
     """Whether to use the user's cache folder for contacts."""
-    drift: DriftMode = "auto"
-    """Remove the drift of the light from each frame: on for cameras with automatic white
-    balance. auto does so if it removes at least a quarter of the difference between untouched
-    gel and background."""
     table: bool = True
     """Whether to fit Taxim's table too. The report shows its figures; polycalib.npz beside it is
     for `taccel-lab export --to taxim --table`."""

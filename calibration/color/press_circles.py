@@ -15,9 +15,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.registration import MIN_PRESSES, register_presses
-from taccel_lab.calibration.color.untouched_light import choose_drift, too_little_left
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
@@ -33,7 +31,6 @@ def placed_presses(
     base: SensorProfile,
     block: str,
     options: BallPressOptions,
-    drift: DriftMode,
     progress: Progress = silent,
     *,
     cache: bool = True,
@@ -46,13 +43,12 @@ def placed_presses(
         presses.captures.grid,
         presses.split,
         options.circles,
-        drift,
         presses.profile.gel.thickness_mm,
     )
 
     def placed() -> tuple[list[ContactCircle], tuple[BallSurface, ...]]:
         few = len(presses.circles) < MIN_PRESSES
-        circles = presses.circles if few else _registered(presses, drift, progress)
+        circles = presses.circles if few else _registered(presses, progress)
         return circles, _surfaces(replace(presses, circles=circles))
 
     circles, surfaces = folder.once.of(key, placed)
@@ -66,7 +62,7 @@ def _surfaces(presses: BallPresses) -> tuple[BallSurface, ...]:
     return tuple(layer_surfaces(training, presses.circles, layer_of(profile), rest))
 
 
-def _registered(presses: BallPresses, drift: DriftMode, progress: Progress) -> list[ContactCircle]:
+def _registered(presses: BallPresses, progress: Progress) -> list[ContactCircle]:
     training, grid, mask = presses.training, presses.training.grid, presses.training.mask
     frames = [
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
@@ -74,15 +70,12 @@ def _registered(presses: BallPresses, drift: DriftMode, progress: Progress) -> l
             training.presses, presses.circles, _surfaces(presses), strict=True
         )
     ]
-    pairs = [(frame.image, frame.circle) for frame in frames]
-    choice = choose_drift(pairs, training.background, grid, mask, drift)
-    dark = any(too_little_left(circle, grid, mask) for _, circle in pairs)
+    assert presses.profile.background_rgb is not None
     found = register_presses(
         frames,
-        training.background,
+        presses.profile.background_rgb,
         grid,
         mask=mask,
-        remove_drift=choice.remove and not (dark and drift == "auto"),
         progress=lambda done, total: progress(REGISTERING, done, total),
     ).circles
     return [

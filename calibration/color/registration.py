@@ -21,12 +21,11 @@ from taccel_lab.calibration.color.frames import (
     ColorFrame,
     ColorSamples,
     draw_pixels,
-    frame_drift,
     join_samples,
     samples_at,
 )
-from taccel_lab.calibration.color.network_fit import rest_background
 from taccel_lab.calibration.color.training import train
+from taccel_lab.calibration.color.untouched_light import light_beside
 from taccel_lab.calibration.contacts.refine import refine_circle
 from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import MovedPress
@@ -75,7 +74,6 @@ def register_presses(
     grid: PixelGrid,
     *,
     mask: np.ndarray | None = None,
-    remove_drift: bool = False,
     seed: int = 0,
     fit: ColorFitOptions = SHORT_FIT,
     scales: Sequence[float] = SCALES,
@@ -93,7 +91,7 @@ def register_presses(
         raise InputError(
             f"{len(frames)} presses are too few to place each by the others; at least {MIN_PRESSES}"
         )
-    options = replace(fit, remove_drift=remove_drift, seed=seed)
+    options = replace(fit, seed=seed)
     job = _Job(frames, background, grid, mask, options)
     total = len(scales) + 2 + ROUNDS
     done = 0
@@ -206,9 +204,8 @@ class _Job:
         options: ColorFitOptions,
     ) -> None:
         self.frames, self.grid, self.mask, self.options = list(frames), grid, mask, options
-        self.drifts = [frame_drift(frame, background, grid, mask, options) for frame in frames]
-        by_name = {f.name: drift for f, drift in zip(frames, self.drifts, strict=True)}
-        self.rest_image = rest_background(frames, background, by_name, grid, mask)
+        self.drifts = [light_beside(f.image, background, f.circle, grid, mask) for f in frames]
+        self.rest_image = background
         self.library = RadialSurfaces.of(
             [frame.surface for frame in frames], [frame.circle for frame in frames], grid
         )
@@ -265,7 +262,8 @@ class _Job:
             near &= self.mask
         idx = np.flatnonzero(near)
         idx = idx[:: max(1, len(idx) // MAX_PIXELS)]
-        wanted = self.drifts[i].remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
+        light = self.drifts[i].at(idx, self.grid.height_px, self.grid.width_px)
+        wanted = light.remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
         wanted -= self.rest_image.reshape(-1, 3)[idx]
         rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
 

@@ -24,8 +24,6 @@ OUTLIER_FACTOR = 2.5
 """A press that is rendered worse than the median by this factor is named."""
 OUTLIER_LEVELS = 3.0
 """And by these levels at least."""
-FAR_LEVELS = 6.0
-"""Captures that differ from the background by more far from the contact have drifted."""
 
 OUTLIERS = RemarkKind(
     "outliers",
@@ -33,12 +31,6 @@ OUTLIERS = RemarkKind(
     "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
     "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
     "not a clean ball press",
-)
-OFF_BACKGROUND = RemarkKind(
-    "off_background",
-    Severity.WARNING,
-    "captures differ from the background by {levels:.1f} levels where nothing touches: take a new "
-    "background with the same exposure and white balance, or calibrate with --drift on",
 )
 
 
@@ -49,7 +41,6 @@ def color_remarks(result: ColorCalibration) -> list[Remark]:
         *_against_background(result),
         *_failures(result),
         *_outliers(result),
-        *_light(result),
     ]
 
 
@@ -94,10 +85,3 @@ def _outliers(result: ColorCalibration) -> list[Remark]:
     named = ", ".join(f"{name} ({values[name]:.1f})" for name in worst[:5])
     more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
     return [OUTLIERS(worse=len(worst), count=len(values), median=median, names=f"{named}{more}")]
-
-
-def _light(result: ColorCalibration) -> list[Remark]:
-    # Drift that was taken off stands in the figures.
-    if not result.drift_corrected and result.noise_floor_l1 > FAR_LEVELS:
-        return [OFF_BACKGROUND(levels=result.noise_floor_l1)]
-    return []

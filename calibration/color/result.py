@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.ball_presses import Untouched
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
@@ -22,7 +23,6 @@ from taccel_lab.calibration.color.heldout import (
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftChoice
 from taccel_lab.calibration.result import ScoredFit, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
@@ -51,8 +51,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
     """How the held-out presses were chosen; None where there are none."""
     label_shift: LabelPlacement
     noise_floor_l1: float
-    """Mean difference of captures to the background beyond 3 contact radii [levels]; NaN when no
-    capture shows that much."""
+    """Mean difference of captures from the background in their light beside the contacts [levels];
+    NaN when no capture shows that much."""
     captures: CaptureSet
     """The training presses."""
     surface_provider: str
@@ -61,8 +61,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
     """Range of contact positions, tilts and displacements in the presses of the last fit."""
     circles: tuple[ContactCircle, ...]
     """Circles that the surfaces belong to, of the training presses in order."""
-    drift_choice: DriftChoice | None = None
-    """None where the options alone said whether drift is taken off."""
+    untouched: Untouched | None = None
+    """What it was fitted against; that of ``captures`` when None."""
     table: TaximTable | None = None
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
@@ -76,11 +76,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
     def train_names(self) -> list[str]:
         """Names of the training presses in order."""
         return [press.name for press in self.captures.presses]
-
-    @property
-    def drift_corrected(self) -> bool:
-        """Whether figures in the capture's own light are the ones that count."""
-        return self.fit.options.remove_drift
 
     @property
     def has_scores(self) -> bool:
@@ -131,7 +126,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
             "profile_presses": len(self.last.inputs),
-            "drift_removed": self.drift_corrected,
         }
         if self.gel is not None:
             found["gel_thickness"] = self.gel.figures()
@@ -144,8 +138,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
                 "deviation_px": self.label_shift.deviation_px.tolist(),
                 "presses": self.label_shift.count,
             }
-        if self.drift_choice is not None:
-            found["drift_choice"] = asdict(self.drift_choice)
         if self.table_scores:
             found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
         found["circles"] = {
@@ -162,9 +154,9 @@ class ColorCalibration(ScoredFit[ColorFit]):
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
         fit = self.last
-        return profile.with_block(
-            BackgroundBlock(provenance=self._background_provenance()), fit.background
-        ).with_block(
+        block = BackgroundBlock(provenance=self._background_provenance())
+        untouched = self.untouched or Untouched(block, fit.background)
+        return untouched.onto(profile).with_block(
             ColorBlock(
                 architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
             ),
@@ -183,7 +175,7 @@ class ColorCalibration(ScoredFit[ColorFit]):
             residuals["far_field_l1_levels"] = self.noise_floor_l1
         return Provenance(
             kind="calibrated",
-            method="captured background; averaged with the untouched parts of the training presses",
+            method="captured background",
             source=self._source(),
             inputs=self._inputs(self.fit),
             residuals=residuals,
@@ -221,8 +213,7 @@ class ColorCalibration(ScoredFit[ColorFit]):
             f"{options.batch_pixels} pixels, Huber loss, seed "
             f"{options.seed}; surfaces: {self.surface_provider}"
         ]
-        if options.remove_drift:
-            parts.append("drift of the light taken off each frame")
+        parts.append("light of each frame taken off")
         if self.split is not None and self.has_scores:
             parts.append(
                 f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "

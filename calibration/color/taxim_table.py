@@ -77,7 +77,8 @@ def fit_taxim_table(
         if mask is not None:
             near &= mask
         v, u = np.nonzero(near)
-        image = drifts[frame.name].remove(frame.image[near].astype(np.float64))
+        light = drifts[frame.name].at(np.flatnonzero(near), grid.height_px, grid.width_px)
+        image = light.remove(frame.image[near].astype(np.float64))
         tilt, direction = bin_indices(normals_over_rest(frame.surface)[near], bins)
         terms = pixel_terms(u / half[0] - 1, v / half[1] - 1)
         place = tilt * bins + direction

@@ -20,7 +20,6 @@ from taccel_lab.calibration.base_profile import (
     lost_blocks,
     on_grid,
     require_labels_and_view,
-    stated_scale_share,
     with_measured_scale,
 )
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
@@ -49,6 +48,7 @@ from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.assumed import scale_sigma
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import DepthResponse, channel_of
@@ -82,7 +82,7 @@ def calibrate_depth(
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
     progress(TASK, 0, 1)
     with refusing_with(findings):
-        share = stated_scale_share(on_captures.camera)
+        share = scale_sigma(on_captures.camera)
         found = fit_depth(captures, options, assumed, scale_share=share)
     progress(TASK, 1, 1)
     lost = lost_blocks(base, on_captures)

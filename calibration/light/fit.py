@@ -63,7 +63,7 @@ def fit_light(
         smoothed(image, mask, sigma)[rows, columns].T.astype(np.float64, order="C")
         for image in (background, frame)
     )
-    fitted = np.zeros((3, 1 + len(others)))
+    fitted, covariance = np.zeros((3, 1 + len(others))), np.zeros((3, 4, 4))
     left = after - before
     left -= np.median(left, axis=1, keepdims=True)
     weight = np.ones(len(rows))
@@ -74,13 +74,18 @@ def fit_light(
         scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
         reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
         weight = biweight(distance, reach)
-        fitted = _with_prior(before, others, after, weight, scale)
+        fitted, level, known = _with_prior(before, others, after, weight, scale)
         left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
+    # A gradient that is not fitted is as unknown as its prior says.
+    covariance[:, 2:, 2:] = np.diag(PRIOR_SIGMA[2:] ** 2)
+    covariance[:, : len(known[0]), : len(known[0])] = known
     return LightDrift(
         gain=fitted[:, 0].copy(),
         offset=fitted[:, 1].copy(),
         gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
         noise_levels=scale,
+        covariance=covariance,
+        level=level,
     )
 
 
@@ -104,9 +109,10 @@ def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _with_prior(
     levels: np.ndarray, others: np.ndarray, wanted: np.ndarray, weight: np.ndarray, scale: float
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset and gradient of each channel by weighted least squares, drawn weakly to "no
-    change", shape [3, p].
+    change", shape [3, p]; the channels' mean levels, shape [3]; the covariance of gain, offset at
+    that level and gradient, shape [3, p, p].
 
     The background has noise of its own, as large as the frame's (half of what is left), which would
     draw the gain to 0. The frame is therefore held against what the background's level is expected
@@ -142,12 +148,13 @@ def _with_prior(
     normal[:, 0, 0] = np.square(expected) @ weight
     normal[:, 0, 1:] = normal[:, 1:, 0] = expected @ weighed.T
     normal[:, 1:, 1:] = gram
-    normal += np.diag(max(total / PRIOR_SAMPLES, 1.0) * (scale / sigma) ** 2)
+    alike = max(total / PRIOR_SAMPLES, 1.0)
+    normal += np.diag(alike * (scale / sigma) ** 2)
     side = np.column_stack([(expected * change) @ weight, change @ weighed.T])
     step = np.linalg.solve(normal, side[..., None])[..., 0]
     step[:, 1] -= step[:, 0] * mean
     step[:, 0] += 1.0
-    return step
+    return step, mean, alike * scale**2 * np.linalg.inv(normal)
 
 
 def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:

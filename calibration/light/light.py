@@ -28,6 +28,11 @@ class LightDrift:
     noise_levels: float = 0.0
     """Robust standard deviation of what is left of the smoothed frame, a channel [levels]; 0 when
     not estimated."""
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 4, 4)))
+    """Of gain, of the offset at ``level`` [levels], and of the gradient's two parts [levels], shape
+    [3, 4, 4]; zero where nothing was fitted."""
+    level: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """Mean level of each channel that the gain turns about [levels], shape [3]."""
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """The background (or a render on it) as the frame's light would show it.
@@ -43,6 +48,29 @@ class LightDrift:
     def shift(self, level: np.ndarray) -> np.ndarray:
         """Change of a channel of this ``level`` in the middle of the image [levels], shape [3]."""
         return (self.gain - 1) * level + self.offset
+
+    def at(self, pixel_idx: np.ndarray, height_px: int, width_px: int) -> LightDrift:
+        """The same for some pixels of an image, counted along rows, shape [n]: the gradient there
+        is part of ``offset``, shape [n, 3]."""
+        u, v = unit_position(height_px, width_px)
+        rows, columns = np.divmod(pixel_idx, width_px)
+        there = u[0, columns, None] * self.gradient[:, 0] + v[rows, 0, None] * self.gradient[:, 1]
+        return LightDrift(self.gain, self.offset + there, noise_levels=self.noise_levels)
+
+    def terms(self, background: np.ndarray) -> np.ndarray:
+        """What a unit of each parameter adds to each channel of an untouched frame, in the order of
+        ``covariance``, shape [4, height_px, width_px, 3]."""
+        u, v = unit_position(*background.shape[:2])
+        found = np.empty((4, *background.shape))
+        found[0] = background - self.level
+        found[1], found[2], found[3] = 1.0, u[..., None], v[..., None]
+        return found
+
+    def covariance_at(self, level: np.ndarray) -> np.ndarray:
+        """``covariance`` with the offset taken at another ``level`` of the channels, [3, 4, 4]."""
+        moved = np.tile(np.eye(4), (3, 1, 1))
+        moved[:, 1, 0] = level - self.level
+        return moved @ self.covariance @ moved.transpose(0, 2, 1)
 
     def _plane(self, image: np.ndarray) -> np.ndarray | float:
         if not self.gradient.any():

@@ -147,10 +147,10 @@ class LiveReader:
         surface, press, figures, refused = None, None, {}, ""
         if self.surface is not None:
             with _timed(stages, "light"):
-                levels = self.surface.in_own_light(image)
+                lit = self.surface.lit(image)
             with _timed(stages, "depth"):
                 often = self._count % self._sigma_every == 0
-                surface = self.surface.read_levels(levels, uncertainty=often)
+                surface = self.surface.read_lit(lit, uncertainty=often)
                 figures = surface.figures(self.surface.grid)
                 if often:
                     self._sigma_mm = figures["max_depth_sigma_mm"]
@@ -161,7 +161,11 @@ class LiveReader:
             if self.pressure is not None and not refused:
                 with _timed(stages, "pressure"):
                     press = self.pressure.read(
-                        surface.rise_m, surface.height_sigma_m, surface.reading_sigma_m, time_s
+                        surface.rise_m,
+                        surface.touch,
+                        surface.height_sigma_m,
+                        surface.reading_sigma_m,
+                        time_s,
                     )
                 figures |= press.figures()
         places = rest = seen = None

@@ -14,7 +14,6 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import stated_scale_share
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.capture.split import PressSplit
@@ -23,9 +22,8 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.press_circles import placed_presses
-from taccel_lab.calibration.color.untouched_light import choose_drift
+from taccel_lab.calibration.color.untouched_light import noise_floor_l1
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.normals.heldout import HeldoutReading, in_background_light
 from taccel_lab.calibration.normals.network_fit import (
     InverseFit,
@@ -61,9 +59,9 @@ from taccel_lab.calibration.surfaces.ball_in_layer import (
 )
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
-from taccel_lab.calibration.thickness.fit import thickness_interval
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
@@ -95,13 +93,15 @@ def calibrate_normals(
     settings = InverseFitOptions(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
     )
-    presses = placed_presses(folder, base, "normals", options, options.drift, progress)
+    presses = placed_presses(folder, base, "normals", options, progress)
     training, circles = presses.training, presses.circles
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
     typical_mm = float(np.median([circle.radius_px for circle in circles]))
     typical_mm *= training.grid.mm_per_px_x
-    by_gel = sunk_share(thickness_interval(profile), typical_mm, training.ball_radius_mm, pad)
+    by_gel = sunk_share(
+        thickness_interval_mm(profile.gel), typical_mm, training.ball_radius_mm, pad
+    )
     found = fit_normals(
         training,
         circles,
@@ -110,19 +110,20 @@ def calibrate_normals(
         split=presses.split,
         rest=rest,
         options=settings,
-        drift=options.drift,
         circle_source=options.circles,
         circle_sigmas_px=presses.circle_sigmas_px,
         labels=presses.labels,
         background=profile.background_rgb,
         pad=pad,
         colors=None if _knows(profile, presses.heldout) else ColorModel.from_profile(profile),
-        scale_share=stated_scale_share(profile.camera),
+        scale_share=scale_sigma(profile.camera),
         thickness_share=by_gel,
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
-    return replace(found, gel=presses.gel, remarks=(*presses.lost, *remarks))
+    return replace(
+        found, gel=presses.gel, untouched=presses.untouched, remarks=(*presses.lost, *remarks)
+    )
 
 
 def _knows(profile: SensorProfile, heldout: CaptureSet | None) -> bool:
@@ -143,7 +144,6 @@ def fit_normals(
     split: PressSplit | None = None,
     rest: RestSurface | None = None,
     options: InverseFitOptions = InverseFitOptions(),
-    drift: DriftMode = "auto",
     circle_source: str = "given",
     circle_sigmas_px: Sequence[CircleSigma] | None = None,
     labels: LabelPlacement | None = None,
@@ -164,7 +164,6 @@ def fit_normals(
         split: How these were chosen, for the record.
         rest: The undeformed face; flat if None.
         options: Settings of the networks and their fit.
-        drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         circle_source: How the circles were chosen, for the record.
         circle_sigmas_px: What each circle may be off by; nothing when None.
         labels: Where labels put held-out presses; by ``circles`` when None.
@@ -191,8 +190,7 @@ def fit_normals(
         None if rest is None or rest.is_flat else rest.normals,
     )
     sigmas = circle_sigmas_px or [EXACT] * len(circles)
-    training, choice = _frames(captures, circles, sigmas, surfaces, scene, drift)
-    options = replace(options, light_drift=choice.remove)
+    training = _frames(captures, circles, sigmas, surfaces, scene)
     synthetic_presses = None
     if pad is not None and options.synthetic_presses and surfaces is not None:
         synthetic_presses = _synthetic_presses(training, scene, pad, colors, options.seed, progress)
@@ -231,7 +229,6 @@ def fit_normals(
             rest or flat_rest(captures.grid),
             pad,
             _typical(sigmas),
-            choice.remove,
         )
         held.run(captures, progress)
         failures |= held.failures
@@ -253,7 +250,7 @@ def fit_normals(
         gel=None,
         frozen_radius95_sigmas=frozen.radius95_sigmas,
         frozen_along_factor=frozen.along_factor,
-        flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
+        flat_noise_levels=_flat_noise_levels(training, scene),
         background_sha256=captures.background_sha256,
         source=source_of(captures.provenance, captures.source),
         provenance=captures.provenance,
@@ -270,23 +267,30 @@ def _frames(
     sigmas: Sequence[CircleSigma],
     surfaces: Sequence[BallSurface] | None,
     scene: CaptureScene,
-    mode: DriftMode,
-) -> tuple[list[InverseFrame], DriftChoice]:
-    """Frames, and whether drift came off them."""
-    images = [press.image().astype(np.float32) for press in captures.presses]
-    pairs = zip(images, circles, strict=True)
-    choice = choose_drift(pairs, scene.background, scene.grid, scene.mask, mode)
-    if choice.remove:
-        images = [in_background_light(image, scene) for image in images]
-    frames = [
+) -> list[InverseFrame]:
+    """Frames in the light of the background."""
+    return [
         InverseFrame(
-            press.name, image, circle, press.sha256, surfaces[i] if surfaces else None, sigma
+            press.name,
+            in_background_light(press.image(), scene),
+            circle,
+            press.sha256,
+            surfaces[i] if surfaces else None,
+            sigma,
         )
-        for i, (press, image, circle, sigma) in enumerate(
-            zip(captures.presses, images, circles, sigmas, strict=True)
+        for i, (press, circle, sigma) in enumerate(
+            zip(captures.presses, circles, sigmas, strict=True)
         )
     ]
-    return frames, choice
+
+
+def _flat_noise_levels(frames: Sequence[InverseFrame], scene: CaptureScene) -> float:
+    """Mean difference from the background beside the contacts, median over the frames [levels]."""
+    floors = [
+        noise_floor_l1(frame.image, scene.background, frame.circle, scene.grid, scene.mask)
+        for frame in frames
+    ]
+    return float(np.nanmedian(floors)) if np.isfinite(floors).any() else float("nan")
 
 
 def _synthetic_presses(

@@ -43,7 +43,7 @@ READING = "reading the held-out presses"
 
 def in_background_light(image: np.ndarray, scene: CaptureScene) -> np.ndarray:
     """A frame in the light of the background, as the model will bring new ones to it."""
-    light = fit_light(image, scene.background, scene.mask, gradient=False)
+    light = fit_light(image, scene.background, scene.mask)
     return light.remove(image).astype(np.float32)
 
 
@@ -61,7 +61,6 @@ class HeldoutReading:
     pad: BondedLayer | None
     circle_sigma_px: CircleSigma
     """Of the circles of training presses."""
-    remove_light: bool
     items: list[HeldoutNormals] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
     """Presses that could not be read, and why."""
@@ -79,10 +78,9 @@ class HeldoutReading:
 
     def _read(self, press: CapturedPress, training: CaptureSet) -> None:
         scene, pad, captures = self.scene, self.pad, self.captures
-        image = press.image().astype(np.float32)
-        circle = place_heldout(press, image, training, self.labels)
-        if self.remove_light:
-            image = in_background_light(image, scene)
+        captured = press.image().astype(np.float32)
+        circle = place_heldout(press, captured, training, self.labels)
+        image = in_background_light(captured, scene)
         own_px = self.circle_sigma_px
         sigma_px = own_px if press.circle is None else self.labels.sigma_px(own_px)
         surface = None

@@ -90,8 +90,6 @@ class InverseFitOptions(NormalTraining):
     """Pixels drawn of each synthetic press."""
     synthetic_share: float = 0.6
     """Share of synthetic presses in each batch."""
-    light_drift: bool = False
-    """Whether the frames were brought to the background's light; the model then asks for it too."""
 
     def __post_init__(self) -> None:
         for name in ("members", "steps", "batch_pixels"):
@@ -170,7 +168,6 @@ def _unscaled(
         scene.grid.height_px,
         scales_px=scales,
         slope_scales_px=scales[1:] if options.slopes else (),
-        light_drift=options.light_drift,
         members=options.members,
         hidden=options.hidden,
         position_bands=options.position_bands,

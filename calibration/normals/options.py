@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 
 
@@ -28,7 +27,3 @@ class NormalTraining:
 @dataclass(frozen=True, kw_only=True)
 class NormalOptions(NormalTraining, BallPressOptions):
     """Settings of ``calibrate_normals``."""
-
-    drift: DriftMode = "auto"
-    """Bring the light of each frame to the background's first. auto does so if it removes at
-    least a quarter of the difference between untouched gel and background."""

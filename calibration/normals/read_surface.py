@@ -8,32 +8,31 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light.other_light import light_of_background
+from taccel_lab.calibration.light.pattern_shift import pattern_shift
+from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
+from taccel_lab.calibration.normals.touch import Touch, touch_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
-from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
+from taccel_lab.signals.read_heights import read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.summary import Summary
 
+NORMAL_95 = 1.96
 MOSTLY = 0.5
 """Share of a larger pixel that has to count."""
-LEAST_LIGHT_LEVELS = 4.0
-"""A change of light below this is left in, whatever the calibration saw: contacts shift the fit of
-the light by as much."""
-UNKNOWN_LIGHT_LEVELS = 8.0
-"""Largest change of light left in where a profile does not say how much its frames had. Presses of
-four sensors that are read as they are have 0.7 to 6.7."""
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is warned."""
@@ -46,10 +45,16 @@ READING_ALONE = (
     "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
     "absolute depths are off by more; calibrate again to have it whole"
 )
-CONTACT_MM = 0.05
-CONTACT_SHARE = 0.1
-"""Pixels pressed deeper than this, than this share of the deepest one and than the height is
-uncertain count as touched."""
+
+
+@dataclass(frozen=True)
+class LitImage:
+    """An image as it is read."""
+
+    levels: np.ndarray
+    """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid."""
+    light: LightDrift
+    """Its own light against the untouched sensor's."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,8 +69,8 @@ class SurfaceReading(Summary):
     """Standard deviation of both heights [m]. None of models that were fitted without synthetic
     presses, and of curves of earlier versions."""
     reading_sigma_m: np.ndarray | None
-    """That of the reading alone [m], which tells places of one image apart: what all depths are off
-    by alike, such as the calibration's circles, scale or zero, is not in it."""
+    """That of a place where nothing touches [m], by the reading and the image's light: what is off
+    along with the depth, such as the calibration's circles or scale, is not in it."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
@@ -78,7 +83,8 @@ class SurfaceReading(Summary):
     saturated: np.ndarray | None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
-    drift_removed: bool
+    touch: Touch
+    """Where the gel is touched: the one decision that area, pressure and force follow."""
     sigma_of: SigmaOf | None = None
     """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
     that know no more, the reading alone; None where the profile tells none."""
@@ -87,30 +93,58 @@ class SurfaceReading(Summary):
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """How deep the gel is pressed, and by which model."""
-        deepest = np.unravel_index(int(np.argmin(self.rise_m)), self.rise_m.shape)
-        depth = f"{-1e3 * self.rise_m[deepest]:.4g}"
-        if self.height_sigma_m is not None:
-            depth += f" +- {1e3 * self.height_sigma_m[deepest]:.2g}"
         height, width = self.rise_m.shape
-        light = "taken off" if self.drift_removed else "as it is"
         return f"surface read from {self.method}", [
-            ("deepest", f"{depth} mm at ({deepest[1]}, {deepest[0]}) px"),
+            ("deepest", self.depth_words),
             ("pixels", f"{width} x {height}"),
-            ("light", light),
             *(("note", remark) for remark in self.remarks),
         ]
+
+    @property
+    def deepest_px(self) -> tuple[int, int]:
+        """Row and column of the deepest place that is touched; of the image where nothing is."""
+        depth = -self.rise_m
+        if self.touch.any:
+            depth = np.where(self.touch.pixels, depth, -np.inf)
+        row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+        return int(row), int(column)
+
+    @property
+    def depth_interval_mm(self) -> tuple[float, float] | None:
+        """95 % interval of the deepest place [mm], from 0 where nothing touches; None where the
+        profile states no deviation."""
+        if self.height_sigma_m is None:
+            return None
+        if not self.touch.any:
+            return 0.0, self.touch.unseen_mm
+        at = self.deepest_px
+        depth, off = -1e3 * float(self.rise_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
+        return max(depth - off, 0.0), depth + off
+
+    @property
+    def depth_words(self) -> str:
+        """Depth and its standard deviation, or that nothing touches, in words."""
+        row, column = self.deepest_px
+        if not self.touch.any:
+            return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
+        depth = f"{-1e3 * self.rise_m[row, column]:.4g}"
+        if self.height_sigma_m is not None:
+            depth += f" +- {1e3 * self.height_sigma_m[row, column]:.2g}"
+        return f"{depth} mm at ({column}, {row}) px"
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:
         """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
         depth_mm = -1e3 * self.rise_m
-        row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
-        touched, least_mm = pressed_in(self.rise_m, self.reading_sigma_m)
+        row, column = self.deepest_px
+        touched = self.touch.pixels
         pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
             "method": self.method,
-            "light_drift_removed": self.drift_removed,
-            "max_depth_mm": float(depth_mm[row, column]),
+            "touched": self.touch.any,
+            "depth_words": self.depth_words,
+            "max_depth_mm": float(depth_mm[row, column]) if self.touch.any else 0.0,
+            "max_depth_interval95_mm": self.depth_interval_mm and list(self.depth_interval_mm),
             "max_depth_sigma_mm": None
             if self.height_sigma_m is None
             else float(1e3 * self.height_sigma_m[row, column]),
@@ -118,7 +152,7 @@ class SurfaceReading(Summary):
             "deepest_px": [int(column), int(row)],
             "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
             "touched_mm2": float(touched.sum() * pixel_mm2),
-            "touched_deeper_than_mm": least_mm,
+            "touched_deeper_than_mm": self.touch.least_mm,
             "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
         }
         inside = touched if touched.any() else np.ones_like(touched)
@@ -164,7 +198,6 @@ class SurfaceReader:
         background: np.ndarray | None = None,
         mask: np.ndarray | None = None,
         method: Method = "auto",
-        drift: DriftMode = "auto",
         background_name: str = "the background",
         shrink: int = 1,
     ) -> None:
@@ -174,22 +207,27 @@ class SurfaceReader:
             background: Untouched sensor instead of the profile's, RGB, shape [h, w, 3].
             mask: Pixels that count, bool, shape [height_px, width_px].
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
-            drift: Whether each image is brought to the background's light first; ``auto`` does as
-                in the calibration, and does it for colours whose light lies beyond the calibrated.
             background_name: How an error calls ``background``, such as by its file.
             shrink: Images are made smaller by about this factor before they are read, and so are
                 the maps (``grid``): a live picture at 3 takes a sixth of the time.
         """
         self.profile, self.mask = profile, mask
         self.method = self._chosen(method)
-        self.background = profile.untouched(background, background_name).astype(np.float32)
+        untouched = profile.untouched(background, background_name).astype(np.float32)
         grid = profile.grid()
-        self._image_shape = self.background.shape
+        self._image_shape = untouched.shape
         self.grid = grid if shrink == 1 else _smaller(grid, shrink)
         """Of the maps that are read."""
         # A larger pixel is the mean of several: fewer of them tell the light as well.
         self._light_step = 1 if shrink == 1 else 2
-        self.background = self._small(self.background)
+        self.untouched = self._small(untouched)
+        """The untouched sensor in its own light, float32 levels."""
+        self._day = LightDrift(np.ones(3), np.zeros(3))
+        if background is not None and profile.background_rgb is not None:
+            known = self._small(profile.background_rgb.astype(np.float32))
+            self._day = light_of_background(self.untouched, known, mask=None)
+        self.background = self._day.remove(self.untouched).astype(np.float32)
+        """The same in the profile's light, in which everything is read."""
         if mask is not None and shrink > 1:
             self.mask = self._small(mask.astype(np.float32)) > MOSTLY
         self.remarks = profile.sensor.provenance.remarks
@@ -198,11 +236,7 @@ class SurfaceReader:
         if self.normal_model is not None and shrink > 1:
             self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self.drift = drift == "on"
-        self._light_limit = np.full(3, np.inf)
-        if drift == "auto" and self.normal_model is not None:
-            self.drift = self.normal_model.config.light_drift
-            self._light_limit = _light_limit(profile)
+        self._sigma: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def sigma_of(self) -> SigmaOf | None:
@@ -241,51 +275,64 @@ class SurfaceReader:
                 f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        levels = self._small(image).astype(np.float32)
-        light = self._light(levels)
-        why = unlike(levels, self.background, light, self.mask)
-        if why is not None:
-            raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
-        removed = self._is_removed(light)
-        levels = light.remove(levels).astype(np.float32) if removed else levels
-        found = replace(self.read_levels(levels), drift_removed=removed)
+        lit = self.lit(image)
+        why = self._not_ours(self._small(image).astype(np.float32), lit.light)
+        if why:
+            raise InputError(f"{name} {why}")
+        found = self.read_lit(lit)
         deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
                 f"{name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its colours are "
                 "not those that were calibrated"
             )
+        if found.height_sigma_m is not None:
+            sigma_mm = 1e3 * float(found.height_sigma_m[found.deepest_px])
+            if sigma_mm > gel_mm:
+                raise InputError(
+                    f"{name} reads {deepest_mm:.1f} +- {sigma_mm:.1f} mm deep in a gel of "
+                    f"{gel_mm:g} mm: the profile does not know its colours or its light"
+                )
         return found
 
     def unlike(self, image: np.ndarray) -> str | None:
-        """Why an image is not of the profile's sensor, or None; see ``light.image_match``."""
+        """Why an image is not of the untouched sensor's gel, or None."""
         levels = self._small(image).astype(np.float32)
-        return unlike(levels, self.background, self._light(levels), self.mask)
+        return self._not_ours(levels, self._light(levels)) or None
 
-    def in_own_light(self, image: np.ndarray) -> np.ndarray:
-        """The image as small as it is read, in the background's light where that is requested, or
-        where its own was never calibrated; float32, shape [height_px, width_px, 3] of ``grid``."""
+    def _not_ours(self, levels: np.ndarray, light: LightDrift) -> str:
+        why = unlike(levels, self.untouched, light, self.mask)
+        if why is not None:
+            return f"is no image of the sensor that was calibrated: {why}"
+        shift = pattern_shift(light.remove(levels), self.untouched, self.mask)
+        if shift is None:
+            return ""
+        right, down = shift
+        return (
+            f"shows the untouched gel's pattern {right:+.0f} px to the right and {down:+.0f} px "
+            "down of where the background has it: gel or camera has moved. Give an image of the "
+            "untouched sensor as it is now (--background)"
+        )
+
+    def lit(self, image: np.ndarray) -> LitImage:
+        """An image as small as it is read, in the profile's light: gain, offset and gradient of
+        each channel against the untouched sensor, contacts being outliers, are taken off."""
         levels = self._small(image).astype(np.float32)
         light = self._light(levels)
-        return light.remove(levels).astype(np.float32) if self._is_removed(light) else levels
-
-    def _is_removed(self, light: LightDrift) -> bool:
-        if self.drift:
-            return True
-        level = self.background.reshape(-1, 3).mean(axis=0)
-        return bool((np.abs(light.shift(level)) > self._light_limit).any())
+        shown = self._day.remove(light.remove(levels))
+        return LitImage(shown.astype(np.float32), light)
 
     def _light(self, levels: np.ndarray) -> LightDrift:
         part = np.s_[:: self._light_step, :: self._light_step]
         mask = None if self.mask is None else self.mask[part]
-        return fit_light(levels[part], self.background[part], mask, gradient=False)
+        return fit_light(levels[part], self.untouched[part], mask)
 
-    def read_levels(self, levels: np.ndarray, *, uncertainty: bool = True) -> SurfaceReading:
-        """The surface under what ``in_own_light`` made of an image; ``uncertainty`` as in
-        ``read_heights``."""
+    def read_lit(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
+        """The surface under an image of ``lit``; without ``uncertainty`` the touch is decided by
+        the standard deviations of the last image that had them."""
         if self.response is not None:
-            return self._by_depth(levels)
-        return self._by_normals(levels, uncertainty)
+            return self._by_depth(lit)
+        return self._by_normals(lit, uncertainty)
 
     def _small(self, image: np.ndarray) -> np.ndarray:
         import cv2
@@ -295,74 +342,77 @@ class SurfaceReader:
             return image
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
-    def _by_depth(self, levels: np.ndarray) -> SurfaceReading:
+    def _by_depth(self, lit: LitImage) -> SurfaceReading:
         assert self.response is not None
-        found = self.response.read(levels, self.background, self.mask)
+        found = self.response.read(lit.levels, self.background, self.mask)
         height = self.rest.height_m + found.height_m
+        sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
+        if sigma_m is not None and alone_m is not None:
+            light_m = 1e-3 * grey_light_sigma_mm(
+                self.response, lit.light, self.background, found.depth_mm
+            )
+            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
         return SurfaceReading(
             height_m=height,
             rise_m=found.height_m,
-            height_sigma_m=_metres(found.sigma_mm),
-            reading_sigma_m=_metres(found.reading_sigma_mm),
+            height_sigma_m=sigma_m,
+            reading_sigma_m=alone_m,
             normals=normals_from_height(height, self.grid),
             sigma_deg=None,
             radius95_deg=None,
             beyond_balls=None,
             saturated=found.saturated,
             method="depth",
-            drift_removed=self.drift,
+            touch=touch_of(found.height_m, alone_m, self.grid),
             sigma_of=self.sigma_of,
             remarks=self.remarks,
         )
 
-    def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
+    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
         assert self.normal_model is not None
         found = read_heights(
             self.normal_model,
-            levels,
+            lit.levels,
             self.background,
             self.grid,
             mask=self.mask,
-            rest_normals=None if self.rest.is_flat else self.rest.normals,
+            rest_normals=self._rest_normals,
             uncertainty=uncertainty,
         )
         read = found.normals
         tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
+        sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
+        if sigma_m is not None and alone_m is not None:
+            light_m = self._light_errors.sigma_m(lit.light, found.zero)
+            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
+            self._sigma = sigma_m, alone_m
+        last_m = alone_m if alone_m is not None or self._sigma is None else self._sigma[1]
         return SurfaceReading(
             height_m=self.rest.height_m + found.rise_m,
             rise_m=found.rise_m,
-            height_sigma_m=found.sigma_m,
-            reading_sigma_m=found.reading_sigma_m,
+            height_sigma_m=sigma_m,
+            reading_sigma_m=alone_m,
             normals=read.normals,
             sigma_deg=read.sigma_deg,
             radius95_deg=read.radius95_deg,
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             saturated=None,
             method="normals",
-            drift_removed=self.drift,
+            touch=touch_of(found.rise_m, last_m, self.grid),
             sigma_of=self.sigma_of,
             remarks=self.remarks,
         )
 
+    @property
+    def _rest_normals(self) -> np.ndarray | None:
+        return None if self.rest.is_flat else self.rest.normals
 
-def pressed_in(rise_m: np.ndarray, reading_sigma_m: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """Pixels that count as touched, bool, shape [h, w], and the least depth of any [mm]."""
-    depth_mm = -1e3 * rise_m
-    least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm.max()))
-    touched = depth_mm > least_mm
-    if reading_sigma_m is not None:
-        touched &= depth_mm > 1e3 * BAND_SIGMAS * reading_sigma_m
-    return touched, least_mm
-
-
-def _light_limit(profile: SensorProfile) -> np.ndarray:
-    """Change of each channel's mean level [levels], shape [3], beyond which an image's light is
-    none that the calibration saw: its colours would be read as slopes. Three standard deviations of
-    the unit's frames where the profile has them."""
-    known = profile.perturbation
-    if known is None or not any(known.offset_rgb):
-        return np.full(3, UNKNOWN_LIGHT_LEVELS)
-    return np.maximum(3 * np.array(known.offset_rgb), LEAST_LIGHT_LEVELS)
+    @cached_property
+    def _light_errors(self) -> LightErrors:
+        assert self.normal_model is not None
+        return LightErrors(
+            self.normal_model, self.background, self.grid, self.mask, self._rest_normals
+        )
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

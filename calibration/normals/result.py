@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import with_captured_background
+from taccel_lab.calibration.ball_presses import Untouched, with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.normals.network_fit import InverseFit
@@ -41,9 +41,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """What the model expected before the held-out presses widened it; ``reliability`` and the depth
     figures are of that."""
     frozen_along_factor: float
-    flat_noise_levels: tuple[float, float]
-    """Mean difference of frames to the background where the gel is at rest, as captured and with
-    the light's drift taken off [levels]."""
+    flat_noise_levels: float
+    """Mean difference of frames from the background in their light, beside the contacts [levels];
+    NaN where no frame shows that much."""
     background_sha256: str
     source: str
     provenance: dict[str, str]
@@ -54,6 +54,8 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """What gave the normals of the sink-in."""
     valid_region: dict[str, tuple[float, float]]
     """Of the presses of the last fit."""
+    untouched: Untouched | None = None
+    """What it was fitted against; that of the captures when None."""
     remarks: tuple[Remark, ...] = ()
 
     @property
@@ -105,7 +107,6 @@ class NormalCalibration(ScoredFit[InverseFit]):
             "widened_by_heldout": self._widened(),
             "left_out_deg": self.fit.left_out_deg,
             "flat_noise_levels": self.flat_noise_levels,
-            "light_drift": self.fit.model.config.light_drift,
             "circles": self.circles,
             "surfaces": self.surfaces,
             "curve": self.fit.curve,
@@ -128,6 +129,8 @@ class NormalCalibration(ScoredFit[InverseFit]):
         profile = on_grid(profile, self.scene.grid, self.provenance)
         if self.gel is not None:
             profile = self.gel.apply_to(profile)
+        if self.untouched is not None:
+            profile = self.untouched.onto(profile)
         profile = with_captured_background(
             profile, self.scene.background, self.source, self.background_sha256
         )
@@ -168,9 +171,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
                 * (config.position_bands > 0)
                 + f"; {options.steps} steps of Muon and Adam, stopped on left-out presses; "
                 f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
-                f"{self.circles}; sink-in: {self.surfaces}; light drift "
-                + ("taken off" if config.light_drift else "left in")
-                + f"; {self.then_fitted}" * (self.final is not None)
+                f"{self.circles}; sink-in: {self.surfaces}; light of each frame taken off"
+                + f"; {self.then_fitted}"
+                * (self.final is not None)
             ),
             source=self.source,
             inputs={"background": self.background_sha256} | self.last.inputs,

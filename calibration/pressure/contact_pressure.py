@@ -10,10 +10,13 @@ A face that was read wrong by chance would be met at its lowest spots. So the to
 as a film would, by the reading's stated standard deviation on average: that is the one
 regularisation, and it vanishes with the deviation (Morozov's discrepancy principle).
 
-The interval of the force is that of a face lower and higher by the height's standard deviation
-everywhere, of the interval of the thickness, of the layer's own error against finite elements
-(``LAYER_SHARE``) and of the modulus, taken as independent. Friction between gel and tool is not
-seen; the layer's error holds for coefficients of 0 to 1.
+The interval of the force is that of a face lower and higher by 1.96 standard deviations of the
+height, of the intervals of thickness, scale and modulus (``profile.assumed`` has those that nobody
+measured) and of the layer's own error against finite elements (``LAYER_SHARE``), taken as
+independent. A face that may as well be untouched has a force that may be 0. Where nothing is seen
+to touch, the force is 0, and its upper end is that of a ball as wide as the gel is thick, pressed
+as deep as this image could hide. Friction between gel and tool is not seen; the layer's error holds
+for coefficients of 0 to 1.
 
 A gel that relaxes pushes back harder at first (``overstress``). Of one image nobody knows how long
 it was held: the interval then reaches from the relaxed gel to a sudden press. A tool that goes back
@@ -23,18 +26,23 @@ may push less than either. Frames whose times are known tell all of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.normals.read_surface import pressed_in
+from taccel_lab.calibration.normals.touch import Touch
 from taccel_lab.calibration.pressure.overstress import Overstress
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.assumed import (
+    is_modulus_known,
+    modulus_interval_pa,
+    scale_sigma,
+    thickness_interval_mm,
+)
 from taccel_lab.signals.rest_surface import rest_surface
 
 STEPS_PER_THICKNESS = 24.0
@@ -73,6 +81,8 @@ class ContactPressure:
     """95 % interval of the force [N]; None where the height's deviation is not known."""
     contact_mm2: float
     """Area in contact [mm2]."""
+    contact_interval_mm2: tuple[float, float] | None
+    """95 % interval of the area [mm2], likewise."""
     center_mm: tuple[float, float] | None
     """Centre of pressure in the gel frame [mm]; None without contact."""
     remarks: tuple[str, ...]
@@ -92,6 +102,7 @@ class ContactPressure:
             "force_n": self.force_n,
             "force_interval95_n": self.force_interval_n and list(self.force_interval_n),
             "contact_mm2": self.contact_mm2,
+            "contact_interval95_mm2": self.contact_interval_mm2 and list(self.contact_interval_mm2),
             "max_pressure_pa": float(self.pressure_pa.max()),
             "center_of_pressure_mm": self.center_mm and list(self.center_mm),
             "force_remarks": list(self.remarks),
@@ -122,11 +133,12 @@ class PressureReader:
         self.layer = BondedLayer(gel.thickness_mm, material.poisson_ratio)
         self.pa = material.young_modulus_pa / (2 * (1 - material.poisson_ratio**2))
         """Pressure [Pa] of a unit of the layer's."""
-        self._others = [
-            BondedLayer(t, material.poisson_ratio)
-            for t in gel.provenance.interval.get("thickness_mm", ())
-        ]
-        self._modulus, self._about = _modulus(profile)
+        self._others = [BondedLayer(t, material.poisson_ratio) for t in thickness_interval_mm(gel)]
+        low_pa, high_pa = modulus_interval_pa(material)
+        self._modulus = material.young_modulus_pa / low_pa, high_pa / material.young_modulus_pa
+        # Depth and width of a contact grow with the scale, and its force with both.
+        self._scale = NORMAL_95 * 2 * scale_sigma(profile.camera)
+        self._about = _about(profile)
         pixel = grid.mm_per_px_x, grid.mm_per_px_y
         size = grid.width_px * pixel[0], grid.height_px * pixel[1]
         step = max(*pixel, min(gel.thickness_mm / STEPS_PER_THICKNESS, max(size) / LEAST_STEPS))
@@ -142,6 +154,7 @@ class PressureReader:
     def read(
         self,
         rise_m: np.ndarray,
+        touch: Touch,
         height_sigma_m: np.ndarray | None = None,
         reading_sigma_m: np.ndarray | None = None,
         time_s: float | None = None,
@@ -150,6 +163,7 @@ class PressureReader:
 
         Args:
             rise_m: Rise over the resting face [m], negative in a dent, shape [h, w] of the grid.
+            touch: Where it is touched.
             height_sigma_m: Its standard deviation [m], shape [h, w]. When None, that of the last
                 frame that had one is taken.
             reading_sigma_m: That of the reading alone, likewise.
@@ -159,14 +173,16 @@ class PressureReader:
         if height_sigma_m is not None:
             alone = height_sigma_m if reading_sigma_m is None else reading_sigma_m
             self._sigma = self._small(1e3 * height_sigma_m), 1e3 * alone
-        touched, _ = pressed_in(rise_m, None if self._sigma is None else 1e-3 * self._sigma[1])
-        inside = self._small(touched.astype(np.float32)) >= 0.5
-        if not inside.any():
+        inside = self._small(touch.pixels.astype(np.float32)) > 0
+        if not touch.any:
             self._last = None
             zero = np.zeros(inside.shape)
+            sudden = 1.0
             if self._overstress is not None:
                 self._overstress.follow(zero, time_s)
-            return self._found(zero, (0.0, 0.0), ())
+                sudden += self._overstress.most
+            most_n, most_mm2 = self._unseen(touch.unseen_mm)
+            return self._found(zero, (0.0, sudden * most_n), (0.0, most_mm2), ())
         rise = self._small(1e3 * rise_m)
         gap = np.where(inside, rise, FAR_MM)
         reading_mm = 0.0
@@ -179,14 +195,14 @@ class PressureReader:
             film = reading_mm / float(pressed.mean()) if len(pressed) else 0.0
         pressure = self._solved(gap, self.layer, start, film)
         self._last = pressure
-        interval = None
+        interval = areas = None
         if self._sigma is not None:
-            interval = self._interval(pressure, gap, self._sigma[0], film)
+            interval, areas = self._intervals(pressure, gap, self._sigma[0], film)
         limits = self._limits(rise, pressure)
         if self._overstress is None:
-            return self._found(pressure, interval, limits)
+            return self._found(pressure, interval, areas, limits)
         total, interval, said = self._with_overstress(self._overstress, pressure, interval, time_s)
-        return self._found(total, interval, (*limits, *said))
+        return self._found(total, interval, areas, (*limits, *said))
 
     def _with_overstress(
         self,
@@ -219,30 +235,47 @@ class PressureReader:
             )
         return total, interval, said
 
-    def _interval(
+    def _intervals(
         self, pressure: np.ndarray, gap: np.ndarray, sigma: np.ndarray, film: float
-    ) -> tuple[float, float]:
-        """95 % interval of the force [N], by the height, the thickness, the layer, the modulus."""
-        force = self._force_n(pressure)
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """95 % intervals of the force [N] and of the area [mm2]."""
+        far = NORMAL_95 * sigma
+        shallow, deep = (
+            self._solved(gap + sign * far, self.layer, pressure, film) for sign in (1, -1)
+        )
+        area = self._area_mm2(pressure)
+        areas = min(self._area_mm2(shallow), area), max(self._area_mm2(deep), area)
+        force, lower, higher = (self._force_n(found) for found in (pressure, shallow, deep))
         if not force > 0:
-            return 0.0, self._force_n(self._solved(gap - sigma, self.layer, None, film))
-        lower, higher = (
-            self._force_n(self._solved(gap + sign * sigma, self.layer, pressure, film))
-            for sign in (1, -1)
-        )
-        strain = -float(gap.min()) / self.layer.thickness_mm
-        sides = [NORMAL_95 * max(LEAST_SHARE, LAYER_SHARE * strain)] * 2
-        if self._others:
-            thin, thick = (
-                self._force_n(self._solved(gap, layer, pressure, film)) for layer in self._others
-            )
-            sides = [math.hypot(side, 0.5 * abs(math.log(thin / thick))) for side in sides]
+            return (0.0, higher), areas
+        others = self._other_logs(-float(gap.min()))
         logs = [math.log(force / lower) if lower > 0 else math.inf, math.log(higher / force)]
-        low, high = (
-            math.hypot(side, NORMAL_95 * log, math.log(modulus))
-            for side, log, modulus in zip(sides, logs, self._modulus, strict=True)
+        thin, thick = (
+            self._force_n(self._solved(gap, layer, pressure, film)) for layer in self._others
         )
-        return force * math.exp(-low), force * math.exp(high)
+        by_gel = 0.5 * abs(math.log(max(thin, 1e-12) / max(thick, 1e-12)))
+        low, high = (
+            math.hypot(log, by_gel, *other) for log, other in zip(logs, others, strict=True)
+        )
+        return (force * math.exp(-low), force * math.exp(high)), areas
+
+    def _other_logs(self, depth_mm: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Logarithms of the factors that the force may be lower and higher by, whatever the face:
+        by the layer's law, the scale, the modulus."""
+        law = NORMAL_95 * max(LEAST_SHARE, LAYER_SHARE * depth_mm / self.layer.thickness_mm)
+        low, high = ((law, self._scale, math.log(modulus)) for modulus in self._modulus)
+        return low, high
+
+    def _unseen(self, depth_mm: float) -> tuple[float, float]:
+        """Upper ends of force [N] and area [mm2] of a contact that may be ``depth_mm`` deep and is
+        not seen."""
+        depth_mm = min(depth_mm, DEEPEST_SHARE * self.layer.thickness_mm)
+        coarse = self._coarse
+        x, y = coarse.x_mm() - coarse.x_mm().mean(), coarse.y_mm() - coarse.y_mm().mean()
+        ball = np.hypot(x[None, :], y[:, None]) ** 2 / (2 * self.layer.thickness_mm)
+        pressure = self._solved(ball - depth_mm, self.layer, None, 0.0)
+        force = self._force_n(pressure) * math.exp(math.hypot(*self._other_logs(depth_mm)[1]))
+        return force, self._area_mm2(pressure)
 
     def _solved(
         self, gap: np.ndarray, layer: BondedLayer, start: np.ndarray | None, film: float
@@ -255,16 +288,25 @@ class PressureReader:
         area_m2 = 1e-6 * self._coarse.mm_per_px_x * self._coarse.mm_per_px_y
         return self.pa * area_m2 * float(pressure.sum(dtype=np.float64))
 
+    def _contact(self, pressure: np.ndarray) -> np.ndarray:
+        return pressure > CONTACT_PRESSURE * pressure.max()
+
+    def _area_mm2(self, pressure: np.ndarray) -> float:
+        return float(self._contact(pressure).sum()) * (
+            self._coarse.mm_per_px_x * self._coarse.mm_per_px_y
+        )
+
     def _found(
         self,
         pressure: np.ndarray,
         interval: tuple[float, float] | None,
+        areas: tuple[float, float] | None,
         limits: tuple[str, ...],
     ) -> ContactPressure:
         import cv2
 
         coarse, grid = self._coarse, self.grid
-        contact = pressure > CONTACT_PRESSURE * pressure.max()
+        contact = self._contact(pressure)
         center = None
         if contact.any():
             rows, columns = np.indices(pressure.shape)
@@ -278,7 +320,8 @@ class PressureReader:
             pressure_pa=self.pa * fine,
             force_n=self._force_n(pressure),
             force_interval_n=interval,
-            contact_mm2=float(contact.sum()) * coarse.mm_per_px_x * coarse.mm_per_px_y,
+            contact_mm2=self._area_mm2(pressure),
+            contact_interval_mm2=areas,
             center_mm=center,
             remarks=(*self._about, *limits),
         )
@@ -304,19 +347,14 @@ class PressureReader:
         return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA))
 
 
-def _modulus(profile: SensorProfile) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """Factors of the force at both ends of the modulus' interval, and what it rests on."""
+def _about(profile: SensorProfile) -> tuple[str, ...]:
+    """What the force rests on that nobody has measured, a sentence each."""
     material = profile.material
-    pa, provenance = material.young_modulus_pa, material.provenance
-    interval = provenance.interval.get("young_modulus_pa") or _two_spreads(provenance.spread, pa)
-    if interval is not None and 0 < interval[0] <= pa <= interval[1]:
-        return (pa / interval[0], interval[1] / pa), ()
-    return (1.0, 1.0), (
-        f"Young's modulus {1e-3 * pa:.3g} kPa is {provenance.kind} and its error is not known: "
-        "forces scale with it, and their interval does not hold it",
+    if is_modulus_known(material):
+        return ()
+    low_pa, high_pa = modulus_interval_pa(material)
+    return (
+        f"Young's modulus {1e-3 * material.young_modulus_pa:.3g} kPa is "
+        f"{material.provenance.kind}: the force's interval holds {1e-3 * low_pa:.3g} to "
+        f"{1e-3 * high_pa:.3g} kPa",
     )
-
-
-def _two_spreads(spread: Mapping[str, float], pa: float) -> tuple[float, float] | None:
-    sigma = spread.get("young_modulus_pa")
-    return None if sigma is None else (pa - 2 * sigma, pa + 2 * sigma)

@@ -104,7 +104,9 @@ class TouchReader:
         """What holds a surface that was read."""
         press = None
         if self._pressure is not None:
-            press = self._pressure.read(found.rise_m, found.height_sigma_m, found.reading_sigma_m)
+            press = self._pressure.read(
+                found.rise_m, found.touch, found.height_sigma_m, found.reading_sigma_m
+            )
         return TouchReading(
             **vars(found), grid=self.surface.grid, press=press, no_press=self.no_press
         )

@@ -138,12 +138,10 @@ def depth_share(
 
 
 def sunk_share(
-    interval_mm: tuple[float, float] | None, radius_mm: float, ball_mm: float, layer: BondedLayer
+    interval_mm: tuple[float, float], radius_mm: float, ball_mm: float, layer: BondedLayer
 ) -> float:
     """Standard deviation, as a share of the depth, by a thickness that is known to an interval of
-    95 %, at a ball's contact of ``radius_mm``; 0 without one, where it was measured."""
-    if interval_mm is None:
-        return 0.0
+    95 %, at a ball's contact of ``radius_mm``."""
     pitch = radius_mm / POINTS_PER_RADIUS
     side = 4 * POINTS_PER_RADIUS + 1
     grid, middle = PixelGrid(side, side, pitch, pitch), 2.0 * POINTS_PER_RADIUS

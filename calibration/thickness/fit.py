@@ -142,12 +142,6 @@ def thickness_origin(profile: SensorProfile, *, stated: bool = False) -> Origin 
     return "assumed" if words is not None else "published"
 
 
-def thickness_interval(profile: SensorProfile) -> tuple[float, float] | None:
-    """The interval of 95 % that a profile's thickness is known to [mm]; None where it is taken as
-    it is."""
-    return profile.gel.provenance.interval.get(NAME)
-
-
 def gel_thickness(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],

@@ -69,11 +69,8 @@ class PressPhoto:
         reader = SurfaceReader(profile, background=untouched, background_name=str(background))
         found = reader.read(image, str(path))
         figures = found.figures(reader.grid)
-        if figures["touched_mm2"] == 0.0:
-            raise InputError(
-                f"{path} shows no contact: nothing is deeper than "
-                f"{figures['touched_deeper_than_mm']:.2g} mm and its standard deviation"
-            )
+        if not found.touch.any:
+            raise InputError(f"{path} shows {found.depth_words}: there is no press to simulate")
         depth = -found.rise_m
         column, row = figures["deepest_px"]
         parts, _ = ndimage.label(depth > _CORE * depth[row, column])  # type: ignore[misc]
@@ -86,7 +83,7 @@ class PressPhoto:
             warnings.append("the contact reaches the image's border: its middle is not seen whole")
         return cls(
             path,
-            reader.in_own_light(image),
+            reader.lit(image).levels,
             reader.background,
             (float(x), float(y)),
             figures["max_depth_mm"],

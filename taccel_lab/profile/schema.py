@@ -39,7 +39,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.bounds import MOST_BRANCHES, out_of_bounds, require_within
 from taccel_lab.version import __version__
 
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]

@@ -23,7 +23,7 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.resampling import on_grid, smoothed_to
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import resting_height
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class HeightUncertainty:
             smooth_errors(coarse.height_px, coarse.width_px, self._length), torch.float64, given
         )
         # Trials stand before the maps' rows: those of all images are integrated together.
-        errors = height_from_slopes(
+        errors = resting_height(
             sigma[..., None, :, :, None] * fields,
             coarse,
             weights=weights,
@@ -119,7 +119,7 @@ class HeightUncertainty:
         error = (slopes * (sigma / steepness)[..., None]).movedim(-1, 0)
         weights, zero = self._counted(weights, zero, slopes)
         error = on_grid(error, self._size(self._coarse)).movedim(0, -1)
-        height = height_from_slopes(error, self._coarse, weights=weights, zero=zero)
+        height = resting_height(error, self._coarse, weights=weights, zero=zero)
         return as_given(on_grid(height, self._size(self.grid)).abs(), slope_sigma)
 
     def _counted(

@@ -34,8 +34,6 @@ class NormalModelConfig:
     """Windows of which the variation across the image is a feature as well [px]."""
     background: bool = False
     """Whether the colour of the untouched pixel is a feature."""
-    light_drift: bool = False
-    """Whether images are to be brought to the background's light before they are read."""
     members: int = 4
     """Networks in the ensemble."""
     hidden: tuple[int, ...] = (32, 32, 32)
@@ -143,7 +141,6 @@ class NormalModelConfig:
                 scales_px=tuple(float(s) for s in values["scales_px"]),
                 slope_scales_px=tuple(float(s) for s in values["slope_scales_px"]),
                 background=bool(values["background"]),
-                light_drift=bool(values["light_drift"]),
                 members=int(values["members"]),
                 hidden=tuple(int(width) for width in values["hidden"]),
                 input_mean=tuple(float(mean) for mean in values["input_mean"]),

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalMap, NormalModel
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import resting_height
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class ReadHeights(Generic[Array]):
     rise_m: Array
     """Rise over the resting face [m], shape [..., height_px, width_px]."""
     zero: Array
-    """Pixels that it is counted from, bool, shape [..., height_px, width_px]."""
+    """Pixels at rest that it is counted from, bool, shape [..., height_px, width_px]."""
     sigma_m: Array | None
     """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
     None where the model does not know."""
@@ -86,7 +86,7 @@ def read_heights(
         # The change of height from rest is integrated: on a curved gel the rest is known already.
         rest = tensor_of(rest_normals[part], like=slope)
         slope = slope + rest[..., :2] / rest[..., 2:]
-    rise = height_from_slopes(slope, grid, weights=weights, zero=zero)
+    rise = resting_height(slope, grid, weights=weights, zero=zero)
     sigma = reading = None
     if uncertainty and model.config.height_factor > 0:
         config, slope_sigma = model.config, found.slope_sigma()

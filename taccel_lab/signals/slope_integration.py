@@ -33,6 +33,8 @@ MIN_WEIGHT = 1e-6
 RELATIVE_TOLERANCE = 1e-7
 """Heights are then off by 2e-6 of the deepest one at most."""
 MAX_ITERATIONS = 500
+PLANE_PRIOR = 0.1
+"""Spread of the resting pixels, in half sides of the image, below which they tell no plane."""
 
 
 def height_from_slopes(
@@ -72,7 +74,7 @@ def height_from_slopes(
         along_x, along_y = (torch.where(trust == 0, 0.0, s) for s in (along_x, along_y))
     if not (along_x.isfinite().all() and along_y.isfinite().all()):
         raise InputError("slopes are NaN or infinite; give such pixels the weight 0")
-    counted = _border(shape, slopes) if zero is None else tensor_of(zero, torch.bool, slopes)
+    counted = border_of(shape, slopes) if zero is None else tensor_of(zero, torch.bool, slopes)
     counts = counted.sum(dim=(-2, -1), keepdim=True)
     if counted.shape[-2:] != shape or not (counts > 0).all():
         raise InputError(
@@ -101,6 +103,59 @@ def height_from_slopes(
     return as_given(height - mean, slope)
 
 
+def border_of(shape: tuple[int, int], like: torch.Tensor) -> torch.Tensor:
+    """Outermost pixels of an image, bool, of this shape, on the device of ``like``."""
+    border = np.ones(shape, dtype=bool)
+    border[1:-1, 1:-1] = False
+    return tensor_of(border, like=like)
+
+
+def resting_height(
+    slope: Array,
+    grid: PixelGrid,
+    *,
+    weights: Any = None,
+    zero: Any = None,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Array:
+    """``height_from_slopes`` of a surface that lies at rest in the pixels ``zero``: their plane is
+    taken off, too."""
+    import torch
+
+    slopes = tensor_of(slope, torch.float64)
+    height = height_from_slopes(slopes, grid, weights=weights, zero=zero, tolerance=tolerance)
+    if zero is None:
+        at_rest = border_of((grid.height_px, grid.width_px), height)
+    else:
+        at_rest = tensor_of(zero, torch.bool, height)
+    return as_given(height - plane_of(height, at_rest), slope)
+
+
+def plane_of(height: torch.Tensor, zero: torch.Tensor) -> torch.Tensor:
+    """The planes through the heights [m] of the pixels ``zero``, shape [..., height_px, width_px].
+
+    An error that all slopes share tilts the whole surface; the resting border shows it. Where
+    ``zero`` is a narrow part of the image the plane's slopes are drawn to 0 (``PLANE_PRIOR``).
+    """
+    import torch
+
+    rows, columns = height.shape[-2:]
+    like = {"dtype": height.dtype, "device": height.device}
+    u, v = torch.linspace(-1, 1, columns, **like), torch.linspace(-1, 1, rows, **like)[:, None]
+    share = zero.to(height.dtype) / zero.sum(dim=(-2, -1), keepdim=True)
+
+    def mean(values: torch.Tensor) -> torch.Tensor:
+        return (values * share).sum(dim=(-2, -1), keepdim=True)
+
+    across, down, off = u - mean(u.expand(rows, -1)), v - mean(v.expand(-1, columns)), mean(height)
+    left = height - off
+    uu = mean(across.square().expand_as(height)) + PLANE_PRIOR**2
+    vv = mean(down.square().expand_as(height)) + PLANE_PRIOR**2
+    uv, by_u, by_v = mean(across * down), mean(across * left), mean(down * left)
+    size = uu * vv - uv.square()
+    return off + ((vv * by_u - uv * by_v) * across + (uu * by_v - uv * by_u) * down) / size
+
+
 def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> torch.Tensor:
     """Solve ``laplacian(h) = right_side`` [1/m] with free borders; the mean of h [m] is zero.
 
@@ -120,12 +175,6 @@ def _inverse_laplacian(height: int, width: int, steps_m: tuple[float, float]) ->
     eigenvalues = along_y[:, None] + along_x[None, :]
     eigenvalues[0, 0] = np.inf
     return 1.0 / eigenvalues
-
-
-def _border(shape: tuple[int, int], like: torch.Tensor) -> torch.Tensor:
-    border = np.ones(shape, dtype=bool)
-    border[1:-1, 1:-1] = False
-    return tensor_of(border, like=like)
 
 
 def _checked_weights(weights: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:

@@ -14,7 +14,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import LUMA, DepthResponse, channel_of
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normals import slopes_from_height
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import height_from_slopes, resting_height
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
 
@@ -112,7 +112,7 @@ def test_the_band_holds_errors_of_its_own_kind() -> None:
     for _ in range(60):
         error = gaussian_filter(rng.standard_normal((60, 80, 2)), (3, 3, 0))
         error /= error.std()
-        scores.append(height_from_slopes(sigma[..., None] * error, GRID) / spread)
+        scores.append(resting_height(sigma[..., None] * error, GRID) / spread)
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.2)
     assert spread[30, 40] > 1.3 * spread[5, 5]
 

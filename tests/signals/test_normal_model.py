@@ -288,7 +288,6 @@ def weights_of(config: Config, seed: int = 0) -> Weights:
         NormalModelConfig(**SIZE, position_bands=2),
         NormalModelConfig(
             48, 36, members=2, hidden=(8,), input_mean=(1.0,) * 23, input_scale=(2.0,) * 23,
-            light_drift=True,
         ),
         FORCE,
     ],

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.pressure.contact_pressure import PressureReader
+from taccel_lab.calibration.normals.touch import touch_of
+from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -32,7 +33,18 @@ def profile() -> SensorProfile:
             "length_y_mm": 30.0,
         },
     )
-    return made
+    measured = {"spread": {"young_modulus_pa": 0.01 * PA}}
+    provenance = made.material.provenance.model_copy(update=measured)
+    scale = {"spread": {"mm_per_px_x": 1e-4, "mm_per_px_y": 1e-4}}
+    camera = made.camera.replace(provenance=made.camera.provenance.model_copy(update=scale))
+    return made.with_block(camera).with_block(made.material.replace(provenance=provenance))
+
+
+def read(
+    reader: PressureReader, rise: np.ndarray, sigma: np.ndarray | None = None
+) -> ContactPressure:
+    """What presses a face whose height and reading are off by ``sigma`` [m]."""
+    return reader.read(rise, touch_of(rise, sigma, GRID), sigma, sigma)
 
 
 def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
@@ -63,7 +75,7 @@ def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
 def test_forces_of_known_faces_are_those_of_the_closed_form(
     profile: SensorProfile, kind: str, radius_mm: float, depth_mm: float, within: float
 ) -> None:
-    found = PressureReader(profile, GRID).read(rise_m(kind, radius_mm, depth_mm))
+    found = read(PressureReader(profile, GRID), rise_m(kind, radius_mm, depth_mm))
     tool = "sphere" if kind == "sphere" else "cylinder"
     true = float(layer_force_n(tool, np.array(depth_mm), radius_mm, THICK_MM, NU, PA))
     assert found.force_n == pytest.approx(true, rel=within)
@@ -89,7 +101,7 @@ def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(
     for smooth in (0, 0, 2, 2, 6, 6, 15, 15):
         error = gaussian_filter(rng.standard_normal(true_rise.shape), smooth)
         error *= 2e-5 / error.std()
-        found = PressureReader(profile, GRID).read(true_rise + error, sigma, sigma)
+        found = read(PressureReader(profile, GRID), true_rise + error, sigma)
         assert found.force_n == pytest.approx(true, rel=0.12)
         assert found.force_interval_n is not None
         low, high = found.force_interval_n
@@ -102,7 +114,7 @@ def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile
     rise, sigma = rise_m("sphere", 4.0, 0.6), np.full((120, 160), 1e-5)
 
     def width(of: SensorProfile) -> float:
-        interval = PressureReader(of, GRID).read(rise, sigma, sigma).force_interval_n
+        interval = read(PressureReader(of, GRID), rise, sigma).force_interval_n
         assert interval is not None
         return float(np.log(interval[1] / interval[0]))
 
@@ -115,17 +127,19 @@ def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile
     assert width(with_interval("gel", "thickness_mm", (3.2, 5.0))) > 1.2 * known
     modulus = with_interval("material", "young_modulus_pa", (0.8 * PA, 1.25 * PA))
     assert width(modulus) == pytest.approx(np.hypot(known, 2 * np.log(1.25)), rel=0.02)
-    assert "scale with it" in PressureReader(profile, GRID).read(rise).remarks[0]
-    assert PressureReader(modulus, GRID).read(rise).remarks == ()
+    assert read(PressureReader(modulus, GRID), rise).remarks == ()
+    assumed = catalogue_profile("flat_pad", {"thickness_mm": THICK_MM, "poisson_ratio": NU})
+    assert width(assumed) == pytest.approx(np.hypot(known, 2 * np.log(2.0)), rel=0.1)
+    assert "holds 75 to 300 kPa" in read(PressureReader(assumed, GRID), rise).remarks[0]
 
 
 def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorProfile) -> None:
     reader = PressureReader(profile, GRID)
     for depth in (0.3, 0.6, 1.0, 0.5):
         rise = rise_m("sphere", 4.0, depth)
-        alone = PressureReader(profile, GRID).read(rise).force_n
-        assert reader.read(rise).force_n == pytest.approx(alone, rel=0.02)
-    untouched = reader.read(np.zeros((120, 160)))
+        alone = read(PressureReader(profile, GRID), rise).force_n
+        assert read(reader, rise).force_n == pytest.approx(alone, rel=0.02)
+    untouched = read(reader, np.zeros((120, 160)))
     assert untouched.force_n == 0
     assert untouched.center_mm is None
 
@@ -139,8 +153,8 @@ def test_a_press_elsewhere_in_the_next_frame_reads_as_it_would_alone(
     sigma = np.full_like(here, 2e-5)
     reader = PressureReader(profile, GRID)
     for frame in (here, there, here):
-        alone = PressureReader(profile, GRID).read(frame, sigma, sigma)
-        after = reader.read(frame, sigma, sigma)
+        alone = read(PressureReader(profile, GRID), frame, sigma)
+        after = read(reader, frame, sigma)
         assert after.force_n == pytest.approx(alone.force_n, rel=0.03)
         assert after.force_interval_n == pytest.approx(alone.force_interval_n, rel=0.05)
 
@@ -151,8 +165,8 @@ def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: Sensor
     tool = np.where(away2 < 9.0, 4.0 - np.sqrt(16.0 - np.minimum(away2, 9.0)), FAR_MM)
     layer = BondedLayer(THICK_MM, NU)
     rise = 1e-3 * press_layer(tool, 0.6, (0.12, 0.12), layer).rise_mm
-    assert any("border" in text for text in PressureReader(profile, GRID).read(rise).remarks)
-    deep = PressureReader(profile, GRID).read(rise_m("sphere", 4.0, 1.9)).remarks
+    assert any("border" in text for text in read(PressureReader(profile, GRID), rise).remarks)
+    deep = read(PressureReader(profile, GRID), rise_m("sphere", 4.0, 1.9)).remarks
     assert any("of its thickness" in text for text in deep)
 
 

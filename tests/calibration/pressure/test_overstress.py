@@ -9,6 +9,7 @@ from scipy.integrate import quad
 
 import taccel_lab as tl
 from taccel_lab.api.press_result import Press
+from taccel_lab.calibration.normals.touch import touch_of
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.calibration.pressure.overstress import Overstress
 from taccel_lab.profile import BranchEntry, SensorProfile
@@ -56,7 +57,10 @@ def gel() -> SensorProfile:
     }  # fmt: skip
     profile = catalogue_profile("flat_pad", values)
     branches = tuple(BranchEntry(relative_modulus=g, time_s=tau) for g, tau in BRANCHES)
-    return profile.with_block(profile.material.replace(branches=branches))
+    known = profile.material.provenance.model_copy(
+        update={"spread": {"young_modulus_pa": 0.01 * profile.material.young_modulus_pa}}
+    )
+    return profile.with_block(profile.material.replace(branches=branches, provenance=known))
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +78,12 @@ def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressu
     found, states = [], held.outcome.states
     assert states is not None
     if timed:
-        reader.read(np.zeros(sigma.shape), sigma, sigma, 0.0)
+        still = np.zeros(sigma.shape)
+        reader.read(still, touch_of(still, sigma, gel.grid()), sigma, sigma, 0.0)
     for step, seen in zip(held.outcome.steps, states.surfaces, strict=True):
         rise = seen.height_m - seen.rest_height_m
-        found.append(reader.read(rise, sigma, sigma, step.time_s if timed else None))
+        touch = touch_of(rise, sigma, gel.grid())
+        found.append(reader.read(rise, touch, sigma, sigma, step.time_s if timed else None))
     return found
 
 

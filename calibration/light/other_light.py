@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light of a newer background against that of the profile: another day, or another unit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import LightDrift
+
+SAME_PATTERN = 0.25
+"""Part of the background's own variation that may be left once the light is alike, where both show
+the same gel: frames of one unit leave 0.01 to 0.1, those of two units of a kind 0.4 to 1.5."""
+
+
+def light_of_background(
+    background: np.ndarray, known: np.ndarray, mask: np.ndarray | None = None
+) -> LightDrift:
+    """Light of ``background`` against that of the profile, RGB levels [height, width, 3].
+
+    Of one gel on two days it is gain, offset and gradient. Of another unit, whose lamps throw
+    another pattern, it is the gain of each channel's mean: a lamp that is brighter by a part makes
+    the untouched gel and the colours of a slope brighter by that part.
+    """
+    light = fit_light(background, known, mask)
+    left = background - light.apply(known)
+    own = known - np.median(known, axis=(0, 1))
+    counted = slice(None) if mask is None else mask
+    spread, whole = (float(np.median(np.abs(part[counted]))) for part in (left, own))
+    if spread <= SAME_PATTERN * whole:
+        return light
+    means = (image[counted].reshape(-1, 3).mean(axis=0) for image in (background, known))
+    here, there = (np.maximum(mean, 1.0) for mean in means)
+    return LightDrift(here / there, np.zeros(3))

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the gel is touched: decided once for each image, for all that is told of a contact.
+
+A place counts as touched where the surface lies deeper than the reading and the image's light may
+be off by. Errors of heights are smooth, so that what is surely deeper has to be a spot as wide as
+any contact; all around it that is deeper than errors in 95 % of images belongs to it, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.read_heights import BAND_SIGMAS
+
+CONTACT_MM = 0.05
+CONTACT_SHARE = 0.1
+"""Pixels pressed deeper than this and than this share of the deepest one may count as touched."""
+SURE_SIGMAS = 3.0
+"""Of the many places of an image that may err by themselves, one in four images has one beyond 2
+standard deviations, one in forty beyond 3."""
+LEAST_MM2 = 0.05
+"""Area of the smallest spot that is surely deeper: a ball of 1 mm, 0.02 mm deep, touches more."""
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What of an image shows a contact."""
+
+    pixels: np.ndarray
+    """Touched ones, bool, shape [height_px, width_px]."""
+    least_mm: float
+    """Depth that a touched pixel has at least [mm]."""
+    unseen_mm: float
+    """Depth [mm] that a contact in this image could have without being told from none."""
+
+    @property
+    def any(self) -> bool:
+        """Whether anything touches."""
+        return bool(self.pixels.any())
+
+
+def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) -> Touch:
+    """Decide it.
+
+    Args:
+        rise_m: Rise over the resting face [m], negative in a dent, shape [h, w] of ``grid``.
+        sigma_m: Its standard deviation where nothing touches [m], shape [h, w]; None where the
+            profile does not state one: depths above ``CONTACT_MM`` then count.
+        grid: Pixel grid of both.
+    """
+    import cv2
+
+    depth_mm = -1e3 * rise_m
+    sigma_mm = np.zeros_like(depth_mm) if sigma_m is None else 1e3 * sigma_m
+    deepest = float(depth_mm.max())
+    least_mm = max(CONTACT_MM, CONTACT_SHARE * deepest)
+    sure_mm = np.maximum(SURE_SIGMAS * sigma_mm, CONTACT_MM)
+    wide = (depth_mm > least_mm) & (depth_mm > BAND_SIGMAS * sigma_mm)
+    sure = depth_mm > sure_mm
+    count, parts = cv2.connectedComponents(wide.astype(np.uint8))
+    spots = np.bincount(parts[sure & wide], minlength=count)
+    touched = spots * grid.mm_per_px_x * grid.mm_per_px_y >= LEAST_MM2
+    touched[0] = False
+    pixels = touched[parts]
+    unseen = float(sure_mm.max())
+    if not pixels.any():
+        unseen = max(unseen, deepest)
+    return Touch(pixels, least_mm, unseen)

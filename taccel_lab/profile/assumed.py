@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far quantities may be off that a profile states: measured intervals, or priors of 95 %.
+
+A profile that says nothing of an error is not exact. Young's modulus of a gel nobody tested lies
+within a factor of two: published simulations of one GelSight Mini use 0.01 to 1.0 MPa, its fit to
+measured forces runs from 0.35 to 0.52. A cast pad is as thick as drawn to 5 % (a Mini's data sheet:
+4.25 +- 0.20 mm). Scales published for one camera range over 10 % (0.058 to 0.065 mm/px); one that a
+person measured on the gel is good to 2 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock, Provenance
+
+MODULUS_FACTOR = 2.0
+"""Of Young's modulus, each way."""
+THICKNESS_SHARE = 0.05
+"""Of the gel's thickness, each way."""
+SCALE_SHARE: Mapping[str, float] = {"stated": 0.02, "measured": 0.02, "calibrated": 0.02}
+"""Of a scale of this kind, each way."""
+OTHER_SCALE_SHARE = 0.05
+"""Of a published or assumed one."""
+
+
+def modulus_interval_pa(material: MaterialBlock) -> tuple[float, float]:
+    """95 % interval of Young's modulus [Pa]."""
+    pa = material.young_modulus_pa
+    known = _stated(material.provenance, "young_modulus_pa", pa)
+    return known or (pa / MODULUS_FACTOR, pa * MODULUS_FACTOR)
+
+
+def is_modulus_known(material: MaterialBlock) -> bool:
+    """Whether the profile states how far Young's modulus may be off."""
+    pa = material.young_modulus_pa
+    return _stated(material.provenance, "young_modulus_pa", pa) is not None
+
+
+def thickness_interval_mm(gel: GelBlock) -> tuple[float, float]:
+    """95 % interval of the gel's thickness [mm]."""
+    mm = gel.thickness_mm
+    known = _stated(gel.provenance, "thickness_mm", mm)
+    return known or (mm * (1 - THICKNESS_SHARE), mm * (1 + THICKNESS_SHARE))
+
+
+def scale_sigma(camera: CameraBlock) -> float:
+    """Standard deviation of the scale as a share of it."""
+    spread, kind = camera.provenance.spread, camera.provenance.kind
+    shares = [
+        spread[f"mm_per_px_{axis}"] / scale
+        for axis, scale in (("x", camera.mm_per_px_x), ("y", camera.mm_per_px_y))
+        if f"mm_per_px_{axis}" in spread
+    ]
+    if shares:
+        return math.hypot(*shares) / math.sqrt(len(shares))
+    return SCALE_SHARE.get(kind, OTHER_SCALE_SHARE) / 2
+
+
+def _stated(provenance: Provenance, name: str, value: float) -> tuple[float, float] | None:
+    """The interval that is stated, or two standard deviations where these are; None where neither
+    is, or the value lies outside."""
+    interval = provenance.interval.get(name)
+    if interval is None and 0 < provenance.spread.get(name, 0.0) < value / 2:
+        off = 2 * provenance.spread[name]
+        interval = value - off, value + off
+    if interval is None or not 0 < interval[0] <= value <= interval[1]:
+        return None
+    return float(interval[0]), float(interval[1])
