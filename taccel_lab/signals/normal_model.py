@@ -30,7 +30,7 @@ from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answe
 from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z
-from taccel_lab.signals.tensors import Array, Given, as_given, length2, tensor_of
+from taccel_lab.signals.tensors import Array, Given, as_given, length2, require_device, tensor_of
 from taccel_lab.signals.tilts_at_rest import TiltsAtRest, tilts_at_rest
 
 if TYPE_CHECKING:
@@ -98,7 +98,8 @@ class NormalModel:
         weights: Mapping[str, np.ndarray],
         device: str = "cpu",
     ) -> None:
-        """``device``: of torch, on which images are read."""
+        """``device``: of torch, on which images are read, such as cpu or cuda:0."""
+        require_device(device)
         self.config, self.device = config, device
         self.weights = {
             name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
+from taccel_lab.errors import InputError
+
 if TYPE_CHECKING:
     import torch
 
@@ -38,3 +40,14 @@ def length2(vectors: torch.Tensor) -> torch.Tensor:
     import torch
 
     return torch.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def require_device(name: str) -> None:
+    """InputError unless torch has the device on this machine."""
+    if name == "cpu":
+        return
+    import torch
+
+    found = ["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))]
+    if name not in ("cuda", *found) or (name == "cuda" and len(found) == 1):
+        raise InputError(f"device {name!r} is not here; devices of torch are {', '.join(found)}")

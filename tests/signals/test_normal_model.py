@@ -247,6 +247,12 @@ def test_features_follow_a_zoomed_picture() -> None:
     assert np.abs(features(picture(2.0, 161), 1.0) - large).max() > 0.1
 
 
+@pytest.mark.parametrize("name", ["cuda:77", "gpu"])
+def test_devices_that_are_not_there_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match=f"device '{name}' is not here; devices of torch are cpu"):
+        NormalModel(CONFIG, random_model().weights, name)
+
+
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(InputError, match="image has shape"):
         random_model().predict(np.zeros((36, 47, 3)), np.zeros((36, 48, 3)))
