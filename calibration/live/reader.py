@@ -80,6 +80,7 @@ class LiveReader:
         *,
         force: ForceReadings | None = None,
         sigma_every: int = SIGMA_EVERY,
+        device: str = "cpu",
     ) -> None:
         """
         Args:
@@ -88,9 +89,11 @@ class LiveReader:
             background: The untouched sensor now, RGB, shape [height_px, width_px, 3].
             force: Tells forces of an image, where there is a model for it.
             sigma_every: Frames between two estimates of the depth's standard deviation.
+            device: Of torch, on which colours are read to heights.
 
         Raises:
-            InputError: The profile has none of these blocks, or images of another size.
+            InputError: The profile has none of these blocks, or images of another size, or there is
+                no such device.
         """
         self.profile, self.force, self._sigma_every = profile, force, sigma_every
         self.background = background
@@ -112,7 +115,7 @@ class LiveReader:
         self._sigma_mm: float | None = None
         self._unlike = ""
         if has_depth:
-            self.surface = SurfaceReader(profile, background=background)
+            self.surface = SurfaceReader(profile, background=background, device=device)
         self.pressure, self.no_pressure = None, ""
         if self.surface is not None:
             try:
