@@ -19,6 +19,7 @@ COMMANDS = {
     "stress": "stress.suite:Stress",
     "captures": "capture_sets:Captures",
     "images": "images:Images",
+    "readings": "readings:Readings",
     "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",
     "compare": "compare:Compare",

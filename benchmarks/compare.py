@@ -21,6 +21,7 @@ IDENTITY = {
     "stress": ("family",),
     "captures": ("set", "command", "figure"),
     "images": ("size", "sensors"),
+    "readings": ("size", "at_once"),
 }  # fmt: skip
 """What makes a row of a suite the same row."""
 MACHINE = ("device", "cpu", "cores", "driver", "cuda_driver", "packages", "system")

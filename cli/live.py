@@ -42,9 +42,8 @@ class Live(CameraFlags):
     sensors at once: left=PROFILE,right=PROFILE, or one for all, with --camera left=ID,right=ID."""
     background: Literal["camera", "profile"] = "camera"
     """The untouched gel: from the camera's first frames (do not touch it), or from the profile."""
-    detail: int | None = None
-    """Reduce images by this factor before reading depth, 1 to 4. Default: the finest that this
-    machine reads in 30 ms."""
+    device: str = "cpu"
+    """Device of torch on which colours are read to heights: cpu, cuda:0, ..."""
     frames: int | None = None
     """Stop after this number of frames. Default: stop by the page's button or Ctrl-C."""
     paced: bool = True
@@ -134,7 +133,7 @@ class Live(CameraFlags):
 
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)
-            return LiveReader(profile, background, detail=self.detail, force=force)
+            return LiveReader(profile, background, force=force, device=self.device)
 
         watchers: list[LiveWatcher] = [_Lines(say, name)]
         if self.ros is not None:
@@ -166,7 +165,6 @@ class Live(CameraFlags):
         if self.json:
             return {
                 "profile": profile,
-                "detail": reader.detail,
                 "maps_px": [reader.grid.width_px, reader.grid.height_px],
                 "locks": {lock.name: lock.text for lock in result.locks},
                 "remarks": list(result.remarks),

@@ -61,7 +61,7 @@ class Read:
         recording = Recording.of(self.source, self.camera)
         given = None if self.background is None else read_image(self.background)
         untouched = profile.untouched(given, str(self.background))
-        reader = LiveReader(profile, untouched.astype(np.float32), detail=1, sigma_every=1)
+        reader = LiveReader(profile, untouched.astype(np.float32), sigma_every=1)
         recipe = {
             "version": __version__,
             "profile": self.profile if own is None else file_sha256(own / "profile.toml"),

@@ -173,7 +173,7 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
         if ms
     ]
     grid = reader.grid
-    head = PageText("**{:.1f} frames a second**, depth on {}x{} px (detail {})\n\n")
-    return head.format(found["rate_hz"], grid.width_px, grid.height_px, reader.detail) + page_table(
+    head = PageText("**{:.1f} frames a second**, depth on {}x{} px\n\n")
+    return head.format(found["rate_hz"], grid.width_px, grid.height_px) + page_table(
         table, ("stage [ms]", "median", "95 %")
     )

@@ -23,13 +23,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 
-DETAILS = (1, 2, 3, 4)
-"""Factors by which images may be made smaller."""
-BUDGET_S = 0.03
-"""Time for the depth of a frame, of the 40 ms that 25 frames a second leave; the rest is for
-pictures."""
 SIGMA_EVERY = 5
-"""Frames between two estimates of the depth's standard deviation, which takes a third of the time
+"""Frames between two estimates of the depth's standard deviation, which takes a sixth of the time
 and is read by people."""
 REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
@@ -83,22 +78,22 @@ class LiveReader:
         profile: SensorProfile,
         background: np.ndarray,
         *,
-        detail: int | None = None,
         force: ForceReadings | None = None,
         sigma_every: int = SIGMA_EVERY,
+        device: str = "cpu",
     ) -> None:
         """
         Args:
             profile: With a ``normals`` or ``depth_response`` block for depth, with ``markers`` for
                 markers.
             background: The untouched sensor now, RGB, shape [height_px, width_px, 3].
-            detail: Factor by which images are made smaller for the depth; None takes the finest
-                that this machine reads in ``BUDGET_S``.
             force: Tells forces of an image, where there is a model for it.
             sigma_every: Frames between two estimates of the depth's standard deviation.
+            device: Of torch, on which colours are read to heights.
 
         Raises:
-            InputError: The profile has none of these blocks, or images of another size.
+            InputError: The profile has none of these blocks, or images of another size, or there is
+                no such device.
         """
         self.profile, self.force, self._sigma_every = profile, force, sigma_every
         self.background = background
@@ -116,12 +111,11 @@ class LiveReader:
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
         self.surface: SurfaceReader | None = None
-        self.detail = 1
         self._count = 0
         self._sigma_mm: float | None = None
         self._unlike = ""
         if has_depth:
-            self.detail, self.surface = self._chosen(detail)
+            self.surface = SurfaceReader(profile, background=background, device=device)
         self.pressure, self.no_pressure = None, ""
         if self.surface is not None:
             try:
@@ -141,17 +135,6 @@ class LiveReader:
     def grid(self) -> PixelGrid:
         """Of the maps."""
         return self.profile.grid() if self.surface is None else self.surface.grid
-
-    def _chosen(self, detail: int | None) -> tuple[int, SurfaceReader]:
-        if detail is not None and detail not in DETAILS:
-            raise InputError(f"--detail is {detail}; 1 (all pixels) to {DETAILS[-1]} are allowed")
-        reader = None
-        for factor in DETAILS if detail is None else (detail,):
-            reader = SurfaceReader(self.profile, background=self.background, shrink=factor)
-            if detail is not None or _fastest_s(reader, self.background) <= BUDGET_S:
-                return factor, reader
-        assert reader is not None
-        return DETAILS[-1], reader
 
     @property
     def relaxes(self) -> bool:
@@ -229,17 +212,6 @@ def _refusal(figures: Mapping[str, Any]) -> str:
             "is given"
         )
     return ""
-
-
-def _fastest_s(reader: SurfaceReader, image: np.ndarray) -> float:
-    """Shortest time of three readings [s], after one that loads what is loaded once."""
-    reader.read(image)
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        reader.read_lit(reader.lit(image), uncertainty=False)
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 @contextmanager

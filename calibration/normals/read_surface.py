@@ -8,7 +8,7 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -32,8 +32,6 @@ from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.summary import Summary
 
 NORMAL_95 = 1.96
-MOSTLY = 0.5
-"""Share of a larger pixel that has to count."""
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is warned."""
@@ -200,7 +198,7 @@ class SurfaceReader:
         mask: np.ndarray | None = None,
         method: Method = "auto",
         background_name: str = "the background",
-        shrink: int = 1,
+        device: str = "cpu",
     ) -> None:
         """A reader of the profile's images.
 
@@ -209,33 +207,26 @@ class SurfaceReader:
             mask: Pixels that count, bool, shape [height_px, width_px].
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
             background_name: How an error calls ``background``, such as by its file.
-            shrink: Images are made smaller by about this factor before they are read, and so are
-                the maps (``grid``): a live picture at 3 takes a sixth of the time.
+            device: Of torch, on which colours are read to normals and heights.
         """
         self.profile, self.mask = profile, mask
         self.method = self._chosen(method)
         untouched = profile.untouched(background, background_name).astype(np.float32)
-        grid = profile.grid()
-        self._image_shape = untouched.shape
-        self.grid = grid if shrink == 1 else _smaller(grid, shrink)
+        self.grid = profile.grid()
         """Of the maps that are read."""
-        # A larger pixel is the mean of several: fewer of them tell the light as well.
-        self._light_step = 1 if shrink == 1 else 2
-        self.untouched = self._small(untouched)
+        self.untouched = untouched
         """The untouched sensor in its own light, float32 levels."""
         self._day = LightDrift(np.ones(3), np.zeros(3))
         if background is not None and profile.background_rgb is not None:
-            known = self._small(profile.background_rgb.astype(np.float32))
+            known = profile.background_rgb.astype(np.float32)
             self._day = light_of_background(self.untouched, known, mask=None)
         self.background = self._day.remove(self.untouched).astype(np.float32)
         """The same in the profile's light, in which everything is read."""
-        if mask is not None and shrink > 1:
-            self.mask = self._small(mask.astype(np.float32)) > MOSTLY
         self.remarks = profile.sensor.provenance.remarks
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
-        self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
-        if self.normal_model is not None and shrink > 1:
-            self.normal_model = _shrunk(self.normal_model, self.grid)
+        self.normal_model = None
+        if self.method == "normals":
+            self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self._sigma: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -270,14 +261,14 @@ class SurfaceReader:
             InputError: Another size, an image that is not of this sensor, or one that reads deeper
                 than the gel is thick.
         """
-        if image.shape != self._image_shape:
+        if image.shape != self.untouched.shape:
             raise InputError(
                 f"{name} is {image.shape[1]}x{image.shape[0]} px, the profile's camera "
-                f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
+                f"{self.untouched.shape[1]}x{self.untouched.shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
         lit = self.lit(image)
-        why = self._not_ours(self._small(image).astype(np.float32), lit.light)
+        why = self._not_ours(image.astype(np.float32), lit.light)
         if why:
             raise InputError(f"{name} {why}")
         found = self.read_lit(lit)
@@ -298,7 +289,7 @@ class SurfaceReader:
 
     def unlike(self, image: np.ndarray) -> str | None:
         """Why an image is not of the untouched sensor's gel, or None."""
-        levels = self._small(image).astype(np.float32)
+        levels = image.astype(np.float32)
         return self._not_ours(levels, self._light(levels)) or None
 
     def _not_ours(self, levels: np.ndarray, light: LightDrift) -> str:
@@ -316,13 +307,13 @@ class SurfaceReader:
         )
 
     def lit(self, image: np.ndarray) -> LitImage:
-        """An image as small as it is read, in the profile's light: gain, offset and gradient of
-        each channel against the untouched sensor are taken off.
+        """An image in the profile's light: gain, offset and gradient of each channel against the
+        untouched sensor are taken off.
 
         The first look takes a contact for an outlier. Where it finds one, the gel has sunk beside
         it, and its light is fitted as that of a press.
         """
-        levels = self._small(image).astype(np.float32)
+        levels = image.astype(np.float32)
         first = self._shown(levels, self._light(levels, fit_light))
         if not self._is_dented(first):
             return first
@@ -332,9 +323,7 @@ class SurfaceReader:
         return LitImage(self._day.remove(light.remove(levels)).astype(np.float32), light)
 
     def _light(self, levels: np.ndarray, fit: Callable[..., LightDrift] = fit_light) -> LightDrift:
-        part = np.s_[:: self._light_step, :: self._light_step]
-        mask = None if self.mask is None else self.mask[part]
-        return fit(levels[part], self.untouched[part], mask)
+        return fit(levels, self.untouched, self.mask)
 
     def _is_dented(self, lit: LitImage) -> bool:
         """Whether a coarse look at an image shows a contact."""
@@ -361,14 +350,6 @@ class SurfaceReader:
         if self.response is not None:
             return self._by_depth(lit)
         return self._by_normals(lit, uncertainty)
-
-    def _small(self, image: np.ndarray) -> np.ndarray:
-        import cv2
-
-        size = (self.grid.width_px, self.grid.height_px)
-        if image.shape[1::-1] == size:
-            return image
-        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
     def _by_depth(self, lit: LitImage) -> SurfaceReading:
         assert self.response is not None
@@ -445,28 +426,3 @@ class SurfaceReader:
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
     return None if values_mm is None else 1e-3 * values_mm
-
-
-def _shrunk(model: NormalModel, grid: PixelGrid) -> NormalModel:
-    """The model for images of fewer pixels: its windows shrink along and see what they saw, as in
-    training on other zooms."""
-    config = model.config
-    factor = config.width_px / grid.width_px
-    smaller = replace(
-        config,
-        width_px=grid.width_px,
-        height_px=grid.height_px,
-        scales_px=tuple(scale / factor for scale in config.scales_px),
-        slope_scales_px=tuple(scale / factor for scale in config.slope_scales_px),
-        error_length_px=config.error_length_px / factor,
-    )
-    return NormalModel(smaller, model.weights)
-
-
-def _smaller(grid: PixelGrid, factor: int) -> PixelGrid:
-    """The same view in fewer pixels, as many as cosine transforms are fast at."""
-    from scipy.fft import next_fast_len
-
-    width = int(next_fast_len(round(grid.width_px / factor), real=True) or 0)
-    height = int(next_fast_len(round(grid.height_px / factor), real=True) or 0)
-    return grid.resized(width, height)

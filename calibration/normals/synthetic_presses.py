@@ -28,7 +28,8 @@ from taccel_lab.calibration.surfaces.press_surface import slope_of
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_features import blurred, color_change
+from taccel_lab.signals.gaussian_windows import blurred
+from taccel_lab.signals.normal_features import color_change
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 

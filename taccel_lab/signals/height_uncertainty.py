@@ -17,16 +17,24 @@ presses do.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.resampling import on_grid, smoothed_to
 from taccel_lab.signals.slope_integration import resting_height
+from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
+
+if TYPE_CHECKING:
+    import torch
 
 DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
 POINTS_PER_LENGTH = 2.0
 """Of the grid that errors are integrated on."""
+TRIAL_TOLERANCE = 1e-5
+"""Of trials with masked pixels: far below what so few of them leave open."""
 TINY_SLOPE = 1e-9
 SMOOTHING_PX = 6.0
 """The spread of few trials is uneven; its square is averaged over this many pixels."""
@@ -67,69 +75,70 @@ class HeightUncertainty:
         )
         self._length = error_length_px * width / grid.width_px
 
-    def sigma_m(
-        self,
-        slope_sigma: np.ndarray,
-        *,
-        weights: np.ndarray | None = None,
-        zero: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Standard deviation of the height [m], shape [height_px, width_px].
+    def sigma_m(self, slope_sigma: Array, *, weights: Any = None, zero: Any = None) -> Array:
+        """Standard deviation of the height [m], shape [..., height_px, width_px].
 
         Args:
-            slope_sigma: Standard deviation of each component of the slope, shape [h, w].
+            slope_sigma: Standard deviation of each component of the slope, shape [..., h, w].
             weights: As the heights were integrated with.
             zero: Pixels that the height is counted from, likewise.
         """
-        from scipy.ndimage import gaussian_filter
+        import torch
 
-        coarse = self._coarse
-        sigma = self._resized(slope_sigma, coarse)
-        weights, zero = self._counted(weights, zero)
-        variance = np.zeros(sigma.shape)
-        for field in smooth_errors(coarse.height_px, coarse.width_px, self._length):
-            error = resting_height(sigma[..., None] * field, coarse, weights=weights, zero=zero)
-            variance += error**2
+        coarse, size = self._coarse, self._size(self._coarse)
+        given = tensor_of(slope_sigma, torch.float64)
+        sigma = on_grid(given, size)
+        weights, zero = self._counted(weights, zero, given)
+        fields = tensor_of(
+            smooth_errors(coarse.height_px, coarse.width_px, self._length), torch.float64, given
+        )
+        # Trials stand before the maps' rows: those of all images are integrated together.
+        errors = resting_height(
+            sigma[..., None, :, :, None] * fields,
+            coarse,
+            weights=weights,
+            zero=None if zero is None else zero[..., None, :, :],
+            tolerance=TRIAL_TOLERANCE,
+        )
+        variance = errors.square().mean(dim=-3)
         smoothing = SMOOTHING_PX * coarse.width_px / self.grid.width_px
-        variance = gaussian_filter(variance / DRAWS, smoothing, mode="nearest")
-        return np.sqrt(np.maximum(self._resized(variance, self.grid), 0.0))
+        spread = smoothed_to(variance, smoothing, self._size(self.grid))
+        return as_given(spread.clamp(min=0.0).sqrt(), slope_sigma)
 
     def along_m(
-        self,
-        slope: np.ndarray,
-        slope_sigma: np.ndarray,
-        *,
-        weights: np.ndarray | None = None,
-        zero: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Height [m], shape [height_px, width_px], that is gained or lost where each slope from
-        rest, shape [h, w, 2], is steeper or flatter by its standard deviation; the rest as in
-        ``sigma_m``."""
-        steepness = np.maximum(np.linalg.norm(slope, axis=-1), TINY_SLOPE)
-        error = slope * (slope_sigma / steepness)[..., None]
-        weights, zero = self._counted(weights, zero)
-        error = self._resized(error, self._coarse)
+        self, slope: Array, slope_sigma: Array, *, weights: Any = None, zero: Any = None
+    ) -> Array:
+        """Height [m], shape [..., height_px, width_px], that is gained or lost where each slope
+        from rest, shape [..., h, w, 2], is steeper or flatter by its standard deviation; the rest
+        as in ``sigma_m``. A slope below its deviation has no direction that errors lie along: they
+        count as much less as it is below, whether noise is averaged over blocks or not."""
+        import torch
+
+        slopes, sigma = (tensor_of(values, torch.float64) for values in (slope, slope_sigma))
+        steepness = torch.maximum(length2(slopes), sigma).clamp(min=TINY_SLOPE)
+        error = (slopes * (sigma / steepness)[..., None]).movedim(-1, 0)
+        weights, zero = self._counted(weights, zero, slopes)
+        error = on_grid(error, self._size(self._coarse)).movedim(0, -1)
         height = resting_height(error, self._coarse, weights=weights, zero=zero)
-        return np.abs(self._resized(height, self.grid))
+        return as_given(on_grid(height, self._size(self.grid)).abs(), slope_sigma)
 
     def _counted(
-        self, weights: np.ndarray | None, zero: np.ndarray | None
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        self, weights: Any, zero: Any, like: torch.Tensor
+    ) -> tuple[torch.Tensor | None, torch.Tensor | None]:
         """Weights and zero on the coarse grid."""
+        import torch
+
+        size = self._size(self._coarse)
         if weights is not None:
-            weights = np.clip(self._resized(weights, self._coarse), 0.0, 1.0)
+            weights = on_grid(tensor_of(weights, torch.float64, like), size).clamp(0.0, 1.0)
         if zero is not None:
-            zero = self._resized(zero.astype(float), self._coarse) >= 0.5
-            zero = zero if zero.any() else None
+            zero = on_grid(tensor_of(zero, torch.float64, like), size) >= 0.5
+            # A border of few pixels may be gone: the whole one then counts.
+            whole = torch.ones(size, dtype=torch.bool, device=like.device)
+            whole[1:-1, 1:-1] = False
+            zero = torch.where(zero.any(dim=-1).any(dim=-1)[..., None, None], zero, whole)
         return weights, zero
 
     @staticmethod
-    def _resized(values: np.ndarray, grid: PixelGrid) -> np.ndarray:
-        """Means over larger pixels, or between the middles of larger ones."""
-        import cv2
-
-        if values.shape[:2] == (grid.height_px, grid.width_px):
-            return values
-        how = cv2.INTER_AREA if grid.width_px < values.shape[1] else cv2.INTER_LINEAR
-        size = (grid.width_px, grid.height_px)
-        return np.asarray(cv2.resize(np.asarray(values, dtype=float), size, interpolation=how))
+    def _size(grid: PixelGrid) -> tuple[int, int]:
+        return grid.height_px, grid.width_px

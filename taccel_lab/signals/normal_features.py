@@ -11,13 +11,18 @@ learning that single ball's curvature by heart.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.signals.gaussian_windows import gaussian_average
 from taccel_lab.signals.position_encoding import band_names, encode_position
+from taccel_lab.signals.tensors import Array, as_given, tensor_of
+
+if TYPE_CHECKING:
+    import torch
 
 LEVELS_PER_UNIT = 32.0
 """Levels of 255 that make one unit of a feature."""
@@ -39,14 +44,12 @@ def feature_names(
     return (*names, "u", "v", *band_names(position_bands))
 
 
-def color_change(
-    image: np.ndarray, background: np.ndarray, mask: np.ndarray | None = None
-) -> np.ndarray:
-    """Image minus background [levels], float32, 0 where ``mask`` is false, shape [h, w, 3]."""
-    change = np.asarray(image, dtype=np.float32) - np.asarray(background, dtype=np.float32)
+def color_change(image: Array, background: Array, mask: Array | None = None) -> Array:
+    """Image minus background [levels], float32, 0 where ``mask`` is false, shape [..., h, w, 3]."""
+    change = tensor_of(image).float() - tensor_of(background).float()
     if mask is not None:
-        change[~mask] = 0.0
-    return change
+        change = change.where(tensor_of(mask)[..., None], 0.0)
+    return as_given(change, image)
 
 
 def local_features(
@@ -73,21 +76,166 @@ def local_features(
         picked: Pixels whose features are wanted, counted along rows, shape [n]; the result has
             shape [n, feature] then.
     """
-    cover: dict[float, np.ndarray] = {}
-    windows: dict[float, np.ndarray] = {}
-    for scale in {*scales_px, *slope_scales_px}:
-        windows[scale] = _average(change, scale * zoom, mask, cover)
-    at = None if picked is None else np.divmod(picked, change.shape[1])
-    parts = [_taken(windows[scale], at) for scale in scales_px]
-    for scale in slope_scales_px:
-        # Per standard deviation of the window, so that it does not depend on the zoom.
-        parts += [_derivative(windows[scale], axis, at) * (scale * zoom) for axis in (1, 0)]
-    if background is not None:
-        widest = max([*scales_px, *slope_scales_px])
-        average = _average(np.asarray(background, dtype=np.float32), widest, mask, {})
-        parts.append(_taken(average, at))
-    units = [part / np.float32(LEVELS_PER_UNIT) for part in parts]
-    return np.concatenate([*units, _taken(place, at)], axis=-1, dtype=np.float32)
+    windows = FeatureWindows.of(
+        tensor_of(change)[None], scales_px, slope_scales_px, zoom=zoom,
+        mask=None if mask is None else tensor_of(mask),
+        background=None if background is None else tensor_of(background),
+        place=tensor_of(place),
+    )  # fmt: skip
+    found = windows.features(None if picked is None else tensor_of(picked)).T
+    shape = change.shape[:2] if picked is None else picked.shape
+    return found.reshape(*shape, -1).contiguous().numpy()
+
+
+@dataclass(frozen=True)
+class FeatureWindows:
+    """Windows of the changes of one or several images, on pixels or on square blocks of them.
+
+    Features are linear in the change, so that those of a block are the means of its pixels'. Blocks
+    at the right and lower border may be cut off there.
+    """
+
+    block_px: int
+    """Pixels along a block."""
+    averages: torch.Tensor
+    """Of the change [units], shape [3 scale, image, h, w] in blocks."""
+    across: torch.Tensor
+    """Of the wider windows, by rows of blocks and columns of pixels, shape [3 scale, image, h,
+    width_px]."""
+    down: torch.Tensor
+    """By rows of pixels and columns of blocks, shape [3 scale, image, height_px, w]."""
+    reach: torch.Tensor
+    """Pixels over which a variation is stated, shape [3 scale, 1]."""
+    known: torch.Tensor
+    """What pixels know without the change: background and place, shape [n, h, w]."""
+
+    @classmethod
+    def of(
+        cls,
+        change: torch.Tensor,
+        scales_px: Sequence[float],
+        slope_scales_px: Sequence[float],
+        *,
+        place: torch.Tensor,
+        mask: torch.Tensor | None = None,
+        background: torch.Tensor | None = None,
+        zoom: float = 1.0,
+    ) -> FeatureWindows:
+        """Of changes [levels] of shape [image, h, w, 3], by pixels; the rest as of
+        ``local_features``."""
+        import torch
+
+        cover: dict[float, torch.Tensor] = {}
+        units = change.movedim(-1, 0).float() / LEVELS_PER_UNIT
+        windows = {
+            scale: _average(units, scale * zoom, mask, cover)
+            for scale in {*scales_px, *slope_scales_px}
+        }
+        known = place.movedim(-1, 0)
+        if background is not None:
+            levels = background.movedim(-1, 0).float() / LEVELS_PER_UNIT
+            widest = max([*scales_px, *slope_scales_px])
+            known = torch.cat([_average(levels, widest, mask, {}), known])
+        averages = torch.cat([windows[scale] for scale in scales_px])
+        if tuple(slope_scales_px) == tuple(scales_px[len(scales_px) - len(slope_scales_px) :]):
+            varied = averages[len(averages) - 3 * len(slope_scales_px) :]
+        else:
+            varied = torch.cat([windows[scale] for scale in slope_scales_px])
+        return cls(
+            block_px=1,
+            averages=averages,
+            across=varied,
+            down=varied,
+            reach=units.new_tensor(slope_scales_px).repeat_interleave(3)[:, None] * zoom,
+            known=known,
+        )
+
+    @property
+    def shape(self) -> torch.Size:
+        """Images, rows and columns of blocks."""
+        return self.averages.shape[1:]
+
+    def halved(self) -> FeatureWindows:
+        """Those of blocks twice as wide."""
+        return replace(
+            self,
+            block_px=2 * self.block_px,
+            averages=halved(halved(self.averages, -1), -2),
+            across=halved(self.across, -2),
+            down=halved(self.down, -1),
+            known=halved(halved(self.known, -1), -2),
+        )
+
+    def features(self, picked: torch.Tensor | None = None) -> torch.Tensor:
+        """Features of blocks, counted along images, rows and columns, shape [feature, n]; of all
+        when None."""
+        import torch
+
+        _, height, width = self.shape
+        if picked is None:
+            picked = torch.arange(self.averages[0].numel(), device=self.averages.device)
+        rows, columns = picked // width, picked % width
+        images, row = rows // height, rows % height
+        averages = self.averages.flatten(1).index_select(1, picked)
+        parts = [averages, self.known.flatten(1).index_select(1, row * width + columns)]
+        if len(self.across):
+            wide, high = self.across.shape[-1], self.down.shape[-2]
+            row_start, column_start = rows * wide, images * (high * width) + columns
+            du = self._variation(self.across, lambda u: row_start + u, columns, wide)
+            dv = self._variation(self.down, lambda v: column_start + v * width, row, high)
+            both = torch.stack([du.unflatten(0, (-1, 3)), dv.unflatten(0, (-1, 3))], dim=1)
+            parts.insert(1, both.flatten(0, 2))
+        return torch.cat(parts)
+
+    def _variation(
+        self,
+        lines: torch.Tensor,
+        place: Callable[[torch.Tensor], torch.Tensor],
+        block: torch.Tensor,
+        count: int,
+    ) -> torch.Tensor:
+        """Mean over each block of half the difference of the pixels beside a pixel; of a block's
+        inner ones nothing is left of it. ``place`` of a pixel of a line of ``count``."""
+        flat, size = lines.flatten(1), self.block_px
+        first = block * size
+        last = (first + size - 1).clamp(max=count - 1)
+
+        def at(pixel: torch.Tensor) -> torch.Tensor:
+            return flat.index_select(1, place(pixel.clamp(0, count - 1)))
+
+        start, end = at(first), at(last)
+        # Beside the border a line goes on as between the last two pixels.
+        before = at(first - 1).where(first > 0, 2 * start - at(first + 1))
+        after = at(last + 1).where(last < count - 1, 2 * end - at(last - 1))
+        rise = after - before
+        if size > 1:
+            rise += end - start
+        return rise * (self.reach / (2 * size))
+
+
+def halved(values: torch.Tensor, axis: int) -> torch.Tensor:
+    """Means of two neighbours along an axis; one that is left over at its end stays."""
+    import torch
+
+    lines = values.transpose(axis, -1)
+    even, odd = lines[..., ::2], lines[..., 1::2]
+    count = odd.shape[-1]
+    found = torch.add(even[..., :count], odd).mul_(0.5)
+    if even.shape[-1] > count:
+        found = torch.cat([found, even[..., count:]], dim=-1)
+    return found.transpose(axis, -1)
+
+
+def extended(values: torch.Tensor, axis: int) -> torch.Tensor:
+    """With one more at either end of an axis, on the line through the two at that end."""
+    import torch
+
+    last = values.shape[axis] - 1
+    ends = [
+        2 * values.narrow(axis, end, 1) - values.narrow(axis, inner, 1)
+        for end, inner in ((0, min(1, last)), (last, max(last - 1, 0)))
+    ]
+    return torch.cat([ends[0], values, ends[1]], dim=axis)
 
 
 def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.ndarray:
@@ -102,42 +250,22 @@ def pixel_place(width_px: int, height_px: int, position_bands: int = 0) -> np.nd
 
 
 def _average(
-    values: np.ndarray, sigma_px: float, mask: np.ndarray | None, cover: dict[float, np.ndarray]
-) -> np.ndarray:
-    """Gaussian average over the unmasked pixels; 0 where a window holds next to none."""
+    values: torch.Tensor,
+    sigma_px: float,
+    mask: torch.Tensor | None,
+    cover: dict[float, torch.Tensor],
+) -> torch.Tensor:
+    """Gaussian average over the unmasked pixels, shape [..., h, w]; 0 where a window holds next to
+    none."""
+    import torch
+
+    if mask is None or bool(mask.all()):
+        return values if sigma_px <= 0 else gaussian_average(values, sigma_px)
+    weight = mask.to(values.dtype)
     if sigma_px <= 0:
-        return values if mask is None else np.where(mask[..., None], values, np.float32(0))
-    if mask is None or mask.all():
-        return blurred(values, sigma_px)
-    weight = mask.astype(np.float32)
+        return values * weight
     if sigma_px not in cover:
-        cover[sigma_px] = blurred(weight, sigma_px)
-    share = cover[sigma_px][..., None]
-    total = blurred(values * weight[..., None], sigma_px)
-    return np.where(share > MIN_COVER, total / np.maximum(share, MIN_COVER), np.float32(0))
-
-
-def blurred(values: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Gaussian average of a picture, shape [h, w] or [h, w, channel]; window cut at 3 sigma."""
-    import cv2
-
-    size = 2 * math.ceil(3 * sigma_px) + 1
-    averaged: Any = cv2.GaussianBlur(values, (size, size), sigma_px)
-    return averaged
-
-
-Pixels = tuple[np.ndarray, np.ndarray] | None
-"""Rows and columns; all when None."""
-
-
-def _taken(values: np.ndarray, at: Pixels) -> np.ndarray:
-    return values if at is None else values[at]
-
-
-def _derivative(values: np.ndarray, axis: int, at: Pixels) -> np.ndarray:
-    """Central difference along an axis, one-sided at the border [levels/px]."""
-    if at is None:
-        return np.gradient(values, axis=axis).astype(np.float32, copy=False)
-    before, after = (np.clip(at[axis] + step, 0, values.shape[axis] - 1) for step in (-1, 1))
-    left, right = (values[(at[0], end) if axis else (end, at[1])] for end in (before, after))
-    return (right - left) / (after - before).astype(np.float32)[:, None]
+        cover[sigma_px] = gaussian_average(weight, sigma_px)
+    share = cover[sigma_px]
+    total = gaussian_average(torch.where(mask, values, 0.0), sigma_px)
+    return torch.where(share > MIN_COVER, total / share.clamp(min=MIN_COVER), 0.0)

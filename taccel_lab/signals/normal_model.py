@@ -14,24 +14,24 @@ with the disagreement of the ensemble's members.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import (
-    require_camera_size,
-)
+from taccel_lab.signals.block_reading import read_in_blocks
+from taccel_lab.signals.model_settings import require_camera_size
 from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
-from taccel_lab.signals.normal_features import (
-    color_change,
-)
+from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z
+from taccel_lab.signals.tensors import Array, Given, as_given, length2, require_device, tensor_of
+from taccel_lab.signals.tilts_at_rest import TiltsAtRest, tilts_at_rest
 
 if TYPE_CHECKING:
     import torch
@@ -42,35 +42,47 @@ MAX_TILT_RAD = math.radians(85.0)
 MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
-CHUNK_PIXELS = 2048
+CHUNK_PIXELS = {"cpu": 2048}
 """Read at once: what the layers give for so many stays in a core's cache, which takes half the time
 of chunks that do not."""
+DEVICE_CHUNK_PIXELS = 1 << 18
+"""Likewise elsewhere, where few large products are fast; 0.3 GB a layer."""
 
 
 @dataclass(frozen=True)
-class NormalMap:
-    """What the inverse model reads from one image."""
+class NormalMap(Generic[Array]):
+    """What the inverse model reads from one image, or from several along leading axes: arrays, or
+    tensors of the model's device."""
 
-    normals: np.ndarray
-    """Outward unit normals, gel frame, shape [height_px, width_px, 3]."""
-    tilt_rad: np.ndarray
-    """Rotation of each normal from rest, components along x and y, shape [h, w, 2]."""
-    sigma_deg: np.ndarray
-    """Standard deviation of each component of the tilt [degrees], shape [h, w]. The angle between
-    the given and the true normal is expected to be 1.25 times this."""
-    radius95_deg: np.ndarray
-    """Angle within which the true normal lies in 95 % of a press's pixels [degrees], [h, w]."""
+    normals: Array
+    """Outward unit normals, gel frame, shape [..., height_px, width_px, 3]."""
+    tilt_rad: Array
+    """Rotation of each normal from rest, components along x and y, shape [..., h, w, 2]."""
+    sigma_deg: Array
+    """Standard deviation of each component of the tilt [degrees], shape [..., h, w]. The angle
+    between the given and the true normal is expected to be 1.25 times this."""
+    radius95_deg: Array
+    """Angle within which the true normal lies in 95 % of a press's pixels [degrees], likewise."""
 
-    def slope_sigma(self) -> np.ndarray:
-        """Standard deviation of each component of the slope from rest, shape [h, w]: an angle's
-        error grows with 1 + slope^2 where it becomes one of the slope."""
-        tilt = np.minimum(np.linalg.norm(self.tilt_rad, axis=-1), MAX_TILT_RAD)
-        return np.radians(self.sigma_deg) / np.cos(tilt) ** 2
+    def slope_sigma(self) -> Array:
+        """Standard deviation of each component of the slope from rest, shape [..., h, w]: an
+        angle's error grows with 1 + slope^2 where it becomes one of the slope."""
+        import torch
 
-    def slopes(self) -> np.ndarray:
-        """dh/dx and dh/dy of the surface, shape [height_px, width_px, 2]."""
-        upright = np.maximum(self.normals[..., 2:], math.cos(MAX_TILT_RAD))
-        return -self.normals[..., :2] / upright
+        tilt = length2(tensor_of(self.tilt_rad)).clamp(max=MAX_TILT_RAD)
+        sigma = torch.deg2rad(tensor_of(self.sigma_deg)) / tilt.cos().square()
+        return as_given(sigma, self.sigma_deg)
+
+    def slopes(self) -> Array:
+        """dh/dx and dh/dy of the surface, shape [..., height_px, width_px, 2]."""
+        normals = tensor_of(self.normals)
+        upright = normals[..., 2:].clamp(min=math.cos(MAX_TILT_RAD))
+        return as_given(-normals[..., :2] / upright, self.normals)
+
+    def like(self, given: Given) -> NormalMap[Given]:
+        """With arrays where ``given`` is one, with tensors otherwise."""
+        maps = (self.normals, self.tilt_rad, self.sigma_deg, self.radius95_deg)
+        return NormalMap(*(as_given(tensor_of(values), given) for values in maps))
 
 
 class NormalModel:
@@ -80,8 +92,15 @@ class NormalModel:
     ``layer<i>.bias`` [members, outputs].
     """
 
-    def __init__(self, config: NormalModelConfig, weights: Mapping[str, np.ndarray]) -> None:
-        self.config = config
+    def __init__(
+        self,
+        config: NormalModelConfig,
+        weights: Mapping[str, np.ndarray],
+        device: str = "cpu",
+    ) -> None:
+        """``device``: of torch, on which images are read, such as cpu or cuda:0."""
+        require_device(device)
+        self.config, self.device = config, device
         self.weights = {
             name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
         }
@@ -93,7 +112,7 @@ class NormalModel:
             raise InputError("normal model weights hold NaN or infinite values")
 
     @classmethod
-    def from_profile(cls, profile: SensorProfile) -> NormalModel:
+    def from_profile(cls, profile: SensorProfile, device: str = "cpu") -> NormalModel:
         """The model in a profile's ``normals`` block.
 
         Raises InputError when it has none, one for images of another size than the camera's, or one
@@ -106,7 +125,7 @@ class NormalModel:
             )
         config = NormalModelConfig.from_dict(profile.normals.architecture)
         require_camera_size(profile, "normals", config.width_px, config.height_px)
-        model = cls(config, profile.normal_weights)
+        model = cls(config, profile.normal_weights, device)
         model.require_angles()
         return model
 
@@ -124,23 +143,34 @@ class NormalModel:
 
     @cached_property
     def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        return layer_tensors(self.config, self.weights)
+        """Layers of raw features: the first one normalises them, too."""
+        layers = layer_tensors(self.config, self.weights)
+        weight, bias = (values.double() for values in layers[0])
+        mean, scale = (
+            tensor_of(np.array(values))
+            for values in (self.config.input_mean, self.config.input_scale)
+        )
+        first = weight / scale
+        layers[0] = first.float(), (bias - first @ mean).float()
+        return [(w.to(self.device), b.to(self.device)) for w, b in layers]
 
     def predict(
         self,
-        image: np.ndarray,
+        image: Array,
         background: np.ndarray,
         *,
         mask: np.ndarray | None = None,
         rest_normals: np.ndarray | None = None,
         left_out: int | None = None,
         every: int = 1,
-    ) -> NormalMap:
-        """Normals of a whole image.
+    ) -> NormalMap[Array]:
+        """Normals of whole images: by blocks of pixels where the surface is smooth, and by pixels
+        where it is not (``block_reading``).
 
         Args:
-            image: RGB levels, shape [height_px, width_px, 3].
-            background: The untouched sensor under the same light, same shape.
+            image: RGB levels, shape [..., height_px, width_px, 3]; several images are read at once.
+                The maps are tensors of the model's device where it is a tensor.
+            background: The untouched sensor under the same light, shape [height_px, width_px, 3].
             mask: Pixels that count, bool, shape [height_px, width_px]. Masked pixels read as rest,
                 whatever they hold.
             rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; a flat face
@@ -148,86 +178,141 @@ class NormalModel:
             left_out: The member that did not see this press when the others did. It reads alone,
                 and its own error is no part of what it expects: how far it is off the others would
                 tell it, as nothing does on a new press.
-            every: Only every so many-th row and column is read, as in the whole image; the maps
-                are of these.
+            every: Only every so many-th row and column is read, pixel by pixel, as in the whole
+                image; the maps are of these.
         """
-        shape = (self.config.height_px, self.config.width_px)
-        for name, found in (("image", image.shape), ("background", background.shape)):
-            if found != (*shape, 3):
-                raise InputError(f"{name} has shape {found}, the normal model needs {(*shape, 3)}")
-        change = color_change(image, background, mask)
-        read = np.arange(shape[0] * shape[1]).reshape(shape)[::every, ::every]
-        picked = None if every == 1 else read.ravel()
-        features = self.config.image_features(change, background, mask=mask, picked=picked)
-        features = features.reshape(-1, self.config.input_count)
-        still = None if self.config.background else self._tilts_at_rest
-        if still is not None and picked is not None:
-            still = still[:, picked]
-        tilt, error = self.predict_pixels(features, still, left_out)
-        tilt, error = tilt.reshape(*read.shape, 2), error.reshape(read.shape)
-        if mask is not None:
-            tilt[~mask[::every, ::every]] = 0.0
-        normals = relative_normals(tilt)
-        if rest_normals is not None:
-            normals = rotate_from_z(normals, rest_normals[::every, ::every])
-        sigma_deg = np.degrees(error) / RAYLEIGH_MEAN
-        return NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
+        import torch
+
+        shape = (self.config.height_px, self.config.width_px, 3)
+        for name, size in (("image", image.shape[-3:]), ("background", background.shape)):
+            if tuple(size) != shape:
+                raise InputError(f"{name} has shape {tuple(size)}, the normal model needs {shape}")
+        with torch.no_grad():
+            on = torch.empty(0, device=self.device)
+            images = tensor_of(image, like=on).reshape(-1, *shape)
+            light = tensor_of(background, torch.float32, on)
+            kept = None if mask is None else tensor_of(mask, like=on)
+            pixels = self._windows(color_change(images, light, kept), light, kept)
+
+            def answer(halvings: int, level: FeatureWindows, picked: torch.Tensor | None) -> Any:
+                return self._answer(halvings, level, picked, left_out)
+
+            if every == 1:
+                narrowest = min(range(len(self.config.scales_px)), key=self._width)
+                channels = slice(3 * narrowest, 3 * narrowest + 3)
+                read = read_in_blocks(pixels, answer, _lean_slopes, channels, kept)
+            else:
+                whole = torch.arange(pixels.averages[0].numel(), device=self.device)
+                thin = whole.view(pixels.shape)[:, ::every, ::every]
+                read = answer(0, pixels, thin.flatten()).unflatten(1, thin.shape)
+            tilt, error = read[:2].movedim(0, -1), read[2]
+            if kept is not None:
+                tilt = tilt.where(kept[::every, ::every, None], 0.0)
+            lead = image.shape[:-3]
+            tilt, error = (
+                tilt.reshape(*lead, *tilt.shape[1:]),
+                error.reshape(*lead, *error.shape[1:]),
+            )
+            normals = relative_normals(tilt)
+            if rest_normals is not None:
+                rest = tensor_of(rest_normals[::every, ::every], tilt.dtype, on)
+                normals = rotate_from_z(normals, rest)
+            sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
+            found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
+        return found.like(image)
+
+    def _width(self, scale: int) -> float:
+        """Of a window, to sort them by; a single pixel, all of whose noise shows, comes last."""
+        return self.config.scales_px[scale] or math.inf
+
+    def _windows(
+        self, change: torch.Tensor, background: torch.Tensor, mask: torch.Tensor | None
+    ) -> FeatureWindows:
+        config = self.config
+        place = tensor_of(
+            pixel_place(config.width_px, config.height_px, config.position_bands), like=change
+        )
+        return FeatureWindows.of(
+            change,
+            config.scales_px,
+            config.slope_scales_px,
+            place=place,
+            mask=mask,
+            background=background if config.background else None,
+        )
+
+    def _answer(
+        self,
+        halvings: int,
+        level: FeatureWindows,
+        picked: torch.Tensor | None,
+        left_out: int | None,
+    ) -> torch.Tensor:
+        """Tilt [rad] and expected angle of error [rad] of blocks, shape [3, n] (``Answer``)."""
+        import torch
+
+        features = level.features(picked)
+        if self.config.background:
+            still = self._still(features)
+        else:
+            _, height, width = level.shape
+            if picked is None:
+                picked = torch.arange(features.shape[1], device=features.device)
+            rest = self._tilts_at_rest[halvings]
+            still = rest.at(picked % (height * width), features, self._still)
+        tilt, error = self._judged(self._outputs(features), still, left_out)
+        return torch.cat([tilt.T, error[None]])
 
     @cached_property
-    def _tilts_at_rest(self) -> torch.Tensor:
-        """What each member gives for every pixel of an unchanged image, [member, pixel, 2]."""
+    def _tilts_at_rest(self) -> tuple[TiltsAtRest, ...]:
+        """Of the blocks of each number of halvings from pixels."""
+        digest = hashlib.sha256(b"".join(self.weights[name].tobytes() for name in self.weights))
+        return tilts_at_rest(self.config, digest.digest(), self.device)
+
+    def _still(self, features: torch.Tensor) -> torch.Tensor:
+        """What each member gives without a change, [member, n, 2], for features [feature, n]."""
+        return self._outputs(self._at_rest(features))[..., :2]
+
+    def _at_rest(self, features: torch.Tensor) -> torch.Tensor:
+        """``NormalModelConfig.at_rest`` of features [feature, n]."""
+        still = features.clone()
+        still[: self.config.varying_count] = 0.0
+        return still
+
+    def _outputs(self, features: torch.Tensor) -> torch.Tensor:
+        """What each member gives for raw features [feature, n], shape [member, n, 3]."""
         import torch
 
-        empty = np.zeros((self.config.height_px, self.config.width_px, 3), dtype=np.float32)
-        features = self.config.image_features(empty, empty).reshape(-1, self.config.input_count)
-        with torch.inference_mode():
-            parts = [
-                network(self._layers, self._inputs(features[start : start + CHUNK_PIXELS]))[..., :2]
-                for start in range(0, len(features), CHUNK_PIXELS)
-            ]
-            return torch.cat(parts, dim=1)
+        chunk = CHUNK_PIXELS.get(features.device.type, DEVICE_CHUNK_PIXELS)
+        parts = [
+            network(self._layers, part.T.expand(self.config.members, -1, -1))
+            for part in features.split(chunk, dim=1)
+        ]
+        return torch.cat(parts, dim=1)
 
-    def _inputs(self, raw: np.ndarray) -> torch.Tensor:
-        import torch
-
-        return torch.from_numpy(self.config.normalise(raw)).expand(self.config.members, -1, -1)
-
-    def predict_pixels(
-        self,
-        features: np.ndarray,
-        tilts_at_rest: torch.Tensor | None = None,
-        left_out: int | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature].
-
-        ``tilts_at_rest`` [member, n, 2] saves the work of finding them again; ``left_out`` as in
-        ``predict``.
-        """
-        import torch
-
+    def _judged(
+        self, outputs: torch.Tensor, still: torch.Tensor, left_out: int | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of what members give, [member, n,
+        3], now and at rest; ``left_out`` as in ``predict``."""
         reading, others = list(range(self.config.members)), list(range(self.config.members))
         if left_out is not None:
             reading = [left_out]
             others.remove(left_out)
+        tilts, errors = outputs[..., :2] - still, expected_error(outputs)
+        agreed = tilts[others].mean(dim=0)
+        spread2 = (tilts[others] - agreed).square().sum(dim=-1).mean(dim=0)
+        own = self.config.error_factor * errors[reading].mean(dim=0)
+        return tilts[reading].mean(dim=0), (own.square() + spread2).sqrt()
 
-        tilt = np.empty((len(features), 2))
-        error = np.empty(len(features))
-        with torch.inference_mode():
-            for start in range(0, len(features), CHUNK_PIXELS):
-                part = slice(start, start + CHUNK_PIXELS)
-                raw = features[part]
-                outputs = network(self._layers, self._inputs(raw))
-                if tilts_at_rest is None:
-                    still = network(self._layers, self._inputs(self.config.at_rest(raw)))[..., :2]
-                else:
-                    still = tilts_at_rest[:, part]
-                tilts, errors = outputs[..., :2] - still, expected_error(outputs)
-                agreed = tilts[others].mean(dim=0)
-                spread2 = (tilts[others] - agreed).square().sum(dim=-1).mean(dim=0)
-                own = self.config.error_factor * errors[reading].mean(dim=0)
-                tilt[part] = tilts[reading].mean(dim=0).numpy()
-                error[part] = (own.square() + spread2).sqrt().numpy()
-        return tilt, error
+    def predict_pixels(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature]."""
+        import torch
+
+        with torch.no_grad():
+            raw = torch.as_tensor(features, dtype=torch.float32, device=self.device).T
+            tilt, error = self._judged(self._outputs(raw), self._still(raw), None)
+        return tilt.cpu().numpy(), error.cpu().numpy()
 
 
 def expected_shapes(config: NormalModelConfig) -> dict[str, tuple[int, ...]]:
@@ -287,15 +372,29 @@ def tilt_and_error(
     return both[:, :count, :2] - both[:, count:, :2], expected_error(both[:, :count])
 
 
-def relative_normals(tilt_rad: np.ndarray) -> np.ndarray:
+def relative_normals(tilt_rad: Array) -> Array:
     """Unit normals whose rotation from +z is ``tilt_rad`` [rad], shape [..., 2] to [..., 3].
 
     The normal leans towards the tilt's direction; angles are cut at 85 degrees.
     """
-    angle = np.linalg.norm(tilt_rad, axis=-1, keepdims=True)
-    cut = np.minimum(angle, MAX_TILT_RAD)
+    import torch
+
+    tilt = tensor_of(tilt_rad)
+    cut, lean = _cut(tilt)
+    return as_given(torch.cat([tilt * lean, cut.cos()], dim=-1), tilt_rad)
+
+
+def _cut(tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Angle of tilts [..., 2], cut at 85 degrees, and its sine over the tilt, shape [..., 1]."""
+    import torch
+
+    angle = length2(tilt)[..., None]
+    cut = angle.clamp(max=MAX_TILT_RAD)
     # sin(a) / a without dividing by a zero angle.
-    lean = np.sinc(cut / np.pi) * np.divide(
-        cut, angle, out=np.ones_like(angle), where=angle > MAX_TILT_RAD
-    )
-    return np.concatenate([tilt_rad * lean, np.cos(cut)], axis=-1)
+    return cut, torch.sinc(cut / math.pi) * torch.where(angle > cut, cut / angle, 1.0)
+
+
+def _lean_slopes(tilt: torch.Tensor) -> torch.Tensor:
+    """Slopes from rest of tilts, both of shape [2, ...], but for their sign."""
+    cut, lean = _cut(tilt.movedim(0, -1))
+    return tilt * (lean / cut.cos())[..., 0]

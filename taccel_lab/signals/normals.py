@@ -7,6 +7,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.tensors import Array, as_given, tensor_of
 
 
 def normals_from_slopes(slope: np.ndarray) -> np.ndarray:
@@ -68,18 +69,19 @@ def normals_from_height(height_m: np.ndarray, grid: PixelGrid) -> np.ndarray:
     return normals_from_slopes(slopes_from_height(height_m, grid))
 
 
-def rotate_from_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
+def rotate_from_z(vectors: Array, rest_normals: Array) -> Array:
     """Vectors given relative to the resting normal, in the gel frame, shape [..., 3].
 
     The frame of a pixel is turned by the smallest rotation that takes +z to its resting normal.
     """
-    x, y, z = (rest_normals[..., i] for i in range(3))
-    a, b, c = (vectors[..., i] for i in range(3))
+    import torch
+
+    x, y, z = tensor_of(rest_normals).unbind(dim=-1)
+    a, b, c = tensor_of(vectors).unbind(dim=-1)
     # R = I + [k]x + [k]x^2 / (1 + z) with k = ez x n = (-y, x, 0).
     across = (x * a + y * b) / (1.0 + z)
-    return np.stack(
-        [a - x * across + x * c, b - y * across + y * c, c * z - x * a - y * b], axis=-1
-    )
+    turned = [a - x * across + x * c, b - y * across + y * c, c * z - x * a - y * b]
+    return as_given(torch.stack(turned, dim=-1), vectors)
 
 
 def rotate_to_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:

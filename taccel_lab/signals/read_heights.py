@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heights from one image by an inverse model: its slopes integrated, and their uncertainty."""
+"""Heights from images by an inverse model: their slopes integrated, and their uncertainty."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
@@ -11,6 +12,10 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalMap, NormalModel
 from taccel_lab.signals.slope_integration import resting_height
+from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
+
+if TYPE_CHECKING:
+    import torch
 
 BAND_SIGMAS = 2.0
 """Standard deviations within which 95 % of the heights lie."""
@@ -21,26 +26,26 @@ FLAT_DEG = 3.0
 
 
 @dataclass(frozen=True)
-class ReadHeights:
-    """What an image shows of the surface."""
+class ReadHeights(Generic[Array]):
+    """What an image shows of the surface, or several along leading axes."""
 
-    normals: NormalMap
-    slope: np.ndarray
-    """dh/dx and dh/dy over those at rest, shape [height_px, width_px, 2]."""
-    rise_m: np.ndarray
-    """Rise over the resting face [m], shape [height_px, width_px]."""
-    zero: np.ndarray | None
-    """Pixels at rest that it is counted from, bool; None for the whole border."""
-    sigma_m: np.ndarray | None
+    normals: NormalMap[Array]
+    slope: Array
+    """dh/dx and dh/dy over those at rest, shape [..., height_px, width_px, 2]."""
+    rise_m: Array
+    """Rise over the resting face [m], shape [..., height_px, width_px]."""
+    zero: Array
+    """Pixels at rest that it is counted from, bool, shape [..., height_px, width_px]."""
+    sigma_m: Array | None
     """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
     None where the model does not know."""
-    reading_sigma_m: np.ndarray | None
+    reading_sigma_m: Array | None
     """That of the reading alone, which tells places of one image apart."""
 
 
 def read_heights(
     model: NormalModel,
-    image: np.ndarray,
+    image: Array,
     background: np.ndarray,
     grid: PixelGrid,
     *,
@@ -49,34 +54,38 @@ def read_heights(
     left_out: int | None = None,
     uncertainty: bool = True,
     every: int = 1,
-) -> ReadHeights:
-    """Read one image.
+) -> ReadHeights[Array]:
+    """Read an image, or several at once, on the model's device.
 
     Args:
         model: From colours to normals.
-        image: RGB levels under the background's light, shape [height_px, width_px, 3].
-        background: The untouched sensor, same shape.
+        image: RGB levels under the background's light, shape [..., height_px, width_px, 3]; the
+            maps are tensors of the model's device where it is a tensor.
+        background: The untouched sensor, shape [height_px, width_px, 3].
         grid: Pixel grid of both.
         mask: Pixels that count, bool, shape [h, w]; the surface goes on smoothly under the others.
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
-        uncertainty: Whether to find the heights' standard deviation, a third of the time.
+        uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
         every: Only every so many-th row and column is read, as in the whole image, and integrated:
             the maps are those of ``grid.thinned(every)``.
     """
+    import torch
+
     found = model.predict(
-        image, background, mask=mask, rest_normals=rest_normals, left_out=left_out, every=every
-    )
+        torch.as_tensor(image, device=model.device),
+        background, mask=mask, rest_normals=rest_normals, left_out=left_out, every=every,
+    )  # fmt: skip
     part = np.s_[::every, ::every]
     grid = grid.thinned(every)
     mask = None if mask is None else mask[part]
-    rest_normals = None if rest_normals is None else rest_normals[part]
     weights = None if mask is None else mask.astype(float)
     zero = resting_border(found, mask)
     slope = found.slopes()
     if rest_normals is not None:
         # The change of height from rest is integrated: on a curved gel the rest is known already.
-        slope = slope + rest_normals[..., :2] / rest_normals[..., 2:]
+        rest = tensor_of(rest_normals[part], like=slope)
+        slope = slope + rest[..., :2] / rest[..., 2:]
     rise = resting_height(slope, grid, weights=weights, zero=zero)
     sigma = reading = None
     if uncertainty and model.config.height_factor > 0:
@@ -84,20 +93,32 @@ def read_heights(
         trials = HeightUncertainty(grid, config.error_length_px / every)
         reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=zero)
         along = trials.along_m(slope, slope_sigma, weights=weights, zero=zero)
-        sigma = np.hypot(
-            reading, np.hypot(config.along_factor * along, config.depth_share * np.abs(rise))
-        )
-    return ReadHeights(found, slope, rise, zero, sigma, reading)
+        off = torch.hypot(config.along_factor * along, config.depth_share * rise)
+        sigma = torch.hypot(reading, off)
+        sigma, reading = as_given(sigma, image), as_given(reading, image)
+    return ReadHeights(
+        found.like(image),
+        as_given(slope, image),
+        as_given(rise, image),
+        as_given(zero, image),
+        sigma,
+        reading,
+    )
 
 
-def resting_border(found: NormalMap, mask: np.ndarray | None = None) -> np.ndarray | None:
-    """Border pixels that are flat, bool, shape [h, w]; None (the whole border) where next to none
+def resting_border(found: NormalMap[torch.Tensor], mask: np.ndarray | None = None) -> torch.Tensor:
+    """Border pixels that are flat, bool, shape [..., h, w]; the whole border where next to none
     are."""
-    tilt_deg = np.degrees(np.linalg.norm(found.tilt_rad, axis=-1))
-    flat = tilt_deg < np.maximum(FLAT_DEG, FLAT_SIGMAS * found.sigma_deg)
-    rows, columns = tilt_deg.shape
+    import torch
+
+    tilt_deg = torch.rad2deg(length2(found.tilt_rad))
+    flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg).clamp(min=FLAT_DEG)
+    rows, columns = tilt_deg.shape[-2:]
     depth = max(2, min(rows, columns) // 20)
-    flat[depth:-depth, depth:-depth] = False
+    flat[..., depth:-depth, depth:-depth] = False
     if mask is not None:
-        flat &= mask
-    return flat if flat.sum() > 0.2 * (rows + columns) else None
+        flat &= tensor_of(mask, like=flat)
+    border = torch.ones_like(flat)
+    border[..., 1:-1, 1:-1] = False
+    enough = flat.sum(dim=(-2, -1), keepdim=True) > 0.2 * (rows + columns)
+    return torch.where(enough, flat, border)

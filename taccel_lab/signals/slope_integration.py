@@ -8,188 +8,233 @@ PAMI 10(4), 1988, with the finite-difference eigenvalues of Strang, SIAM Review 
 free borders instead of periodic ones). Surfaces of second degree are reproduced to rounding, since
 the mean of two slopes is theirs. With weights the same equation is solved by conjugate gradients
 with the cosine solution as preconditioner.
+
+Maps may have leading axes, images or trials, that are solved together; tensors stay on their
+device.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.cosine_transform import cosines, from_cosines
+from taccel_lab.signals.tensors import Array, as_given, tensor_of
+
+if TYPE_CHECKING:
+    import torch
 
 MIN_WEIGHT = 1e-6
 """Weight of a masked pixel: none of its slopes is used, but the surface spans it smoothly."""
-RELATIVE_TOLERANCE = 1e-10
+RELATIVE_TOLERANCE = 1e-7
+"""Heights are then off by 2e-6 of the deepest one at most."""
 MAX_ITERATIONS = 500
 PLANE_PRIOR = 0.1
 """Spread of the resting pixels, in half sides of the image, below which they tell no plane."""
 
 
 def height_from_slopes(
-    slope: np.ndarray,
+    slope: Array,
     grid: PixelGrid,
     *,
-    weights: np.ndarray | None = None,
-    zero: np.ndarray | None = None,
-) -> np.ndarray:
-    """Height map [m] of measured slopes; scale along rows and columns may differ.
+    weights: Any = None,
+    zero: Any = None,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Array:
+    """Height maps [m] of measured slopes, float64, shape [..., height_px, width_px]; scale along
+    rows and columns may differ.
 
     Args:
-        slope: dh/dx and dh/dy, dimensionless, shape [height_px, width_px, 2].
+        slope: dh/dx and dh/dy, dimensionless, shape [..., height_px, width_px, 2].
         grid: The pixel grid of the slopes.
         weights: How far each pixel's slope is trusted, 0 to 1, shape [height_px, width_px]; where
             it is 0 the slope may be anything, NaN too, and the surface goes on smoothly.
-        zero: Pixels whose mean height is zero, bool, shape [height_px, width_px]; the image's
+        zero: Pixels whose mean height is zero, bool, shape [..., height_px, width_px]; the image's
             border when None.
+        tolerance: Of the equation with weights: its residual over its right side.
 
     Raises:
         InputError: Shapes that differ, slopes that are not finite where they count, no pixel left.
     """
+    import torch
+
     shape = (grid.height_px, grid.width_px)
-    slope = np.array(slope, dtype=np.float64)
-    if slope.shape != (*shape, 2):
-        raise InputError(f"slopes have shape {slope.shape}, the pixel grid asks for {(*shape, 2)}")
+    slopes = tensor_of(slope, torch.float64)
+    if slopes.shape[-3:] != (*shape, 2):
+        found = tuple(slopes.shape)
+        raise InputError(f"slopes have shape {found}, the pixel grid asks for {(*shape, 2)}")
+    along_x, along_y = slopes[..., 0], slopes[..., 1]
+    trust = None
     if weights is not None:
-        weights = _checked_weights(weights, shape)
-        slope[weights == 0] = 0.0
-    if not np.isfinite(slope).all():
+        trust = _checked_weights(tensor_of(weights, torch.float64, slopes), shape)
+        along_x, along_y = (torch.where(trust == 0, 0.0, s) for s in (along_x, along_y))
+    if not (along_x.isfinite().all() and along_y.isfinite().all()):
         raise InputError("slopes are NaN or infinite; give such pixels the weight 0")
-    if zero is None:
-        zero = border_of(shape)
-    elif zero.shape != shape or not zero.any():
+    counted = border_of(shape, slopes) if zero is None else tensor_of(zero, torch.bool, slopes)
+    counts = counted.sum(dim=(-2, -1), keepdim=True)
+    if counted.shape[-2:] != shape or not (counts > 0).all():
         raise InputError(
-            f"zero has shape {zero.shape} with {int(zero.sum())} pixels; {shape} wanted"
+            f"zero has shape {tuple(counted.shape)} with {int(counts.min())} pixels; {shape} wanted"
         )
     steps = (grid.mm_per_px_x * 1e-3, grid.mm_per_px_y * 1e-3)
-    edge_slopes = (
-        0.5 * (slope[:, 1:, 0] + slope[:, :-1, 0]),
-        0.5 * (slope[1:, :, 1] + slope[:-1, :, 1]),
+    edges = (
+        0.5 * (along_x[..., 1:] + along_x[..., :-1]),
+        0.5 * (along_y[..., 1:, :] + along_y[..., :-1, :]),
     )
-    if weights is None or (weights == 1.0).all():
-        edge_weights = (np.ones_like(edge_slopes[0]), np.ones_like(edge_slopes[1]))
-        height = solve_poisson(_divergence(edge_slopes, edge_weights, steps), steps)
+    if trust is None or bool((trust == 1.0).all()):
+        height = solve_poisson(_divergence(edges, steps), steps)
     else:
-        edge_weights = (
-            np.maximum(np.minimum(weights[:, 1:], weights[:, :-1]), MIN_WEIGHT),
-            np.maximum(np.minimum(weights[1:], weights[:-1]), MIN_WEIGHT),
+        least = (
+            torch.minimum(trust[:, 1:], trust[:, :-1]),
+            torch.minimum(trust[1:], trust[:-1]),
         )
+        edge_weights = tuple(w.clamp(min=MIN_WEIGHT) for w in least)
         # Beside a masked pixel only the slope of the other one is known; its own was set to 0.
-        known = (
-            np.minimum(weights[:, 1:], weights[:, :-1]) > 0,
-            np.minimum(weights[1:], weights[:-1]) > 0,
+        flows = tuple(
+            torch.where(low > 0, weight * slope, 0.0)
+            for low, weight, slope in zip(least, edge_weights, edges, strict=True)
         )
-        edge_slopes = tuple(np.where(k, s, 0.0) for k, s in zip(known, edge_slopes, strict=True))
-        height = _solve_weighted(_divergence(edge_slopes, edge_weights, steps), edge_weights, steps)
-    return height - height[zero].mean()
+        height = _solve_weighted(_divergence(flows, steps), edge_weights, steps, tolerance)
+    mean = (height * counted).sum(dim=(-2, -1), keepdim=True) / counts
+    return as_given(height - mean, slope)
 
 
-def border_of(shape: tuple[int, int]) -> np.ndarray:
-    """Outermost pixels of an image, bool, of this shape."""
+def border_of(shape: tuple[int, int], like: torch.Tensor) -> torch.Tensor:
+    """Outermost pixels of an image, bool, of this shape, on the device of ``like``."""
     border = np.ones(shape, dtype=bool)
     border[1:-1, 1:-1] = False
-    return border
+    return tensor_of(border, like=like)
 
 
 def resting_height(
-    slope: np.ndarray,
+    slope: Array,
     grid: PixelGrid,
     *,
-    weights: np.ndarray | None = None,
-    zero: np.ndarray | None = None,
-) -> np.ndarray:
+    weights: Any = None,
+    zero: Any = None,
+    tolerance: float = RELATIVE_TOLERANCE,
+) -> Array:
     """``height_from_slopes`` of a surface that lies at rest in the pixels ``zero``: their plane is
     taken off, too."""
-    height = height_from_slopes(slope, grid, weights=weights, zero=zero)
-    return height - plane_of(height, border_of(height.shape) if zero is None else zero)
+    import torch
+
+    slopes = tensor_of(slope, torch.float64)
+    height = height_from_slopes(slopes, grid, weights=weights, zero=zero, tolerance=tolerance)
+    if zero is None:
+        at_rest = border_of((grid.height_px, grid.width_px), height)
+    else:
+        at_rest = tensor_of(zero, torch.bool, height)
+    return as_given(height - plane_of(height, at_rest), slope)
 
 
-def plane_of(height: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """The plane through the heights [m] of the pixels ``zero``, shape [height_px, width_px].
+def plane_of(height: torch.Tensor, zero: torch.Tensor) -> torch.Tensor:
+    """The planes through the heights [m] of the pixels ``zero``, shape [..., height_px, width_px].
 
     An error that all slopes share tilts the whole surface; the resting border shows it. Where
     ``zero`` is a narrow part of the image the plane's slopes are drawn to 0 (``PLANE_PRIOR``).
     """
-    u, v = (np.linspace(-1.0, 1.0, count) for count in height.shape[::-1])
-    rows, columns = np.nonzero(zero)
-    place = np.stack([u[columns], v[rows]])
-    middle, mean = place.mean(axis=1), float(height[rows, columns].mean())
-    away, off = place - middle[:, None], height[rows, columns] - mean
-    gram = away @ away.T / len(rows) + PLANE_PRIOR**2 * np.eye(2)
-    slope = np.linalg.solve(gram, away @ off / len(rows))
-    plane_u, plane_v = slope[0] * (u - middle[0]), slope[1] * (v - middle[1])
-    return mean + plane_u[None, :] + plane_v[:, None]
+    import torch
+
+    rows, columns = height.shape[-2:]
+    like = {"dtype": height.dtype, "device": height.device}
+    u, v = torch.linspace(-1, 1, columns, **like), torch.linspace(-1, 1, rows, **like)[:, None]
+    share = zero.to(height.dtype) / zero.sum(dim=(-2, -1), keepdim=True)
+
+    def mean(values: torch.Tensor) -> torch.Tensor:
+        return (values * share).sum(dim=(-2, -1), keepdim=True)
+
+    across, down, off = u - mean(u.expand(rows, -1)), v - mean(v.expand(-1, columns)), mean(height)
+    left = height - off
+    uu = mean(across.square().expand_as(height)) + PLANE_PRIOR**2
+    vv = mean(down.square().expand_as(height)) + PLANE_PRIOR**2
+    uv, by_u, by_v = mean(across * down), mean(across * left), mean(down * left)
+    size = uu * vv - uv.square()
+    return off + ((vv * by_u - uv * by_v) * across + (uu * by_v - uv * by_u) * down) / size
 
 
-def solve_poisson(right_side: np.ndarray, steps_m: tuple[float, float]) -> np.ndarray:
+def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> torch.Tensor:
     """Solve ``laplacian(h) = right_side`` [1/m] with free borders; the mean of h [m] is zero.
 
     The Laplacian is that of second differences with steps ``steps_m`` along x and y. Shape
-    [height_px, width_px]; a mean of the right side, which no surface has, is dropped.
+    [..., height_px, width_px]; a mean of the right side, which no surface has, is dropped.
     """
-    from scipy.fft import dctn, idctn
+    height, width = right_side.shape[-2:]
+    inverse = tensor_of(_inverse_laplacian(height, width, steps_m), like=right_side)
+    return from_cosines(cosines(right_side) * inverse)
 
-    height, width = right_side.shape
+
+@lru_cache(maxsize=16)
+def _inverse_laplacian(height: int, width: int, steps_m: tuple[float, float]) -> np.ndarray:
+    """Of cosines, shape [height, width]; 0 for the mean."""
     along_x = (2 * np.cos(np.pi * np.arange(width) / width) - 2) / steps_m[0] ** 2
     along_y = (2 * np.cos(np.pi * np.arange(height) / height) - 2) / steps_m[1] ** 2
     eigenvalues = along_y[:, None] + along_x[None, :]
-    eigenvalues[0, 0] = 1.0
-    spectrum = dctn(right_side, type=2, norm="ortho") / eigenvalues
-    spectrum[0, 0] = 0.0
-    return np.asarray(idctn(spectrum, type=2, norm="ortho"))
+    eigenvalues[0, 0] = np.inf
+    return 1.0 / eigenvalues
 
 
-def _checked_weights(weights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    weights = np.asarray(weights, dtype=np.float64)
-    if weights.shape != shape:
-        raise InputError(f"weights have shape {weights.shape}, the pixel grid asks for {shape}")
-    if not (np.isfinite(weights).all() and weights.min() >= 0.0 and weights.max() <= 1.0):
+def _checked_weights(weights: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
+    if tuple(weights.shape) != shape:
+        raise InputError(
+            f"weights have shape {tuple(weights.shape)}, the pixel grid asks for {shape}"
+        )
+    if not bool((weights.isfinite() & (weights >= 0.0) & (weights <= 1.0)).all()):
         raise InputError("weights must lie in 0..1")
-    if not (weights > 0).any():
+    if not bool((weights > 0).any()):
         raise InputError("every weight is 0: no slope is left to integrate")
     return weights
 
 
-def _divergence(
-    edge_values: tuple[np.ndarray, ...],
-    edge_weights: tuple[np.ndarray, ...],
-    steps_m: tuple[float, float],
-) -> np.ndarray:
-    """Weighted flow out of every pixel over its edges; nothing leaves through the border."""
-    along_x, along_y = (w * v for w, v in zip(edge_weights, edge_values, strict=True))
-    out = np.zeros((along_x.shape[0], along_y.shape[1]))
-    out[:, :-1] += along_x / steps_m[0]
-    out[:, 1:] -= along_x / steps_m[0]
-    out[:-1] += along_y / steps_m[1]
-    out[1:] -= along_y / steps_m[1]
+def _divergence(flows: tuple[torch.Tensor, ...], steps_m: tuple[float, float]) -> torch.Tensor:
+    """Flow out of every pixel over its edges; nothing leaves through the border."""
+    along_x, along_y = flows
+    out = along_x.new_zeros((*along_x.shape[:-1], along_y.shape[-1]))
+    out[..., :-1] += along_x / steps_m[0]
+    out[..., 1:] -= along_x / steps_m[0]
+    out[..., :-1, :] += along_y / steps_m[1]
+    out[..., 1:, :] -= along_y / steps_m[1]
     return out
 
 
 def _solve_weighted(
-    right_side: np.ndarray, edge_weights: tuple[np.ndarray, ...], steps_m: tuple[float, float]
-) -> np.ndarray:
-    from scipy.sparse.linalg import LinearOperator, cg
+    right_side: torch.Tensor,
+    edge_weights: tuple[torch.Tensor, ...],
+    steps_m: tuple[float, float],
+    tolerance: float,
+) -> torch.Tensor:
+    """Preconditioned conjugate gradients (Hestenes and Stiefel, J. Res. NBS 49(6), 1952), a system
+    for each of the leading axes."""
 
-    shape = right_side.shape
+    def apply(h: torch.Tensor) -> torch.Tensor:
+        slopes = (h.diff(dim=-1) / steps_m[0], h.diff(dim=-2) / steps_m[1])
+        flows = tuple(w * s for w, s in zip(edge_weights, slopes, strict=True))
+        return -_divergence(flows, steps_m)
 
-    def apply(flat: np.ndarray) -> np.ndarray:
-        h = flat.reshape(shape)
-        slopes = (np.diff(h, axis=1) / steps_m[0], np.diff(h, axis=0) / steps_m[1])
-        return -_divergence(slopes, edge_weights, steps_m).ravel()
+    def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        return (a * b).sum(dim=(-2, -1), keepdim=True)
 
-    def precondition(flat: np.ndarray) -> np.ndarray:
-        return -solve_poisson(flat.reshape(shape), steps_m).ravel()
+    def ratio(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        # A system that is solved already has nothing left to go along.
+        return a / b.where(b > 0, 1.0)
 
-    size = right_side.size
-    solution, failed = cg(
-        LinearOperator((size, size), matvec=apply, dtype=np.float64),  # type: ignore[call-arg]
-        -right_side.ravel(),
-        rtol=RELATIVE_TOLERANCE,
-        maxiter=MAX_ITERATIONS,
-        M=LinearOperator((size, size), matvec=precondition, dtype=np.float64),  # type: ignore[call-arg]
+    left = -right_side
+    enough = tolerance**2 * dot(left, left)
+    solution = left.new_zeros(left.shape)
+    direction, before = left.new_zeros(left.shape), left.new_zeros(enough.shape)
+    for _ in range(MAX_ITERATIONS):
+        if bool((dot(left, left) <= enough).all()):
+            return solution
+        conditioned = -solve_poisson(left, steps_m)
+        now = dot(left, conditioned)
+        direction = conditioned + ratio(now, before) * direction
+        applied = apply(direction)
+        step = ratio(now, dot(direction, applied))
+        solution, left, before = solution + step * direction, left - step * applied, now
+    raise InputError(
+        f"the weighted slopes did not integrate to {tolerance:g} in {MAX_ITERATIONS} "
+        "steps; give weights that differ less, or a mask of 0 and 1"
     )
-    if failed:
-        raise InputError(
-            f"the weighted slopes did not integrate to {RELATIVE_TOLERANCE:g} in {failed} steps; "
-            "give weights that differ less, or a mask of 0 and 1"
-        )
-    return solution.reshape(shape)

@@ -57,7 +57,7 @@ def test_whole_motions(name: str, source: str) -> None:
     converges(name, source, None)
 
 
-def test_only_warp_numpy_and_scipy_are_needed() -> None:
+def test_only_warp_numpy_scipy_and_torch_are_needed() -> None:
     code = f"""
 import sys
 
@@ -74,6 +74,8 @@ from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 for name in SCENES:
     assert build_scene(name, SceneOptions(source="generated")).steps > 10
 assert Speed(envs=(1, 16)).settings() and Learning().settings()
+from taccel_lab.benchmarks import readings
+assert readings.measure((96, 80), 2, "cpu", 1)["at_once"] == 2
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

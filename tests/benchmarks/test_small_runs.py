@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suites on their smallest scenes: multi_gpu with the CPU in place of GPUs, and press_accuracy."""
+"""Suites on their smallest scenes: multi_gpu with CPUs for GPUs, readings, press_accuracy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.benchmarks import press_accuracy
+from taccel_lab.benchmarks import press_accuracy, readings
 from taccel_lab.benchmarks.command_line import main, parse
 from taccel_lab.benchmarks.report.sections import VERIFICATION
 from taccel_lab.benchmarks.results import read_result
@@ -47,6 +47,23 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be at least 1"):
         parse(["multi_gpu", "--devices", "cpu", "--envs", "0", *out]).run()
     assert not list(tmp_path.iterdir())
+
+
+# Readings -----------------------------------------------------------------------------------------
+
+
+def test_images_are_read_at_a_speed_and_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(readings, "SIZES", ((120, 96),))
+    words = ["readings", "--at-once", "1", "2", "--repeats", "1", "--out", str(tmp_path)]
+    assert main(words) == 0
+    document = read_result(tmp_path / "readings.json")
+    assert [row["at_once"] for row in document["rows"]] == [1, 2]
+    for row in document["rows"]:
+        assert 0 < row["off_mm_max"] < 0.01 < 0.3 < row["deepest_mm"]
+        assert min(row[name]["images_per_s"] for name in ("heights", "heights and deviation")) > 0
+    assert document["headline"]["aim_per_s"] == 20
 
 
 # Accuracy of presses ------------------------------------------------------------------------------

@@ -138,6 +138,17 @@ def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it() ->
     assert other[30, 40] < 0.3 * along[30, 40]
 
 
+def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along() -> None:
+    y, x = np.mgrid[0:60, 0:80] * 0.1
+    dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
+    slope = np.stack(np.gradient(dent, 1e-4)[::-1], axis=-1)
+    sigma = np.full((60, 80), 1.0)
+    trials = HeightUncertainty(GRID, 2.0)
+    along = trials.along_m(slope, sigma)
+    assert trials.along_m(0.1 * slope, sigma) == pytest.approx(0.1 * along)
+    np.testing.assert_allclose(along, -dent, atol=5e-5)
+
+
 def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -23,8 +24,18 @@ from taccel_lab.signals.color_model import (
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_settings import ForceModelConfig
 from taccel_lab.signals.network_answers import require_answers
-from taccel_lab.signals.normal_features import local_features, pixel_place
-from taccel_lab.signals.normal_model import NormalModel, expected_shapes, relative_normals
+from taccel_lab.signals.normal_features import (
+    FeatureWindows,
+    color_change,
+    local_features,
+    pixel_place,
+)
+from taccel_lab.signals.normal_model import (
+    RAYLEIGH_MEAN,
+    NormalModel,
+    expected_shapes,
+    relative_normals,
+)
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 from taccel_lab.signals.position_encoding import MAX_BANDS
@@ -79,7 +90,26 @@ def test_the_background_reads_as_rest_exactly() -> None:
     assert curved.normals == pytest.approx(rest)
 
 
-def test_every_second_row_and_column_reads_as_in_the_whole_image() -> None:
+def test_unchanged_pixels_read_as_rest_exactly_beside_a_press_and_masked_ones() -> None:
+    model = random_model(WIDE)
+    image, background = dented(6, 0.0)
+    v, u = np.mgrid[:178, :241]
+    far = np.hypot(u - 110.0, v - 70.0) > 45
+    image[far] = background[far]
+    mask = (np.abs(u - 200) > 5) | (np.abs(v - 150) > 5)
+    found = model.predict(image, background, mask=mask)
+    untouched = np.hypot(u - 110.0, v - 70.0) > 70
+    assert (found.tilt_rad[untouched] == 0).all() and (found.tilt_rad != 0).any()
+
+
+def by_pixels(model: NormalModel, image: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Tilt and expected error of every pixel, read one by one, shape [h, w, 3]."""
+    features = model.config.image_features(color_change(image, background), background)
+    tilt, error = model.predict_pixels(features.reshape(-1, model.config.input_count))
+    return np.column_stack([tilt, error]).reshape(*features.shape[:2], 3)
+
+
+def test_every_second_row_and_column_reads_as_pixels_of_the_whole_image() -> None:
     grid = PixelGrid(47, 36, 0.05, 0.05)
     model = random_model(dataclasses.replace(CONFIG, width_px=47))
     rng = np.random.default_rng(3)
@@ -91,12 +121,96 @@ def test_every_second_row_and_column_reads_as_in_the_whole_image() -> None:
     rest = unit(np.array([0.3, -0.2, 1.0])) * np.ones((36, 47, 1))
     whole = read_heights(model, image, background, grid, mask=mask, rest_normals=rest)
     thin = read_heights(model, image, background, grid, mask=mask, rest_normals=rest, every=2)
-    for name in ("tilt_rad", "normals", "sigma_deg"):
-        found, wanted = (getattr(read.normals, name) for read in (thin, whole))
-        np.testing.assert_allclose(found, wanted[::2, ::2], atol=1e-5)
+    pixels = by_pixels(model, image, background)[::2, ::2]
+    found = model.predict(image, background, every=2)
+    np.testing.assert_allclose(found.tilt_rad, pixels[..., :2], atol=1e-5)
+    np.testing.assert_allclose(
+        np.radians(found.sigma_deg) * RAYLEIGH_MEAN, pixels[..., 2], rtol=1e-5
+    )
     known = whole.rise_m[::2, ::2]
     off = (thin.rise_m - thin.rise_m.mean()) - (known - known.mean())
     assert np.abs(off).max() < 0.03 * np.ptp(known)
+
+
+WIDE = dataclasses.replace(CONFIG, width_px=241, height_px=178)
+
+
+def dented(seed: int, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """An image with a dent whose rim is sharp and whose surroundings sink, and its background."""
+    rng = np.random.default_rng(seed)
+    background = rng.uniform(0, 255, (178, 241, 3)).astype(np.float32)
+    v, u = np.mgrid[:178, :241]
+    away = np.hypot(u - 110.0, v - 70.0)
+    lean = np.where(away < 30, away / 30, np.exp(-(away - 30) / 8)) + 0.2 * np.exp(-away / 60)
+    way = np.stack([u - 110.0, v - 70.0, 30.0 - away], axis=-1) / np.maximum(away, 1.0)[..., None]
+    change = 60.0 * lean[..., None] * np.clip(way, -1, 1)
+    change += rng.normal(0, noise, change.shape)
+    return (background + change).astype(np.float32), background
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_blocks_read_what_pixels_read(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Heights to 0.005 mm and their deviation to 2 %, by few answers of the networks."""
+    model = random_model(dataclasses.replace(WIDE, height_factor=1.0, error_length_px=8.0))
+    image, background = dented(4, noise)
+    grid = PixelGrid(241, 178, 0.06, 0.06)
+    asked = []
+    features = FeatureWindows.features
+
+    def counted(level: FeatureWindows, picked: torch.Tensor | None = None) -> torch.Tensor:
+        found = features(level, picked)
+        asked.append(found.shape[1])
+        return found
+
+    monkeypatch.setattr(FeatureWindows, "features", counted)
+    model.predict(background, background)
+    asked.clear()
+    read = read_heights(model, image, background, grid)
+    assert 0.06 < sum(asked) / image[..., 0].size < 0.4
+    assert len(asked) == 3
+    monkeypatch.setattr("taccel_lab.signals.block_reading.BEND", -1.0)
+    monkeypatch.setattr("taccel_lab.signals.block_reading.MOST_NOISE", 1.0)
+    pixels = read_heights(model, image, background, grid)
+    assert sum(asked) > image[..., 0].size
+    assert np.ptp(pixels.rise_m) > 0.2e-3
+    assert np.abs(read.rise_m - pixels.rise_m).max() < 5e-6
+    assert read.sigma_m is not None and pixels.sigma_m is not None
+    assert read.sigma_m == pytest.approx(pixels.sigma_m, rel=0.02)
+
+
+def test_fine_texture_and_masked_borders_are_read_by_pixels() -> None:
+    model = random_model(WIDE)
+    image, background = dented(5, 0.3)
+    image[120:160, 180:220] += np.where(np.arange(40) % 4 < 2, 30.0, 0.0)[:, None, None]
+    mask = np.ones((178, 241), dtype=bool)
+    mask[20:50, 150:170] = False
+    found = model.predict(image, background, mask=mask)
+    features = model.config.image_features(
+        color_change(image, background, mask), background, mask=mask
+    )
+    wanted = model.predict_pixels(features.reshape(-1, model.config.input_count))[0]
+    off = np.linalg.norm(found.tilt_rad - wanted.reshape(178, 241, 2), axis=-1)
+    beside = binary_dilation(~mask, iterations=2)
+    texture = np.zeros_like(mask)
+    texture[124:156, 184:216] = True
+    for part in (beside & mask, texture):
+        assert off[part].max() < np.radians(0.02)
+
+
+def test_several_images_are_read_at_once() -> None:
+    model = random_model(WIDE)
+    pairs = [dented(seed) for seed in (1, 2)]
+    background = pairs[0][1]
+    images = np.stack([pairs[0][0], background, pairs[1][0] - pairs[1][1] + background])
+    grid = PixelGrid(241, 178, 0.06, 0.06)
+    together = read_heights(model, images, background, grid)
+    for k, image in enumerate(images):
+        alone = read_heights(model, image, background, grid)
+        np.testing.assert_allclose(together.rise_m[k], alone.rise_m, atol=1e-8)
+        np.testing.assert_allclose(together.normals.normals[k], alone.normals.normals, atol=1e-5)
+    on_device = model.predict(torch.from_numpy(images), background)
+    assert isinstance(on_device.normals, torch.Tensor)
+    np.testing.assert_allclose(on_device.normals, together.normals.normals, atol=1e-6)
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:
@@ -131,6 +245,12 @@ def test_features_follow_a_zoomed_picture() -> None:
     large, small = features(picture(1.0, 161), 1.0), features(picture(2.0, 161), 0.5)
     assert small == pytest.approx(large, abs=0.02)
     assert np.abs(features(picture(2.0, 161), 1.0) - large).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["cuda:77", "gpu"])
+def test_devices_that_are_not_there_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match=f"device '{name}' is not here; devices of torch are cpu"):
+        NormalModel(CONFIG, random_model().weights, name)
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -67,7 +67,7 @@ def session(
             noisy = np.clip(np.rint(frame + rng.normal(0, 0.5, frame.shape)), 0, 255)
             write_image(folder / f"{k:03d}.png", noisy.astype(np.uint8))
     session = live_session(
-        lambda background: LiveReader(profile, background, detail=1),
+        lambda background: LiveReader(profile, background),
         lambda: open_camera(str(folder), None, CameraReplay(fps=25.0)),
         [watching],
         **how,
@@ -137,7 +137,7 @@ def test_several_sensors_go_on_in_turn_until_each_is_over(
     left, right = run_together(
         [
             live_session(
-                lambda background: LiveReader(profile, background, detail=1),
+                lambda background: LiveReader(profile, background),
                 lambda name=name: open_camera(str(tmp_path / name), None, CameraReplay()),
                 [watching],
                 background=rest.astype(np.float32),
@@ -155,7 +155,7 @@ def test_what_lies_beyond_the_calibration_is_marked(
     grey: tuple[CaptureSet, SensorProfile],
 ) -> None:
     captures, profile = grey
-    reader = LiveReader(profile, np.asarray(captures.background, np.float32), detail=1)
+    reader = LiveReader(profile, np.asarray(captures.background, np.float32))
     dark = np.asarray(captures.background).astype(np.uint8).copy()
     dark[40:80, 60:90] = 0
     reading = reader.read(dark)
@@ -175,14 +175,14 @@ def test_forces_come_from_whoever_tells_them(grey: tuple[CaptureSet, SensorProfi
     captures, profile = grey
     background = np.asarray(captures.background, np.float32)
     told = {"Fz [N]": 1.5, "Fz +- [N]": 0.12, "contact area [mm2]": 7.0}
-    reader = LiveReader(profile, background, detail=1, force=lambda image, rest: told)
+    reader = LiveReader(profile, background, force=lambda image, rest: told)
     reading = reader.read(captures.presses[0].image())
     assert reading.forces == told and "force" in reading.stages_s
     text = figures_text(reading, reader)
     assert "Fz: **1.50 ± 0.12** N" in text and "contact area: **7.00** mm2" in text
     assert "+-" not in text and "no force" not in text
     assert "frame is not like" in figures_text(replace(reading, forces={}), reader)
-    plain = LiveReader(profile, background, detail=1)
+    plain = LiveReader(profile, background)
     assert "has no force model" in figures_text(plain.read(captures.presses[0].image()), plain)
 
 
@@ -192,8 +192,6 @@ def test_images_and_profiles_that_do_not_fit_are_refused(
     _, profile = grey
     with pytest.raises(InputError, match=r"50x40.*200x150.*--crop"):
         LiveReader(profile, np.zeros((40, 50, 3), np.float32))
-    with pytest.raises(InputError, match="--detail is 9"):
-        LiveReader(profile, np.zeros((150, 200, 3), np.float32), detail=9)
     with pytest.raises(InputError, match="calibrate one first"):
         LiveReader(flat_profile(GRID), np.zeros((150, 200, 3), np.float32))
 
@@ -216,8 +214,8 @@ def test_an_untouched_gel_unlike_the_profiles_is_said(
     rows, columns = np.indices((GRID.height_px, GRID.width_px))[..., None] + np.zeros(3)
     rest, other = ((60 + 0.7 * side).astype(np.float32) for side in (columns, rows))
     profile = replace(profile, background_rgb=rest)
-    assert LiveReader(profile, rest, detail=1).unlike_profile == ""
-    assert "not as this profile knows it" in LiveReader(profile, other, detail=1).unlike_profile
+    assert LiveReader(profile, rest).unlike_profile == ""
+    assert "not as this profile knows it" in LiveReader(profile, other).unlike_profile
     watching = Watching()
     turned = replace(captures, background=other.astype(np.uint8))
     found = session(tmp_path / "frames", turned, profile, watching)
@@ -266,7 +264,7 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(
         return {"Fz [N]": drop, "Fz +- [N]": 0.25}
 
     def run(page_of: LivePage) -> None:
-        reader = lambda untouched: LiveReader(profile, untouched, detail=1, force=force)  # noqa: E731
+        reader = lambda untouched: LiveReader(profile, untouched, force=force)  # noqa: E731
         results.extend(run_together([live_session(reader, lambda: camera, [page_of])]))
 
     with live_page("Live", PageOptions(port=0, browser=False)) as server:

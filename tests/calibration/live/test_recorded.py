@@ -28,7 +28,7 @@ def folder_and_reader(folder: Path, branches: tuple[BranchEntry, ...] = ()) -> L
         levels = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         cv2.imwrite(str(folder / f"frame_{number}.png"), levels[..., ::-1])
     (folder / "frame_3.png").write_bytes(b"torn")
-    return LiveReader(profile, rest.astype(np.float32), detail=1, sigma_every=1)
+    return LiveReader(profile, rest.astype(np.float32), sigma_every=1)
 
 
 def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(

@@ -135,7 +135,7 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     told = {"Fx [N]": 0.25, "Fx +- [N]": 0.1, "Fy [N]": -0.5}
 
     def reader(background: np.ndarray) -> LiveReader:
-        return LiveReader(profile, background, detail=1, force=lambda image, rest: told)
+        return LiveReader(profile, background, force=lambda image, rest: told)
 
     watchers, untouched = [publisher, watching], rest.astype(np.float32)
     session = live_session(reader, lambda: camera, watchers, background=untouched, frames=2)

@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.reading_error import (
     KnownPress,
     all_errors,
@@ -42,12 +41,11 @@ from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.normals.conftest import (
     PAD,
     QUICK,
-    Clean,
     calibrated,
     circles_of,
     sunk_captures,
 )
-from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures
+from tests.support.synthetic_presses import GRID, synthetic_captures
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 AREA = PixelGrid(60, 56, 0.1, 0.1)
@@ -287,18 +285,3 @@ def test_what_is_wrong_as_stated_is_held(
     # Wide enough, and not silly.
     off = np.mean([np.abs(read.rise_m.min() / rise_m.min() - 1) for read, rise_m in found])
     assert off < 2 * share_of_depth(found) < 5 * off
-
-
-def test_a_smaller_image_gives_the_same_depth_at_the_same_place(clean: Clean) -> None:
-    captures, _, result = clean
-    profile = result.apply_to(flat_profile(GRID))
-    image = captures.presses[captures.split(4).heldout[0]].image()
-    whole, half = SurfaceReader(profile), SurfaceReader(profile, shrink=2)
-    assert half.grid.width_px == pytest.approx(GRID.width_px / 2, abs=2)
-    fine, coarse = whole.read(image), half.read(image)
-    assert coarse.rise_m.shape == (half.grid.height_px, half.grid.width_px)
-    assert coarse.rise_m.min() == pytest.approx(fine.rise_m.min(), rel=0.03)
-    a, b = fine.figures(whole.grid), coarse.figures(half.grid)
-    assert b["deepest_gel_mm"] == pytest.approx(a["deepest_gel_mm"], abs=0.25)
-    quick = half.read_lit(half.lit(image), uncertainty=False)
-    assert quick.height_sigma_m is None and (quick.rise_m == coarse.rise_m).all()

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite ``readings``: images a second from colours to heights, and how far blocks are off.
+
+Dents with a sharp rim, slow sinking beside them and a camera's noise are read by networks of the
+real size: random layers, the last one fitted to a dent. Images come as bytes of the host, maps stay
+on the device. Heights are compared with those of a reading of every pixel alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from taccel_lab.benchmarks.clock import clock_of
+from taccel_lab.benchmarks.results import ResultFile, spread
+from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.normal_features import color_change
+from taccel_lab.signals.normal_model import (
+    NormalMap,
+    NormalModel,
+    expected_shapes,
+    network,
+    relative_normals,
+)
+from taccel_lab.signals.normal_model_config import NormalModelConfig
+from taccel_lab.signals.read_heights import read_heights
+from taccel_lab.signals.slope_integration import height_from_slopes
+
+SIZES = ((320, 320), (640, 480))
+WIDTH_MM = 19.0
+SCALES_PX = (0.7, 1.3, 2.5, 5.1)
+"""Windows that a calibration finds for presses of 30 px (RVSATHU, GelSight Mini)."""
+STEEPEST_RAD = 0.6
+LOG_ERROR = -4.0
+"""Logarithm of the expected error [rad]."""
+CPU_AIM_PER_S, GPU_AIM_PER_S = 20, 500
+
+
+@dataclass(frozen=True)
+class Readings(Suite):
+    """Images a second from colours to heights, and how far blocks are off single pixels."""
+
+    name: ClassVar[str] = "readings"
+    what: ClassVar[str] = "Images read a second, and heights against a reading of every pixel."
+    shown: ClassVar[tuple[str, ...]] = (
+        "heights: images_per_s", "heights and deviation: images_per_s", "off_mm_max",
+    )  # fmt: skip
+    at_once: tuple[int, ...] = (1, 16, 64)
+    """Numbers of images read at once, a row each for each size."""
+    repeats: int = 20
+    """Readings of each row; the median counts."""
+    threads: int = 1
+    """Of the CPU."""
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "at_once": self.at_once,
+            "repeats": self.repeats,
+            "threads": self.threads,
+            "sizes": SIZES,
+        }
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """All rows, then the best speed of the smaller size."""
+        before = torch.get_num_threads()
+        torch.set_num_threads(self.threads)
+        try:
+            for size, count in itertools.product(SIZES, self.at_once):
+                row = partial(measure, size, count, self.device, self.repeats)
+                result.measure(f"{size[0]}x{size[1]}, {count} at once", row)
+        finally:
+            torch.set_num_threads(before)
+        speeds = [
+            row["heights and deviation"]["images_per_s"]
+            for row in result.rows
+            if tuple(row["size"]) == SIZES[0]
+        ]
+        if speeds:
+            aim = CPU_AIM_PER_S if self.device == "cpu" else GPU_AIM_PER_S
+            result.put("headline", {"images_per_s": max(speeds), "aim_per_s": aim})
+
+
+def networks(grid: PixelGrid, device: str) -> NormalModel:
+    """Seeded networks of the real architecture that read a dent."""
+    scales = (0.0, *SCALES_PX)
+    blank = NormalModelConfig(
+        grid.width_px, grid.height_px, scales_px=scales, slope_scales_px=SCALES_PX,
+        hidden=(64, 64, 64), error_length_px=8.0, height_factor=1.0, along_factor=1.0,
+        depth_share=0.05,
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    images, light, tilts = presses(grid, 1)
+    change = color_change(images[0], light)
+    features = blank.image_features(change, light).reshape(-1, blank.input_count)
+    spread = tuple(float(value) for value in features.std(axis=0) + 1e-3)
+    config = replace(blank, input_scale=spread)
+    weights = {
+        name: rng.normal(0.0, shape[-1] ** -0.5 if name.endswith("weight") else 0.1, shape)
+        for name, shape in expected_shapes(config).items()
+    }
+    # What the last layer has to make of the ones before, at every few pixels.
+    inputs = config.normalise(features)[::7]
+    hidden = network(
+        [(torch.tensor(weights[f"layer{i}.weight"]), torch.tensor(weights[f"layer{i}.bias"]))
+         for i in range(3)],
+        torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1),
+    )  # fmt: skip
+    active = torch.nn.functional.silu(hidden).numpy()
+    wanted = tilts[0].reshape(-1, 2)[::7]
+    for k in range(config.members):
+        terms = np.column_stack([active[k], np.ones(len(wanted))])
+        gram = terms.T @ terms + 1e-3 * len(terms) * np.eye(terms.shape[1])
+        found = np.linalg.solve(gram, terms.T @ wanted)
+        weights["layer3.weight"][k, :2] = found[:-1].T
+        weights["layer3.weight"][k, 2] *= 0.1
+        weights["layer3.bias"][k] = *found[-1], LOG_ERROR
+    return NormalModel(config, weights, device)
+
+
+def presses(grid: PixelGrid, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Images, uint8, shape [image, h, w, 3], of a dent in different places, the background, and
+    the tilts that they show [rad], shape [image, h, w, 2]."""
+    rng = np.random.default_rng(7)
+    v, u = np.mgrid[: grid.height_px, : grid.width_px]
+    light = np.stack([90 + 60 * u / u.max(), 140 - 40 * v / v.max(), 120 + 0 * u], axis=-1)
+    radius = 0.1 * grid.width_px
+    images, tilts = [], []
+    for _ in range(count):
+        away = np.stack([u, v], axis=-1) - rng.uniform(0.3, 0.7, 2) * [u.max(), v.max()]
+        distance = np.hypot(away[..., 0], away[..., 1]) / radius
+        lean = np.where(distance < 1, distance, 0.8 * np.exp((1 - distance) / 0.2))
+        lean += 0.2 * np.exp(-distance / 2)
+        way = away / (radius * np.maximum(distance, 0.1)[..., None])
+        # A dent's normals lean to its middle.
+        lean_to = -way * lean[..., None]
+        change = 60.0 * np.concatenate([lean_to, -lean_to.sum(axis=-1, keepdims=True)], axis=-1)
+        noisy = light + change + rng.normal(0.0, 1.0, light.shape)
+        images.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+        tilts.append(STEEPEST_RAD * lean_to)
+    return np.stack(images), light.astype(np.float32), np.stack(tilts)
+
+
+def timed(work: Callable[[], Any], device: str, repeats: int) -> dict[str, float]:
+    """Time [s] of ``work``, warm: median and range."""
+    seconds, clock = [], clock_of(device)
+    for k in range(repeats + 2):
+        start = clock()
+        work()
+        if device != "cpu":
+            torch.cuda.synchronize(device)
+        if k >= 2:
+            seconds.append(clock() - start)
+    return spread(seconds)
+
+
+def heights_mm(
+    model: NormalModel, image: np.ndarray, light: np.ndarray, grid: PixelGrid
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of one image, by blocks and by every pixel alone [mm]."""
+    read = read_heights(model, image, light, grid, uncertainty=False)
+    features = model.config.image_features(color_change(image, light), light)
+    tilt, error = model.predict_pixels(features.reshape(-1, model.config.input_count))
+    tilt, error = tilt.reshape(*read.slope.shape), error.reshape(read.rise_m.shape)
+    alone = NormalMap(relative_normals(tilt), tilt, error, error)
+    rise_m = height_from_slopes(alone.slopes(), grid, zero=read.zero)
+    return 1e3 * read.rise_m, 1e3 * rise_m
+
+
+def measure(size: tuple[int, int], count: int, device: str, repeats: int) -> dict[str, Any]:
+    """All figures of a row."""
+    grid = PixelGrid(*size, WIDTH_MM / size[0], WIDTH_MM / size[0])
+    model = networks(grid, device)
+    images, light, _ = presses(grid, count)
+    given = torch.from_numpy(images)
+    blocks, pixels = heights_mm(model, images[0], light, grid)
+    off = np.abs(blocks - pixels)
+    row: dict[str, Any] = {
+        "size": list(size),
+        "at_once": count,
+        "off_mm_max": float(off.max()),
+        "off_mm_mean": float(off.mean()),
+        "deepest_mm": float(-pixels.min()),
+    }
+    for name, uncertainty in (("heights", False), ("heights and deviation", True)):
+        work = partial(read_heights, model, given, light, grid, uncertainty=uncertainty)
+        figures = timed(work, device, repeats)
+        row[name] = {**figures, "images_per_s": count / figures["median"]}
+    return row
