@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from tyro.conf import Positional
-
-from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,9 @@ class Read:
     background: Path | None = None
     """Image of the untouched sensor, if newer than the profile's."""
     fps: float | None = None
-    """Frames a second, for a gel that relaxes: forces then follow from frame to frame. Otherwise
-    their intervals reach from a long press to a sudden one."""
+    """Frames a second, in place of the times that the source tells: a video's own, a LeRobot data
+    set's, stamps in the names of images. A gel that relaxes is followed by them. Without any, the
+    intervals of its forces reach from a long press to a sudden one."""
     json: bool = False
     """Print the rows as JSON."""
 
@@ -53,12 +51,10 @@ class Read:
         from taccel_lab.sensors.profile import profile_folder, stock_sensor
         from taccel_lab.version import __version__
 
-        if self.fps is not None and not (math.isfinite(self.fps) and self.fps > 0):
-            raise InputError(f"--fps must be above 0, got {self.fps:g}")
         start_warp()
         require_replaceable(self.out)
         profile, own = stock_sensor(self.profile), profile_folder(self.profile)
-        recording = Recording.of(self.source, self.camera)
+        recording = Recording.of(self.source, self.camera, self.fps)
         given = None if self.background is None else read_image(self.background)
         untouched = profile.untouched(given, str(self.background))
         reader = LiveReader(profile, untouched.astype(np.float32), detail=1, sigma_every=1)
@@ -75,7 +71,7 @@ class Read:
             if done % 50 == 0 or done == total:
                 console.print(f"{task}: {done} of {total}")
 
-        rows = read_recorded(recording, reader, self.out, recipe, bar, self.fps)
+        rows = read_recorded(recording, reader, self.out, recipe, bar)
         if self.json:
             print_json({"out": str(self.out), "frames": rows})
             return
@@ -85,4 +81,6 @@ class Read:
         said = f"{len(rows)} frames, {refused} refused"
         said += f", up to {max(depths):.3f} mm" if depths else ""
         said += f" and {max(forces):.3g} N" if forces else ""
+        if any(row["time_s"] is not None for row in rows):
+            said += f"; times: {recording.times_from}"
         results().print(f"{said}\nwrote {self.out}", soft_wrap=True)
