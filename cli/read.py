@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +30,8 @@ class Read:
     camera: str | None = None
     """Camera of a data set that has several, by its name or the end of it: left_tactile/rgb."""
     background: Path | None = None
-    """Image of the untouched sensor, if newer than the profile's."""
+    """Image of the untouched sensor, if newer than the profile's. With a starter profile it is
+    looked for: background.png beside the source, or the still frames of the recording."""
     fps: float | None = None
     """Frames a second, in place of the times that the source tells: a video's own, a LeRobot data
     set's, stamps in the names of images. A gel that relaxes is followed by them. Without any, the
@@ -42,9 +44,9 @@ class Read:
 
         from taccel_lab.calibration.capture.camera.recording import Recording
         from taccel_lab.calibration.live.reader import LiveReader
-        from taccel_lab.calibration.live.recorded import read_recorded
+        from taccel_lab.calibration.live.recorded import read_recorded, remarks_of
+        from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.cli.console import notes, print_json, results
-        from taccel_lab.files.images import read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.files.regular_file import file_sha256
         from taccel_lab.processes.start_warp import start_warp
@@ -55,14 +57,15 @@ class Read:
         require_replaceable(self.out)
         profile, own = stock_sensor(self.profile), profile_folder(self.profile)
         recording = Recording.of(self.source, self.camera, self.fps)
-        given = None if self.background is None else read_image(self.background)
-        untouched = profile.untouched(given, str(self.background))
-        reader = LiveReader(profile, untouched.astype(np.float32), detail=1, sigma_every=1)
+        found = UntouchedFrame.of(profile, [self.source], self.background, camera=self.camera)
+        profile = found.profile
+        untouched = profile.untouched(found.image, found.name).astype(np.float32)
+        reader = LiveReader(profile, untouched, detail=1, sigma_every=1)
         recipe = {
             "version": __version__,
             "profile": self.profile if own is None else file_sha256(own / "profile.toml"),
             "source": [str(self.source), recording.camera, recording.names],
-            "background": None if self.background is None else file_sha256(self.background),
+            "background": hashlib.sha256(untouched.tobytes()).hexdigest(),
             "fps": self.fps,
         }
         console = notes()
@@ -83,4 +86,7 @@ class Read:
         said += f" and {max(forces):.3g} N" if forces else ""
         if any(row["time_s"] is not None for row in rows):
             said += f"; times: {recording.times_from}"
+        for remark, count in remarks_of(rows):
+            of = "" if count == len(rows) - refused else f" ({count} frames)"
+            results().print(f"  {remark}{of}", soft_wrap=True)
         results().print(f"{said}\nwrote {self.out}", soft_wrap=True)

@@ -7,6 +7,8 @@ Rows are kept beside the output as they are read, so that the same call goes on 
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +43,11 @@ COLUMNS: tuple[str, ...] = (
     "marker_mean_mm",
     "marker_largest_mm",
     "refused",
+    "remarks",
 )
 """Of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval, times
-since the first frame (of its episode, in a data set of several)."""
+since the first frame (of its episode, in a data set of several), remarks those of ``depth``."""
+TEXTS = ("name", "refused", "remarks")
 EPISODE_S = 1e7
 """Longer than any episode [s]."""
 CURVES = (
@@ -119,6 +123,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
     """Comma-separated values; texts are quoted, what is not known is empty (RFC 4180)."""
 
     def cell(value: Any) -> str:
+        if isinstance(value, list):
+            value = "; ".join(value)
         if isinstance(value, str) and value:
             return '"' + value.replace('"', '""') + '"'
         return "" if value is None else f"{value}"
@@ -167,8 +173,11 @@ def _row(reader: LiveReader, frame: RecordedFrame) -> dict[str, Any]:
 
 def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
     """The row of a reading, as of ``COLUMNS``."""
-    row: dict[str, Any] = {"refused": reading.refused}
     found = reading.figures
+    said = [*found.get("warnings", ()), *found.get("force_remarks", ())]
+    if reader.no_pressure:
+        said.append(reader.no_pressure)
+    row: dict[str, Any] = {"refused": reading.refused, "remarks": said}
     if found and not reading.refused:
         row |= {"depth_mm": found["max_depth_mm"], "depth_sigma_mm": found["max_depth_sigma_mm"]}
     if reading.press is not None:
@@ -198,6 +207,19 @@ def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
     return row
 
 
+def remarks_of(rows: list[dict[str, Any]]) -> list[tuple[str, int]]:
+    """What readings say of themselves, and of how many frames. Remarks that differ in their numbers
+    alone are one, told as of the first frame."""
+    first: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    for row in rows:
+        for remark in row.get("remarks", ()):
+            kind = re.sub(r"[0-9]+([.][0-9]+)?", "#", remark)
+            first.setdefault(kind, remark)
+            counts[kind] += 1
+    return [(first[kind], count) for kind, count in counts.items()]
+
+
 @in_report_style
 def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
     """Depth, contact, force and markers of the frames that were read, over time where that of all
@@ -206,7 +228,7 @@ def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
     def column(name: str) -> np.ndarray:
         return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
 
-    known = {name: column(name) for name in COLUMNS if name not in ("name", "refused")}
+    known = {name: column(name) for name in COLUMNS if name not in TEXTS}
     sigma = 2 * known["depth_sigma_mm"]
     known["depth_low_mm"] = known["depth_mm"] - sigma
     known["depth_high_mm"] = known["depth_mm"] + sigma
