@@ -33,13 +33,14 @@ class Depth:
 
     profile: Positional[str]
     """Profile folder, from `taccel-lab calibrate normals` or `calibrate depth`, or a sensor of the
-    catalogue with a starter profile: then give --background."""
+    catalogue with a starter profile, which needs an untouched image."""
     images: Positional[tuple[Path, ...]]
     """Tactile images (PNG or JPEG) of the profile's size, or raw ones with --maps."""
     out: Path
     """Folder to write: three files per image."""
     background: Path | None = None
-    """Image of the untouched sensor, if newer than the profile's."""
+    """Image of the untouched sensor, if newer than the profile's. With a starter profile it is
+    looked for beside the images: background.png, or the still frames of a recording."""
     mask: Path | None = None
     """Grey image; pixels of value 0 are not read, and the surface spans them smoothly."""
     maps: Path | None = None
@@ -54,6 +55,7 @@ class Depth:
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.pressure.reading_files import read_mask, write_reading
         from taccel_lab.calibration.pressure.touch import TouchReader
+        from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.cli.each_image import each_image, require_images
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
@@ -66,11 +68,10 @@ class Depth:
         profile = stock_sensor(self.profile)
         maps = None if self.maps is None else RectificationMaps.load(self.maps)
 
-        def image_of(path: Path) -> np.ndarray:
-            image = read_image(path)
+        def rectified(image: np.ndarray, name: str) -> np.ndarray:
             if maps is None:
                 return image
-            maps.require_raw_size((image.shape[1], image.shape[0]), str(path))
+            maps.require_raw_size((image.shape[1], image.shape[0]), name)
             return maps.apply(image)
 
         mask = None if self.mask is None else read_mask(self.mask, profile)
@@ -86,17 +87,18 @@ class Depth:
                     "profile's calibration"
                 )
             mask = shown if mask is None else mask & shown
+        untouched = UntouchedFrame.of(profile, self.images, self.background, fit=rectified)
         surfaces = SurfaceReader(
-            profile,
-            background=None if self.background is None else image_of(self.background),
+            untouched.profile,
+            background=untouched.image,
             mask=mask,
-            background_name=str(self.background or "the background"),
+            background_name=untouched.name,
             method=self.method,
         )
         reader = TouchReader(surfaces)
 
         def read(path: Path) -> tuple[TouchReading, np.ndarray]:
-            image = image_of(path)
+            image = rectified(read_image(path), str(path))
             return reader.read(image, str(path)), image
 
         def keep(

@@ -41,7 +41,8 @@ class Live(CameraFlags):
     """Profile folder of this sensor, or a sensor of the catalogue with a starter profile. Several
     sensors at once: left=PROFILE,right=PROFILE, or one for all, with --camera left=ID,right=ID."""
     background: Literal["camera", "profile"] = "camera"
-    """The untouched gel: from the camera's first frames (do not touch it), or from the profile."""
+    """The untouched gel: from the camera's first frames (do not touch it), or from the profile. A
+    starter profile finds it in what is replayed, as taccel-lab read does."""
     device: str = "cpu"
     """Device of torch on which colours are read to heights: cpu, cuda:0, ..."""
     frames: int | None = None
@@ -107,12 +108,38 @@ class Live(CameraFlags):
         """The profile of a sensor; InputError for one that tells nothing of a frame."""
         from taccel_lab.calibration.live.reader import require_readable
         from taccel_lab.sensors.profile import stock_sensor
+        from taccel_lab.sensors.starters import is_starter
 
         profile = stock_sensor(of)
-        if self.background == "profile" and profile.background_rgb is None:
-            raise InputError(f"{of} has no background; leave --background profile away")
+        if self.background == "profile" and (profile.background_rgb is None or is_starter(profile)):
+            has = "the background of another unit" if is_starter(profile) else "no background"
+            raise InputError(f"{of} has {has}; leave --background profile away")
         require_readable(profile)
         return profile
+
+    def _untouched(
+        self, profile: SensorProfile, camera: str
+    ) -> tuple[SensorProfile, np.ndarray | None]:
+        """The untouched gel where it is known before the first frame, and the profile that says
+        so; a capture folder is replayed from the gel at rest, as a camera shows it."""
+        from taccel_lab.calibration.capture.camera.open_camera import replayed_files
+        from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+        from taccel_lab.calibration.untouched_frame import UntouchedFrame
+
+        files = replayed_files(camera)
+        if self.background == "profile":
+            return profile, profile.background_rgb
+        if files is None or (files[0] / MANIFEST_NAME).is_file():
+            return profile, None
+        framing = self.framing()
+        found = UntouchedFrame.of(
+            profile,
+            files[:1],
+            fit=lambda image, _: framing.apply(image),
+            camera=files[1],
+            option="background.png beside what is replayed",
+        )
+        return found.profile, found.image
 
     def _session(
         self,
@@ -129,7 +156,7 @@ class Live(CameraFlags):
         from taccel_lab.calibration.live.ros import RosPublisher
         from taccel_lab.calibration.live.run import live_session
 
-        rest = profile.background_rgb if self.background == "profile" else None
+        profile, rest = self._untouched(profile, camera)
 
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import math
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from tyro.conf import Positional
-
-from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -32,10 +30,12 @@ class Read:
     camera: str | None = None
     """Camera of a data set that has several, by its name or the end of it: left_tactile/rgb."""
     background: Path | None = None
-    """Image of the untouched sensor, if newer than the profile's."""
+    """Image of the untouched sensor, if newer than the profile's. With a starter profile it is
+    looked for: background.png beside the source, or the still frames of the recording."""
     fps: float | None = None
-    """Frames a second, for a gel that relaxes: forces then follow from frame to frame. Otherwise
-    their intervals reach from a long press to a sudden one."""
+    """Frames a second, in place of the times that the source tells: a video's own, a LeRobot data
+    set's, stamps in the names of images. A gel that relaxes is followed by them. Without any, the
+    intervals of its forces reach from a long press to a sudden one."""
     json: bool = False
     """Print the rows as JSON."""
 
@@ -44,29 +44,28 @@ class Read:
 
         from taccel_lab.calibration.capture.camera.recording import Recording
         from taccel_lab.calibration.live.reader import LiveReader
-        from taccel_lab.calibration.live.recorded import read_recorded
+        from taccel_lab.calibration.live.recorded import read_recorded, remarks_of
+        from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.cli.console import notes, print_json, results
-        from taccel_lab.files.images import read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.files.regular_file import file_sha256
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.sensors.profile import profile_folder, stock_sensor
         from taccel_lab.version import __version__
 
-        if self.fps is not None and not (math.isfinite(self.fps) and self.fps > 0):
-            raise InputError(f"--fps must be above 0, got {self.fps:g}")
         start_warp()
         require_replaceable(self.out)
         profile, own = stock_sensor(self.profile), profile_folder(self.profile)
-        recording = Recording.of(self.source, self.camera)
-        given = None if self.background is None else read_image(self.background)
-        untouched = profile.untouched(given, str(self.background))
-        reader = LiveReader(profile, untouched.astype(np.float32), sigma_every=1)
+        recording = Recording.of(self.source, self.camera, self.fps)
+        found = UntouchedFrame.of(profile, [self.source], self.background, camera=self.camera)
+        profile = found.profile
+        untouched = profile.untouched(found.image, found.name).astype(np.float32)
+        reader = LiveReader(profile, untouched, sigma_every=1)
         recipe = {
             "version": __version__,
             "profile": self.profile if own is None else file_sha256(own / "profile.toml"),
             "source": [str(self.source), recording.camera, recording.names],
-            "background": None if self.background is None else file_sha256(self.background),
+            "background": hashlib.sha256(untouched.tobytes()).hexdigest(),
             "fps": self.fps,
         }
         console = notes()
@@ -75,7 +74,7 @@ class Read:
             if done % 50 == 0 or done == total:
                 console.print(f"{task}: {done} of {total}")
 
-        rows = read_recorded(recording, reader, self.out, recipe, bar, self.fps)
+        rows = read_recorded(recording, reader, self.out, recipe, bar)
         if self.json:
             print_json({"out": str(self.out), "frames": rows})
             return
@@ -85,4 +84,9 @@ class Read:
         said = f"{len(rows)} frames, {refused} refused"
         said += f", up to {max(depths):.3f} mm" if depths else ""
         said += f" and {max(forces):.3g} N" if forces else ""
+        if any(row["time_s"] is not None for row in rows):
+            said += f"; times: {recording.times_from}"
+        for remark, count in remarks_of(rows):
+            of = "" if count == len(rows) - refused else f" ({count} frames)"
+            results().print(f"  {remark}{of}", soft_wrap=True)
         results().print(f"{said}\nwrote {self.out}", soft_wrap=True)

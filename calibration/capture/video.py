@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Videos of the gel: a file that OpenCV decodes, or numbered images."""
+"""Videos of the gel: a file that PyAV decodes, or numbered images."""
 
 from __future__ import annotations
 

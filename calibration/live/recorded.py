@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded sequence read frame by frame: a table, and curves over the frames.
+"""A recorded sequence read frame by frame: a table, and curves over time.
 
 Rows are kept beside the output as they are read, so that the same call goes on after a kill.
 """
@@ -7,6 +7,8 @@ Rows are kept beside the output as they are read, so that the same call goes on 
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +19,7 @@ from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id, write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, LIGHT, in_report_style, new_figure, save_figure
 
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 COLUMNS: tuple[str, ...] = (
     "frame",
     "name",
+    "time_s",
     "depth_mm",
     "depth_sigma_mm",
     "contact_mm2",
@@ -39,8 +43,13 @@ COLUMNS: tuple[str, ...] = (
     "marker_mean_mm",
     "marker_largest_mm",
     "refused",
+    "remarks",
 )
-"""Of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval."""
+"""Of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval, times
+since the first frame (of its episode, in a data set of several), remarks those of ``depth``."""
+TEXTS = ("name", "refused", "remarks")
+EPISODE_S = 1e7
+"""Longer than any episode [s]."""
 CURVES = (
     ("depth [mm]", "depth_mm", "depth_low_mm", "depth_high_mm"),
     ("contact [mm2]", "contact_mm2", "", ""),
@@ -55,18 +64,16 @@ def read_recorded(
     out: Path,
     recipe: dict[str, Any],
     progress: Progress = silent,
-    fps: float | None = None,
 ) -> list[dict[str, Any]]:
     """Write ``readings.csv``, ``readings.json`` and ``readings.png`` into ``out``; returns rows.
 
     Args:
-        recording: The frames.
+        recording: The frames. Where their times are known, the force of a gel that relaxes follows
+            from frame to frame; otherwise each frame is read by itself.
         reader: Of the profile and the untouched gel.
         out: Folder that appears whole at the end. Until then rows are kept in a hidden file beside.
         recipe: What the rows depend on; rows that were kept by another recipe are read again.
         progress: Told after each frame.
-        fps: Frames a second, which the force of a gel that relaxes depends on; None where that is
-            not known: each frame is then read by itself.
 
     Raises:
         InputError: No frame can be read.
@@ -80,15 +87,15 @@ def read_recorded(
     with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
         if not before:
             kept.write(json.dumps({"key": key}) + "\n")
-        for number, (name, image) in enumerate(recording.frames()):
-            time_s = None if fps is None else number / fps
+        for number, frame in enumerate(recording.frames()):
             if number < before:
-                if time_s is not None and reader.relaxes:
-                    _row(reader, image, name, time_s)  # Its force hangs on the frames before.
-                elif reader.tracker is not None and isinstance(image, np.ndarray):
-                    reader.tracker.advance(image)  # Markers are followed from frame to frame.
+                if reader.relaxes and frame.time_s is not None:
+                    _row(reader, frame)  # Its force hangs on the frames before.
+                elif reader.tracker is not None and isinstance(frame.image, np.ndarray):
+                    reader.tracker.advance(frame.image)  # Markers are followed, frame by frame.
                 continue
-            row = {"frame": number, "name": name, **_row(reader, image, name, time_s)}
+            row = {"frame": number, "name": frame.name, "time_s": frame.time_s}
+            row |= _row(reader, frame)
             rows.append(row)
             kept.write(json.dumps(row) + "\n")
             kept.flush()
@@ -100,7 +107,12 @@ def read_recorded(
         (folder / "readings.csv").write_text(_table(rows), encoding="utf-8")
         write_json(
             folder / "readings.json",
-            {"source": str(recording.source), "camera": recording.camera, "frames": rows},
+            {
+                "source": str(recording.source),
+                "camera": recording.camera,
+                "times_from": recording.times_from,
+                "frames": rows,
+            },
         )
         save_figure(draw_recorded(rows), folder / "readings.png")
     kept_path.unlink()
@@ -111,6 +123,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
     """Comma-separated values; texts are quoted, what is not known is empty (RFC 4180)."""
 
     def cell(value: Any) -> str:
+        if isinstance(value, list):
+            value = "; ".join(value)
         if isinstance(value, str) and value:
             return '"' + value.replace('"', '""') + '"'
         return "" if value is None else f"{value}"
@@ -140,24 +154,30 @@ def _kept(path: Path, key: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(
-    reader: LiveReader, image: np.ndarray | InputError, name: str, time_s: float | None
-) -> dict[str, Any]:
+def _row(reader: LiveReader, frame: RecordedFrame) -> dict[str, Any]:
+    image = frame.image
     if isinstance(image, InputError):
         return {"refused": str(image)}
     if image.shape != reader.background.shape:
         height, width = reader.background.shape[:2]
         return {
-            "refused": f"frame {name} is {image.shape[1]}x{image.shape[0]} px; the profile's "
+            "refused": f"frame {frame.name} is {image.shape[1]}x{image.shape[0]} px; the profile's "
             f"camera has {width}x{height} px"
         }
+    time_s = frame.time_s
+    if time_s is not None:
+        # Earlier than all frames of the episode before: what is followed begins anew.
+        time_s -= EPISODE_S * frame.episode
     return figures_of(reader.read(image, time_s), reader)
 
 
 def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
     """The row of a reading, as of ``COLUMNS``."""
-    row: dict[str, Any] = {"refused": reading.refused}
     found = reading.figures
+    said = [*found.get("warnings", ()), *found.get("force_remarks", ())]
+    if reader.no_pressure:
+        said.append(reader.no_pressure)
+    row: dict[str, Any] = {"refused": reading.refused, "remarks": said}
     if found and not reading.refused:
         row |= {"depth_mm": found["max_depth_mm"], "depth_sigma_mm": found["max_depth_sigma_mm"]}
     if reading.press is not None:
@@ -187,24 +207,41 @@ def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
     return row
 
 
+def remarks_of(rows: list[dict[str, Any]]) -> list[tuple[str, int]]:
+    """What readings say of themselves, and of how many frames. Remarks that differ in their numbers
+    alone are one, told as of the first frame."""
+    first: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    for row in rows:
+        for remark in row.get("remarks", ()):
+            kind = re.sub(r"[0-9]+([.][0-9]+)?", "#", remark)
+            first.setdefault(kind, remark)
+            counts[kind] += 1
+    return [(first[kind], count) for kind, count in counts.items()]
+
+
 @in_report_style
 def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
-    """Depth, contact, force and markers over the frames, those that were read."""
+    """Depth, contact, force and markers of the frames that were read, over time where that of all
+    is known and goes on, otherwise over their numbers."""
 
     def column(name: str) -> np.ndarray:
         return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
 
-    known = {name: column(name) for name in COLUMNS if name not in ("name", "refused")}
+    known = {name: column(name) for name in COLUMNS if name not in TEXTS}
     sigma = 2 * known["depth_sigma_mm"]
     known["depth_low_mm"] = known["depth_mm"] - sigma
     known["depth_high_mm"] = known["depth_mm"] + sigma
+    over, label_x = known["frame"], "frame"
+    if (np.diff(known["time_s"], prepend=-1.0) > 0).all():
+        over, label_x = known["time_s"], "time [s]"
     shown = [curve for curve in CURVES if np.isfinite(known[curve[1]]).any()] or [CURVES[0]]
     figure, axes = new_figure(8.0, 1.2 + 1.6 * len(shown), len(shown), 1)
     for ax, (label, name, low, high) in zip(np.atleast_1d(axes), shown, strict=True):
-        ax.plot(known["frame"], known[name], color=BLUE, marker=".", lw=1.0)
+        ax.plot(over, known[name], color=BLUE, marker=".", lw=1.0)
         if low:
-            ax.fill_between(known["frame"], known[low], known[high], color=BLUE, alpha=0.2, lw=0)
+            ax.fill_between(over, known[low], known[high], color=BLUE, alpha=0.2, lw=0)
         ax.axhline(0, color=LIGHT, lw=0.8)
         ax.set_ylabel(label)
-    np.atleast_1d(axes)[-1].set_xlabel("frame")
+    np.atleast_1d(axes)[-1].set_xlabel(label_x)
     return figure

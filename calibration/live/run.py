@@ -22,7 +22,7 @@ from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.record.camera_faults import FrozenWatch, flicker_words
-from taccel_lab.calibration.record.trigger import Trigger
+from taccel_lab.calibration.record.trigger import GAP_S, REST_FRAMES, REST_S, Trigger
 from taccel_lab.errors import InputError
 
 
@@ -57,7 +57,7 @@ class LiveResult:
     """What is wrong with the profile, or with the untouched gel that was measured, one sentence
     each."""
     unseen: str = ""
-    """Why it could not be measured, in a sentence; empty where it was, or only not yet."""
+    """What it waits for while it could not be measured, in a sentence; empty where it was."""
 
 
 def run_together(sessions: Sequence[Generator[LiveResult, None, None]]) -> list[LiveResult]:
@@ -135,7 +135,7 @@ def live_session(
             hangs = frozen.see(shot)
             if result.reader is None:
                 found = untouched.add(shot)
-                result.unseen = untouched.unseen
+                result.unseen = "" if found is not None else untouched.unseen or WAITS
                 if found is not None:
                     result.reader = make_reader(found)
                     result.remarks = _remarks(result.reader, untouched)
@@ -182,6 +182,10 @@ def _require_size(image: np.ndarray, background: np.ndarray) -> None:
 
 
 TOUCH_NOTHING = "Touch nothing: the untouched gel is being measured."
+WAITS = (
+    f"It waited for the untouched gel: {REST_S:g} s ({REST_FRAMES} frames and more, no two of them "
+    f"{GAP_S:g} s apart) in which nothing moves"
+)
 MOST_AGE_S = 5.0
 """A frame is not older: its time is of another clock, as a replay's that is not paced."""
 

@@ -29,7 +29,8 @@ class PressOptions:
     """Image of a real press, in place of depth and place: the calibrated sensor reads both from it
     and presses the indenter there. like.png shows photo, simulation and difference."""
     untouched: Path | None = None
-    """Image of the untouched sensor for --like, if newer than the profile's."""
+    """Image of the untouched sensor for --like, if newer than the profile's. With a starter profile
+    it is looked for beside the photo."""
     indenter: str = "sphere:2.0"
     """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
     grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and

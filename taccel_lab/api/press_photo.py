@@ -49,14 +49,17 @@ class PressPhoto:
         Args:
             profile: With colours, to simulate them, and with normals or depths, to read them.
             path: The image.
-            background: Image of the untouched sensor in place of the profile's.
+            background: Image of the untouched sensor in place of the profile's; with a starter
+                profile it is looked for beside the image.
 
         Raises:
-            InputError: A profile without these blocks, an image of another sensor, no contact.
+            InputError: A profile without these blocks, an image of another sensor, no contact, a
+                starter profile without an untouched image.
         """
         from scipy import ndimage
 
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
+        from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.files.images import read_image
 
         if profile.color is None or profile.background_rgb is None:
@@ -65,8 +68,10 @@ class PressPhoto:
                 "no colours; calibrate them first"
             )
         image = read_image(path)
-        untouched = None if background is None else read_image(background)
-        reader = SurfaceReader(profile, background=untouched, background_name=str(background))
+        untouched = UntouchedFrame.of(profile, [path], background, option="--untouched")
+        reader = SurfaceReader(
+            untouched.profile, background=untouched.image, background_name=untouched.name
+        )
         found = reader.read(image, str(path))
         figures = found.figures(reader.grid)
         if not found.touch.any:

@@ -31,25 +31,34 @@ def read(
     Args:
         sensor: A profile with normals or depths, its folder, or a calibration.
         image: RGB levels, uint8, [height_px, width_px, 3], or an image file.
-        background: The untouched sensor where it is newer than the profile's own.
+        background: The untouched sensor where it is newer than the profile's own. With a starter
+            profile it is looked for beside an image file.
         mask: Pixels that count, bool, [height_px, width_px].
         method: ``normals`` or ``depth``; ``auto`` takes normals where the profile has both.
 
     Raises:
-        InputError: A profile without such a block, an image of another size or sensor.
+        InputError: A profile without such a block, an image of another size or sensor, a starter
+            profile without an untouched image.
     """
     from taccel_lab.calibration.normals.read_surface import SurfaceReader
     from taccel_lab.calibration.pressure.touch import TouchReader
+    from taccel_lab.calibration.untouched_frame import UntouchedFrame
 
     start_warp()
     pixels, name = _pixels(image, "image")
-    untouched, background_name = None, "the background"
-    if background is not None:
-        untouched, background_name = _pixels(background, "the background")
-    reader = SurfaceReader(
+    given = Path(background) if isinstance(background, str) else background
+    if isinstance(given, np.ndarray):
+        given, _ = _pixels(given, "the background")
+    untouched = UntouchedFrame.of(
         reading_profile_of(sensor),
-        background=untouched,
-        background_name=background_name,
+        [Path(image)] if isinstance(image, (Path, str)) else [],
+        given,
+        option="background=",
+    )
+    reader = SurfaceReader(
+        untouched.profile,
+        background=untouched.image,
+        background_name=untouched.name,
         mask=mask,
         method=method,
     )

@@ -38,14 +38,11 @@ KEPT_BYTES = 16 << 20
 """Of the place for arrays, when a reader waits; larger ones are given back."""
 MAX_IMAGE_PIXELS = 1 << 26
 """Of an image; cameras have up to 61 million."""
-CAPTURE_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 ENVIRONMENT = {
     # Of 64 cores the stacks of the threads of two libraries take half of the memory.
     **dict.fromkeys(THREAD_LIMITS, "1"),
     # OpenCV compares it with an image's header before it decodes.
     "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
-    # Of what FFmpeg reads, playlists would name other files, and addresses.
-    CAPTURE_OPTIONS: ("protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"),
 }
 """Variables that readers start with."""
 

@@ -21,6 +21,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart, stream_apart
 from taccel_lab.files.images import decoded_bgr
+from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.files.videos import MAX_FRAME_PIXELS, MAX_FRAMES
 
@@ -51,10 +52,11 @@ def hdf5_cameras(path: Path) -> dict[str, int]:
     return read_apart(str(path), _cameras, Path(path), by="h5py")
 
 
-def hdf5_frames(path: Path, name: str) -> Iterator[np.ndarray | InputError]:
-    """Frames of one of :func:`hdf5_cameras`, RGB uint8, shape [height, width, 3], or why one
-    cannot be decoded."""
-    return stream_apart(str(path), _frames, Path(path), name, by="h5py")
+def hdf5_frames(path: Path, name: str) -> Iterator[RecordedFrame]:
+    """Frames of one of :func:`hdf5_cameras`; the files say no times."""
+    images = stream_apart(str(path), _frames, Path(path), name, by="h5py")
+    for number, image in enumerate(images):
+        yield RecordedFrame(f"{number}", image)
 
 
 def _cameras(path: Path) -> dict[str, int]:

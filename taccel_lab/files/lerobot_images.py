@@ -7,12 +7,13 @@ Version 2 has a file an episode, ``data/chunk-*/episode_*.parquet`` and
 ``data/chunk-*/file-*.parquet`` and ``videos/CAMERA/chunk-*/file-*.mp4``, and
 ``meta/episodes`` says from when to when each lies. Images of the type ``image`` are encoded in the
 Parquet files of both. Only files under these names are read, whatever ``meta/info.json`` calls
-them.
+them. Times are those of the column ``timestamp``, from the beginning of each episode: its writer
+gives multiples of the frame rate, others what their clock said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
@@ -26,6 +27,7 @@ from taccel_lab.files.apart import read_apart, stream_apart
 from taccel_lab.files.images import MAX_FILE_BYTES, decoded_bgr
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.json_file import read_json
+from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.regular_file import LARGEST_BYTES, read_regular_file, require_regular_file
 from taccel_lab.files.videos import MAX_FRAMES, read_frames
 
@@ -35,9 +37,7 @@ if TYPE_CHECKING:
 INFO = "meta/info.json"
 ROWS = 16
 """Rows of a Parquet file that are held at a time: each may have an image."""
-
-Frame = tuple[str, np.ndarray | InputError]
-"""Name and levels, RGB uint8, shape [height, width, 3], or why they cannot be read."""
+TIME = "timestamp"
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def lerobot_cameras(folder: Path) -> dict[str, int]:
     return dict.fromkeys(_kinds(info), int(info["total_frames"]))
 
 
-def lerobot_frames(folder: Path, name: str) -> Iterator[Frame]:
+def lerobot_frames(folder: Path, name: str) -> Iterator[RecordedFrame]:
     """Frames of one of :func:`lerobot_cameras`; InputError for a file that is not there."""
     info = _info(folder)
     if _kinds(info)[name] == "image":
@@ -117,21 +117,24 @@ def _files(folder: Path, pattern: str) -> list[Path]:
     return [inner_path(folder, name) for name in sorted(found)]
 
 
-def _images(folder: Path, name: str) -> Iterator[Frame]:
+def _images(folder: Path, name: str) -> Iterator[RecordedFrame]:
     for path in _files(folder, "data/chunk-*/*.parquet"):
         yield from stream_apart(str(path), _stored, folder, path, name, by="pyarrow")
 
 
-def _stored(folder: Path, path: Path, name: str) -> Iterator[Frame]:
+def _stored(folder: Path, path: Path, name: str) -> Iterator[RecordedFrame]:
     columns = ["episode_index", "frame_index", name]
     with _parquet(path, columns) as file:
-        for batch in file.iter_batches(batch_size=ROWS, columns=columns):
+        timed = [*columns, TIME] if _is_timed(file) else columns
+        for batch in file.iter_batches(batch_size=ROWS, columns=timed):
             for row in batch.to_pylist():
-                place, content = _frame_name(row["episode_index"], row["frame_index"]), row[name]
+                episode = row["episode_index"]
+                place, time_s = _frame_name(episode, row["frame_index"]), row.get(TIME)
                 try:
-                    yield place, _decoded(folder, content, f"{path}: {place}")
+                    image = _decoded(folder, row[name], f"{path}: {place}")
                 except InputError as error:
-                    yield place, error
+                    image = error
+                yield RecordedFrame(place, image, time_s, episode)
 
 
 def _decoded(folder: Path, content: Any, place: str) -> np.ndarray:
@@ -144,41 +147,89 @@ def _decoded(folder: Path, content: Any, place: str) -> np.ndarray:
     return np.ascontiguousarray(decoded_bgr(data, place)[..., ::-1])
 
 
-def _videos_of_episodes(folder: Path, name: str) -> Iterator[Frame]:
-    for path in _files(folder, f"videos/chunk-*/{_literal(name)}/episode_*.mp4"):
+def _videos_of_episodes(folder: Path, name: str) -> Iterator[RecordedFrame]:
+    paths = _files(folder, f"videos/chunk-*/{_literal(name)}/episode_*.mp4")
+    for episode, path in enumerate(paths):
         number = path.stem.removeprefix("episode_").lstrip("0") or "0"
+        table = f"data/{_literal(path.parent.parent.name)}/{_literal(path.stem)}.parquet"
+        times = next(iter(_times(folder, table).values()), ())
         try:
             for index, image in enumerate(read_frames(path)):
-                yield _frame_name(number, index), image
+                yield RecordedFrame(_frame_name(number, index), image, _nth(times, index), episode)
         except InputError as error:
-            yield f"episode {number}", error
+            yield RecordedFrame(f"episode {number}", error, None, episode)
 
 
-def _shared_videos(folder: Path, name: str, fps: float) -> Iterator[Frame]:
+def _shared_videos(folder: Path, name: str, fps: float) -> Iterator[RecordedFrame]:
     episodes = [
         episode
         for path in _files(folder, "meta/episodes/chunk-*/*.parquet")
         for episode in read_apart(str(path), _episodes, path, name, by="pyarrow")
     ]
     episodes.sort(key=lambda episode: (episode.file, episode.start_s))
+    times = _times(folder, "data/chunk-*/*.parquet")
     for file, group in groupby(episodes, key=lambda episode: episode.file):
         frames = enumerate(read_frames(inner_path(folder, file)))
         for episode in group:
             first, done = round(episode.start_s * fps), 0
+            own, number = times.get(episode.number, ()), episode.number
             why = "the video ends before it"
             try:
                 while done < episode.length:
                     index, image = next(frames)
                     if index >= first:
-                        yield _frame_name(episode.number, done), image
+                        place = _frame_name(number, done)
+                        yield RecordedFrame(place, image, _nth(own, done), number)
                         done += 1
             except StopIteration:
                 pass
             except InputError as error:
                 why = str(error)
             for index in range(done, episode.length):
-                place = _frame_name(episode.number, index)
-                yield place, InputError(f"{folder / file}: {place}: {why}")
+                place = _frame_name(number, index)
+                error = InputError(f"{folder / file}: {place}: {why}")
+                yield RecordedFrame(place, error, _nth(own, index), number)
+
+
+def _times(folder: Path, pattern: str) -> dict[int, np.ndarray]:
+    """Times of the frames of each episode [s] in the tables of a name; none where a table states
+    none, or is not there."""
+    found: dict[int, np.ndarray] = {}
+    for name in sorted(path.relative_to(folder).as_posix() for path in folder.glob(pattern)):
+        path = inner_path(folder, name)
+        found |= read_apart(str(path), _timestamps, path, by="pyarrow")
+    return found
+
+
+def _timestamps(path: Path) -> dict[int, np.ndarray]:
+    columns = ["episode_index", "frame_index"]
+    with _parquet(path, columns) as file:
+        if not _is_timed(file):
+            return {}
+        table = file.read(columns=[*columns, TIME])
+        episodes, frames, times = (table[name].to_numpy() for name in (*columns, TIME))
+    found = {}
+    for episode in np.unique(episodes):
+        own = np.flatnonzero(episodes == episode)
+        # Its frames one after another: otherwise nobody knows which time is whose.
+        if (frames[own] == np.arange(len(own))).all():
+            found[int(episode)] = times[own].astype(float)
+    return found
+
+
+def _is_timed(file: ParquetFile) -> bool:
+    """Whether a table has times that are numbers."""
+    import pyarrow as pa
+
+    schema = file.schema_arrow
+    if TIME not in schema.names:
+        return False
+    kind = schema.field(TIME).type
+    return pa.types.is_floating(kind) or pa.types.is_integer(kind)
+
+
+def _nth(times: Sequence[float] | np.ndarray, index: int) -> float | None:
+    return float(times[index]) if index < len(times) else None
 
 
 def _episodes(path: Path, name: str) -> list[_Episode]:

@@ -1,150 +1,184 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Video files, decoded frame by frame by OpenCV's FFmpeg in the readers' process.
+"""Video files, decoded frame by frame by PyAV's FFmpeg in the readers' process.
 
-OpenCV's wheels decode no AV1, in which LeRobot's data sets are coded: PyAV does that. Pixels are as
-the file stores them, as those of images are: how a player would turn them is not followed.
+A frame's time is its presentation time in the file: recordings of variable frame rate keep their
+pauses. Pixels are as the file stores them, as those of images are: how a player would turn them is
+not followed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.apart import CAPTURE_OPTIONS, ENVIRONMENT, stream_apart
+from taccel_lab.files.apart import stream_apart
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 
 if TYPE_CHECKING:
-    import cv2
-    from av import VideoFrame
+    from av import Packet, VideoFrame, VideoStream
+    from av.container import InputContainer
 
 MAX_FRAME_PIXELS = 1 << 25
 """Of a frame; 8K has 33.2 million."""
 MAX_FRAMES = 1 << 17
 """Of a video: more than an hour at 30 frames a second."""
 ALLOWED = "AVI, MP4, MOV, MKV or WebM"
+_OPTIONS = {
+    # Of what FFmpeg reads, playlists would name other files, and addresses.
+    "protocol_whitelist": "file",
+    "format_whitelist": "avi,mov,mp4,matroska,webm",
+}
+_MOST_STATED = 1 << 31
+"""Frames that a header may state; more are none of a video."""
 _TOLD_FRAMES = 50
 _SILENT_S = 20.0
 """Without a frame. Decoders search a damaged file to its end, gigabytes of it for minutes."""
 
+TimedImage = tuple[float | None, np.ndarray]
+"""Presentation time [s], None where the file has none, and levels, RGB uint8, shape
+[height, width, 3]."""
 
-def read_frames(path: Path) -> Iterator[np.ndarray]:
-    """Frames of a video one after another, RGB uint8, each of shape [height, width, 3].
+
+def read_timed_frames(path: Path) -> Iterator[TimedImage]:
+    """Frames of a video one after another, with their times on the file's clock.
 
     Raises InputError with the path when fewer than two decode, and when frames are of several
     sizes, of more than ``MAX_FRAME_PIXELS``, or more than ``MAX_FRAMES``.
     """
-    return stream_apart(str(path), _frames, Path(path), by="cv2", limit_s=_SILENT_S)
+    return stream_apart(str(path), _frames, Path(path), by="av", limit_s=_SILENT_S)
+
+
+def read_frames(path: Path) -> Iterator[np.ndarray]:
+    """Levels of ``read_timed_frames`` alone; errors likewise."""
+    for _, image in read_timed_frames(path):
+        yield image
 
 
 def count_frames(path: Path) -> tuple[int, int]:
-    """How many frames of a video decode, and how many it says it has; errors as above."""
-    *_, counted = stream_apart(str(path), _counts, Path(path), by="cv2", limit_s=_SILENT_S)
+    """How many frames of a video decode, and how many it says it has; errors as above.
+
+    Containers that state a duration only (MKV, WebM) are taken to state as many frames as fill it
+    at the mean rate of those that decode.
+    """
+    *_, counted = stream_apart(str(path), _counts, Path(path), by="av", limit_s=_SILENT_S)
     return counted
 
 
-def _frames(path: Path) -> Iterator[np.ndarray]:
-    import cv2
-
-    first, count = (), 0
+def _frames(path: Path) -> Iterator[TimedImage]:
+    first = None
     for frame in _decoded(path):
-        count += 1
-        _require_few(path, count)
-        first = first or frame.shape
-        if frame.shape != first:
+        size = frame.width, frame.height
+        first = first or size
+        if size != first:
             raise InputError(
-                f"{path} has frames of {first[1]}x{first[0]} and {frame.shape[1]}x"
-                f"{frame.shape[0]} px; all have to be of one size"
+                f"{path} has frames of {first[0]}x{first[1]} and {size[0]}x{size[1]} px; all have "
+                "to be of one size"
             )
-        yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-    _require_two(path, count)
-
-
-def _decoded(path: Path) -> Iterator[np.ndarray]:
-    """Frames, BGR."""
-    capture = _opened(path)
-    if _is_av1(capture):
-        yield from (frame.to_ndarray(format="bgr24") for frame in _av1(path))
-        return
-    while True:
-        read, frame = capture.read()
-        if not read:
-            return
-        yield frame
-
-
-def _is_av1(capture: cv2.VideoCapture) -> bool:
-    import cv2
-
-    code = int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
-    return code.to_bytes(4, "little").upper() == b"AV01"
-
-
-def _av1(path: Path) -> Iterator[VideoFrame]:
-    try:
-        import av
-        from av.error import FFmpegError
-    except ImportError:
-        raise InputError(
-            f"{path} is coded in AV1, which needs PyAV: pip install 'taccel-lab[datasets]'"
-        ) from None
-    # Options as OpenCV gets them from the environment.
-    options = dict(pair.split(";") for pair in ENVIRONMENT[CAPTURE_OPTIONS].split("|", 1))
-    try:
-        with av.open(str(path.absolute()), options=options) as container:
-            yield from container.decode(video=0)
-    except FFmpegError:
-        return  # As OpenCV does: what was decoded so far counts.
+        yield _time_s(frame), np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
 
 
 def _counts(path: Path) -> Iterator[tuple[int, int]]:
     """The count so far now and then: to count a long video may take long."""
-    import cv2
+    import av
 
-    capture, count = _opened(path), 0
-    stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    stated = int(stated) if 0 < stated < 2**31 else 0
+    with _opened(path) as (container, stream):
+        stated, duration_s = stream.frames, (container.duration or 0) / av.time_base
+    count, first_s, last_s = 0, None, 0.0
     # Each decodes, but makes no picture.
-    decoded = _av1(path) if _is_av1(capture) else iter(capture.grab, False)
-    for _ in decoded:
+    for frame in _decoded(path):
         count += 1
-        _require_few(path, count)
+        time_s = _time_s(frame)
+        if time_s is not None:
+            first_s, last_s = time_s if first_s is None else first_s, time_s
         if count % _TOLD_FRAMES == 0:
             yield count, stated
-    _require_two(path, count)
-    yield count, stated
+    if not stated and first_s is not None and last_s > first_s:
+        stated = round(duration_s * (count - 1) / (last_s - first_s))
+    yield count, stated if 0 < stated < _MOST_STATED else 0
 
 
-def _opened(path: Path) -> cv2.VideoCapture:
-    import cv2
+def _decoded(path: Path) -> Iterator[VideoFrame]:
+    """All frames that decode: what is damaged in between is left out.
 
-    cv2.setNumThreads(1)  # Each takes address space, which counts as memory.
+    Raises InputError for fewer than two, too many, and too large ones.
+    """
+    from av.error import FFmpegError
+
+    count = 0
+    with _opened(path) as (container, stream):
+        for packet in _packets(container, stream):
+            try:
+                frames = stream.decode(packet)
+            except FFmpegError:
+                continue
+            for frame in frames:
+                count += 1
+                if count > MAX_FRAMES:
+                    raise InputError(
+                        f"{path} has more than {MAX_FRAMES} frames, the most for a video"
+                    )
+                _require_small(path, frame.width, frame.height)
+                yield frame
+    if count < 2:
+        raise _no_video(path, count)
+
+
+def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]:
+    """Packets up to the end or to where the file is damaged; the last one is empty, which makes
+    the decoder give what it holds back."""
+    from av import Packet
+    from av.error import FFmpegError
+
+    try:
+        yield from container.demux(stream)
+    except FFmpegError:  # What was read before counts.
+        last = Packet()
+        last.stream, last.time_base = stream, stream.time_base or last.time_base
+        yield last
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """The file and its first stream of pictures; InputError for what is no video."""
+    import av
+    from av.error import FFmpegError
+
     path = require_regular_file(path, LARGEST_BYTES, "a video")
-    # FFmpeg takes some names for addresses, never those that begin with a slash.
-    capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
-    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-    width, height = (
-        capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    try:
+        # FFmpeg takes some names for addresses, never those that begin with a slash.
+        container = av.open(str(path.absolute()), options=dict(_OPTIONS), metadata_errors="replace")
+    except FFmpegError:
+        raise _no_video(path, 0) from None
+    with container:
+        stream = next(iter(container.streams.video), None)
+        if stream is None or not stream.codec_context:  # None to decode what it is coded in.
+            raise _no_video(path, 0)
+        stream.codec_context.thread_count = 1  # Each takes address space, which counts as memory.
+        _require_small(path, stream.codec_context.width, stream.codec_context.height)
+        yield container, stream
+
+
+def _time_s(frame: VideoFrame) -> float | None:
+    time_s = frame.time
+    return time_s if time_s is not None and math.isfinite(time_s) else None
+
+
+def _no_video(path: Path, count: int) -> InputError:
+    return InputError(
+        f"{path} does not decode as a video ({count} frames read); {ALLOWED} is allowed, or give "
+        "the frames as images"
     )
+
+
+def _require_small(path: Path, width: int, height: int) -> None:
     if width * height > MAX_FRAME_PIXELS:
         raise InputError(
-            f"{path} has frames of {width:.0f} x {height:.0f} px; "
-            f"{MAX_FRAME_PIXELS / 1e6:.0f} megapixels are allowed"
+            f"{path} has frames of {width} x {height} px; {MAX_FRAME_PIXELS / 1e6:.0f} megapixels "
+            "are allowed"
         )
-    return capture
-
-
-def _require_two(path: Path, count: int) -> None:
-    if count < 2:
-        raise InputError(
-            f"{path} does not decode as a video ({count} frames read); {ALLOWED} is allowed, or "
-            "give the frames as images"
-        )
-
-
-def _require_few(path: Path, count: int) -> None:
-    if count > MAX_FRAMES:
-        raise InputError(f"{path} has more than {MAX_FRAMES} frames, the most for a video")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -254,6 +255,8 @@ def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert press.image is not None
     path = tmp_path_factory.mktemp("photo") / "photo.png"
     write_rgb(path, press.image)
+    assert unit.background_rgb is not None
+    write_rgb(path.parent / "background.png", unit.background_rgb)
     return path
 
 
@@ -266,6 +269,7 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path
     assert like["psnr_db"] > like["untouched_psnr_db"] + 8
     assert like["mean_error_levels"] < 0.5 * like["untouched_error_levels"]
     assert "photo" in dict(press.summary()[1])
+    assert any("background.png, by its name" in text for text in like["warnings"])
     press.save(tmp_path / "out")
     assert (tmp_path / "out" / "like.png").stat().st_size > 10_000
     written = json.loads((tmp_path / "out" / "press.json").read_text())
@@ -301,5 +305,10 @@ def test_what_shows_no_press_is_refused(
     assert "background of --like" in refusal(
         capsys, *press, "--depth-mm", 0.5, "--untouched", photo
     )
+    alone = tmp_path / "alone" / "photo.png"
+    alone.parent.mkdir()
+    shutil.copy(photo, alone)
+    assert "is of another unit" in (said := refusal(capsys, *press, "--like", alone))
+    assert said.endswith("give an image of your untouched sensor: --untouched")
     assert "no colours" in refusal(capsys, "press", "flat_pad", "--out", out, "--like", photo)
     assert not out.exists()

@@ -208,6 +208,20 @@ def test_frames_are_those_that_opencv_decodes(name: str, code: str, tmp_path: Pa
     assert count_frames(path) == (120, 120)
 
 
+def test_a_damaged_frame_is_left_out_and_an_end_cut_off_is_counted(tmp_path: Path) -> None:
+    path = write(tmp_path / "v.avi", "MJPG", 20)
+    whole, data = list(read_frames(path)), bytearray(path.read_bytes())
+    at = [place for place in range(len(data)) if data[place : place + 3] == b"\xff\xd8\xff"]
+    assert len(at) == 20
+    data[at[5] : at[6] - 8] = bytes(at[6] - 8 - at[5])
+    path.write_bytes(data)
+    for frame, wanted in zip(read_frames(path), whole[:5] + whole[6:], strict=True):
+        np.testing.assert_array_equal(frame, wanted)
+    assert count_frames(path) == (19, 20)
+    path.write_bytes(data[: at[12]])
+    assert count_frames(path) == (11, 20) and len(list(read_frames(path))) == 11
+
+
 @pytest.mark.parametrize("turn", [(0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)])
 def test_frames_are_as_stored_whatever_a_player_is_asked_to_turn(
     turn: tuple[int, ...], tmp_path: Path

@@ -208,7 +208,7 @@ def _recorded(source: str, name: str | None) -> Callable[[Path, Path], None]:
     def call(given: Path, out: Path) -> None:
         from taccel_lab.calibration.capture.camera.recording import Recording
 
-        frames = [image for _, image in Recording.of(given / source, name).frames()]
+        frames = [frame.image for frame in Recording.of(given / source, name).frames()]
         refused = [image for image in frames if isinstance(image, InputError)]
         if refused and len(refused) == len(frames):
             raise refused[0]

@@ -61,7 +61,7 @@ def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     profile = tl.load_sensor(name)
     assert profile.background_rgb is not None
     untouched = profile.background_rgb
-    nothing = tl.read(name, untouched)
+    nothing = tl.read(name, untouched, background=untouched)
     assert np.abs(nothing.rise_m).max() < 0.1e-3
     assert NOT_YOUR_UNIT in repr(nothing)
     assert nothing.figures(profile.grid())["warnings"][0] == NOT_YOUR_UNIT

@@ -28,11 +28,20 @@ def open_camera(
         InputError: There is none.
         CameraLostError: It does not open.
     """
-    path = Path(wanted)
-    if not wanted.startswith("/dev/"):
-        if path.exists():
-            return open_replay(path, replay)
-        for folder in path.parents:
-            if is_hdf5(folder) or is_lerobot(folder):
-                return open_replay(folder, replay, path.relative_to(folder).as_posix())
+    files = replayed_files(wanted)
+    if files is not None:
+        return open_replay(files[0], replay, files[1])
     return UvcCamera(find_device(wanted), size_px)
+
+
+def replayed_files(wanted: str) -> tuple[Path, str | None] | None:
+    """The path that ``wanted`` names, and which camera of it; None for a device."""
+    path = Path(wanted)
+    if wanted.startswith("/dev/"):
+        return None
+    if path.exists():
+        return path, None
+    for folder in path.parents:
+        if is_hdf5(folder) or is_lerobot(folder):
+            return folder, path.relative_to(folder).as_posix()
+    return None

@@ -4,20 +4,21 @@ replay files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
+from taccel_lab.calibration.capture.camera.name_stamps import name_stamps
 from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, is_video
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
-from taccel_lab.files.videos import count_frames, read_frames
+from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import count_frames, read_timed_frames
 
 HELD_BY = (
     f"a video ({', '.join(VIDEOS)}), an image ({', '.join(IMAGES)}), a folder of images, an HDF5 "
@@ -25,59 +26,99 @@ HELD_BY = (
 )
 """What a recording may be."""
 
-Frame = tuple[str, np.ndarray | InputError]
-"""Name and levels, RGB uint8, shape [height_px, width_px, 3], or why they cannot be read."""
-
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames of one camera, in order."""
+    """Frames of one camera, in order, with their times where the source has any."""
 
     source: Path
     camera: str
     """Which one, where the source has names for them."""
     count: Callable[[], int]
     """How many there are, as far as the source says; counts those of a video."""
-    frames: Callable[[], Iterator[Frame]]
+    raw: Callable[[], Iterator[RecordedFrame]]
+    """Frames with the source's own clock."""
+    times_of: str = ""
+    """What tells their times, where anything does: a video's file, a data set, the names."""
     names: tuple[str, ...] = ()
     """File names of images; of other sources, the file says what there is."""
+    fps: float | None = None
+    """Frames a second that a person stated: the source's own times do not count then."""
 
     @classmethod
-    def of(cls, source: Path, camera: str | None = None) -> Recording:
+    def of(cls, source: Path, camera: str | None = None, fps: float | None = None) -> Recording:
         """What ``source`` holds, told by its content.
 
         Args:
             source: ``HELD_BY``.
             camera: Name of a data set's camera, or what only one of them ends in or holds.
+            fps: Frames a second, in place of the times that the source tells.
 
         Raises:
             InputError: It holds no frames, or several cameras; the message names them.
         """
+        if fps is not None and not (math.isfinite(fps) and fps > 0):
+            raise InputError(f"--fps must be above 0, got {fps:g}")
+        made = partial(cls, source, fps=fps)
         if is_hdf5(source):
             chosen, count = _chosen(hdf5_cameras(source), camera, source)
-            return cls(source, chosen, lambda: count, partial(_numbered_hdf5, source, chosen))
+            return made(chosen, lambda: count, partial(hdf5_frames, source, chosen))
         if is_lerobot(source):
             chosen, count = _chosen(lerobot_cameras(source), camera, source)
-            return cls(source, chosen, lambda: count, partial(lerobot_frames, source, chosen))
+            frames = partial(lerobot_frames, source, chosen)
+            return made(chosen, lambda: count, frames, "the data set's timestamps")
         if camera is not None:
             raise InputError(f"{source} is of one camera; leave --camera {camera} away")
         if source.is_file() and is_video(source):
-            return cls(source, "", lambda: count_frames(source)[0], partial(_of_video, source))
+            frames = partial(_of_video, source)
+            return made("", lambda: count_frames(source)[0], frames, "the video's own times")
         if source.is_dir():
-            found = [p for p in source.iterdir() if is_picture(p) and p.is_file()]
-            if not found:
+            images = [p for p in source.iterdir() if is_picture(p) and p.is_file()]
+            if not images:
                 raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
-            return cls._of_images(
-                source, tuple(sorted(found, key=lambda path: natural_key(path.name)))
-            )
-        if is_picture(source):
-            return cls._of_images(source, (source,))
-        raise InputError(f"{source} is none of these: {HELD_BY}")
+        elif is_picture(source):
+            images = [source]
+        else:
+            raise InputError(f"{source} is none of these: {HELD_BY}")
+        found = _in_order(images)
+        return made(
+            "",
+            lambda: len(found),
+            partial(_of_images, found),
+            "" if found[0][1] is None else "the stamps in the names",
+            tuple(path.name for path, _ in found),
+        )
 
-    @classmethod
-    def _of_images(cls, source: Path, images: tuple[Path, ...]) -> Recording:
-        names = tuple(path.name for path in images)
-        return cls(source, "", lambda: len(images), partial(_of_images, images), names)
+    def frames(self) -> Iterator[RecordedFrame]:
+        """The frames, their times since the first one of their episode [s], episodes counted.
+
+        A time is None where the source has none, and where it is not later than the last one: the
+        clock stood still or was set back, and how long the gel was held meanwhile is not known.
+        """
+        episode, count, number, first_s, last_s = None, -1, 0, math.nan, -math.inf
+        for frame in self.raw():
+            if frame.episode != episode:
+                episode, count, number, first_s, last_s = (
+                    frame.episode,
+                    count + 1,
+                    0,
+                    math.nan,
+                    -math.inf,
+                )
+            time_s = frame.time_s if self.fps is None else number / self.fps
+            number += 1
+            if time_s is not None:
+                if math.isfinite(time_s) and time_s > last_s:
+                    first_s, last_s = time_s if math.isnan(first_s) else first_s, time_s
+                    time_s = round(time_s - first_s, 9)
+                else:
+                    time_s = None
+            yield frame._replace(time_s=time_s, episode=count)
+
+    @property
+    def times_from(self) -> str:
+        """What tells the times of the frames; empty where nothing does."""
+        return self.times_of if self.fps is None else f"--fps {self.fps:g}"
 
 
 def _chosen(cameras: Mapping[str, int], wanted: str | None, source: Path) -> tuple[str, int]:
@@ -101,19 +142,23 @@ def _chosen(cameras: Mapping[str, int], wanted: str | None, source: Path) -> tup
     raise InputError(f"{source}: name the camera by --camera; {problem}: {listed}")
 
 
-def _numbered_hdf5(source: Path, name: str) -> Iterator[Frame]:
-    for number, image in enumerate(hdf5_frames(source, name)):
-        yield f"{number}", image
+def _of_video(source: Path) -> Iterator[RecordedFrame]:
+    for number, (time_s, image) in enumerate(read_timed_frames(source)):
+        yield RecordedFrame(f"{number}", image, time_s)
 
 
-def _of_video(source: Path) -> Iterator[Frame]:
-    for number, image in enumerate(read_frames(source)):
-        yield f"{number}", image
+def _in_order(images: list[Path]) -> Sequence[tuple[Path, float | None]]:
+    """Images by their stamps where they have some, otherwise in natural order."""
+    stamps = name_stamps([path.stem for path in images])
+    if stamps is not None:
+        return sorted(zip(images, stamps, strict=True), key=lambda image: image[1])
+    return [(path, None) for path in sorted(images, key=lambda path: natural_key(path.name))]
 
 
-def _of_images(images: tuple[Path, ...]) -> Iterator[Frame]:
-    for path in images:
+def _of_images(images: Sequence[tuple[Path, float | None]]) -> Iterator[RecordedFrame]:
+    for path, time_s in images:
         try:
-            yield path.name, read_image(path)
+            image = read_image(path)
         except InputError as error:
-            yield path.name, error
+            image = error
+        yield RecordedFrame(path.name, image, time_s)

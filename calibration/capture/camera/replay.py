@@ -21,11 +21,12 @@ from taccel_lab.calibration.capture.camera.camera import (
     ControlValues,
     Shot,
 )
-from taccel_lab.calibration.capture.camera.recording import Frame, Recording
+from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
+from taccel_lab.files.recorded_frame import RecordedFrame
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class CameraReplay:
     """How stills become a stream."""
 
     fps: float = 25.0
+    """Of frames whose times are not known."""
     rest_s: float = 2.0
     """How long the untouched gel shows before the first press, and half as long between two."""
     hold_s: float = 1.2
@@ -49,12 +51,13 @@ class ReplayCamera:
     """Frames from files; the same every time."""
 
     def __init__(
-        self, path: Path, frames: Callable[[], Iterator[np.ndarray]], how: CameraReplay
+        self, path: Path, frames: Callable[[], Iterator[RecordedFrame]], how: CameraReplay
     ) -> None:
         self.info = CameraInfo(str(path), f"replay of {path.name}", replayed=True)
         self._frames, self._how = frames(), how
         self._rng = np.random.default_rng(0)
-        self._count, self._started = 0, time.monotonic()
+        self._due_s, self._started = -1.0 / how.fps, time.monotonic()
+        self._last: RecordedFrame | None = None
 
     def lock(self, values: ControlValues) -> list[ControlLock]:
         """Nothing adapts in files."""
@@ -64,12 +67,15 @@ class ReplayCamera:
         ]
 
     def read(self) -> Shot | None:
-        """The next frame at its own time; None at the end."""
-        image = next(self._frames, None)
-        if image is None:
+        """The next frame at its own time; None at the end. Raises InputError for a frame that
+        cannot be read."""
+        frame = next(self._frames, None)
+        if frame is None:
             return None
-        due = self._count / self._how.fps
-        self._count += 1
+        image = frame.image
+        if isinstance(image, InputError):
+            raise image
+        due = self._due_s = self._next_s(frame)
         if self._how.paced:
             time.sleep(max(0.0, self._started + due - time.monotonic()))
             due = time.monotonic()
@@ -77,6 +83,15 @@ class ReplayCamera:
             noise = self._rng.normal(0.0, self._how.noise_levels, image.shape)
             image = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
         return Shot(image, due)
+
+    def _next_s(self, frame: RecordedFrame) -> float:
+        """When a frame is due [s] since the first one."""
+        last, self._last = self._last, frame
+        if last is None or frame.episode != last.episode:
+            return self._due_s + 1.0 / self._how.fps
+        if last.time_s is None or frame.time_s is None:
+            return self._due_s + 1.0 / self._how.fps
+        return self._due_s + frame.time_s - last.time_s
 
     def close(self) -> None:
         """There are no more frames."""
@@ -100,21 +115,20 @@ def open_replay(
                 f"{path}: a capture folder is replayed from its background and its presses"
             )
         return ReplayCamera(path, lambda: pressing(rest.image(), presses, how), how)
-    recording = Recording.of(path, camera)
-    return ReplayCamera(path, lambda: map(_levels, recording.frames()), how)
-
-
-def _levels(frame: Frame) -> np.ndarray:
-    """What a camera would have shown; a frame that cannot be read ends the replay."""
-    if isinstance(frame[1], InputError):
-        raise frame[1]
-    return frame[1]
+    return ReplayCamera(path, Recording.of(path, camera).frames, how)
 
 
 def pressing(
     rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
-) -> Iterator[np.ndarray]:
+) -> Iterator[RecordedFrame]:
     """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
+    for image in _pressing(rest, presses, how):
+        yield RecordedFrame("", image)
+
+
+def _pressing(
+    rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
+) -> Iterator[np.ndarray]:
     for _ in range(round(how.rest_s * how.fps)):
         yield rest
     steps = max(1, round(how.blend_s * how.fps))

@@ -75,7 +75,7 @@ def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:
     if len({image.shape for image in small}) > 1:
         return None, "the images are of different sizes"
     median = np.median(np.stack(small), axis=0)
-    spread = np.array([_contact_strength(image - median) for image in small])
+    spread = np.array([contact_strength(image - median) for image in small])
     best = int(np.argmin(spread))
     typical = float(np.median(spread))
     if typical < MIN_CONTACT_LEVELS:
@@ -101,6 +101,6 @@ def _small(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
-def _contact_strength(change: np.ndarray) -> float:
+def contact_strength(change: np.ndarray) -> float:
     change = change - np.median(change, axis=(0, 1), keepdims=True)
     return float(np.percentile(np.linalg.norm(change, axis=-1), 99))

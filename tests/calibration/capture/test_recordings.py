@@ -27,7 +27,7 @@ RED = np.zeros((24, 32, 3), np.uint8) + np.array([200, 40, 10], np.uint8)
 
 def images_of(recording: Recording) -> list[np.ndarray]:
     """All frames; none may be refused."""
-    found = [image for _, image in recording.frames()]
+    found = [frame.image for frame in recording.frames()]
     assert all(isinstance(image, np.ndarray) for image in found)
     return [np.asarray(image) for image in found]
 
@@ -89,7 +89,7 @@ def test_hdf5_without_pictures_and_torn_ones_are_refused(tmp_path: Path) -> None
     with h5py.File(path, "a") as file:
         file["tactile/rgb"] = file["rgb"][()]
         del file["rgb"]
-    [(_, why)] = Recording.of(path).frames()
+    [(_, why, *_)] = Recording.of(path).frames()
     assert isinstance(why, InputError) and "tactile/rgb 0 is not an image" in str(why)
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(InputError, match=r"0\.hdf5 is no HDF5 file that can be read"):
@@ -139,8 +139,15 @@ def test_episodes_of_version_2_follow_one_another(tmp_path: Path) -> None:
     folder = lerobot(tmp_path / "set", "v2.1", **{TOUCH: VIDEO, "observation.depth": depth})
     for number, levels in ((0, [10, 60]), (10, [110, 160, 210])):
         video(folder / f"videos/chunk-000/{TOUCH}/episode_{number:06d}.mp4", levels)
+    # One clock is real; of the other nobody knows which row is whose.
+    clock = {"episode_index": [0, 0], "frame_index": [0, 1], "timestamp": [0.03, 2.03]}
+    table(folder / "data/chunk-000/episode_000000.parquet", **clock)
+    clock = {"episode_index": [10, 10], "frame_index": [0, 2], "timestamp": [0.0, 0.2]}
+    table(folder / "data/chunk-000/episode_000010.parquet", **clock)
     recording = Recording.of(folder)
-    names, images = zip(*recording.frames(), strict=True)
+    names, images, times, episodes = zip(*recording.frames(), strict=True)
+    assert times == (0.0, 2.0, None, None, None) and episodes == (0, 0, 1, 1, 1)
+    assert recording.times_from == "the data set's timestamps"
     assert recording.camera == TOUCH and recording.count() == 5
     assert names[1] == "episode 0 frame 1" and names[2] == "episode 10 frame 0"
     assert [float(i.mean()) for i in images] == pytest.approx([10, 60, 110, 160, 210], abs=3)
@@ -156,13 +163,21 @@ def test_episodes_of_version_3_are_cut_out_of_their_video(tmp_path: Path) -> Non
         f"{of}file_index": [0, 0], f"{of}from_timestamp": [0.3, 0.0],
     }  # fmt: skip
     table(folder / "meta/episodes/chunk-000/file-000.parquet", **columns)
+    clock = {
+        "timestamp": pa.array([0.0, 0.1, 0.2, 0.0, 2.5], pa.float32()),
+        "episode_index": [2, 2, 2, 0, 0],
+        "frame_index": [0, 1, 2, 0, 1],
+    }
+    table(folder / "data/chunk-000/file-000.parquet", **clock)
     found = list(Recording.of(folder, "touch").frames())
-    assert [name for name, _ in found] == [
+    assert [frame.time_s for frame in found] == pytest.approx([0, 2.5, 0, 0.1, 0.2], abs=1e-6)
+    assert [frame.name for frame in found] == [
         *(f"episode 0 frame {k}" for k in range(2)), *(f"episode 2 frame {k}" for k in range(3))
     ]  # fmt: skip
-    levels = [float(image.mean()) for _, image in found if isinstance(image, np.ndarray)]
+    images = [frame.image for frame in found]
+    levels = [float(image.mean()) for image in images if isinstance(image, np.ndarray)]
     assert levels == pytest.approx([10, 60, 160, 210], abs=3)
-    assert "episode 2 frame 2: the video ends before it" in str(found[-1][1])
+    assert "episode 2 frame 2: the video ends before it" in str(images[-1])
 
 
 def test_images_inside_and_beside_the_table_are_read(tmp_path: Path) -> None:
@@ -174,8 +189,11 @@ def test_images_inside_and_beside_the_table_are_read(tmp_path: Path) -> None:
     cells = [(png, None), (None, "images/1.png"), (None, "../outside.png"), (b"torn", None)]
     stored = pa.array([{"bytes": b, "path": p} for b, p in cells])
     columns = {"episode_index": [0] * 4, "frame_index": [0, 1, 2, 3], TOUCH: stored}
+    columns["timestamp"] = [0.0, 0.1, 0.35, 0.4]
     table(folder / "data/chunk-000/episode_000000.parquet", **columns)
-    inside, beside, outside, torn = (image for _, image in Recording.of(folder).frames())
+    found = list(Recording.of(folder).frames())
+    assert [frame.time_s for frame in found] == [0.0, 0.1, 0.35, 0.4]
+    inside, beside, outside, torn = (frame.image for frame in found)
     for image in (inside, beside):
         np.testing.assert_array_equal(image, RED)
     assert "'..' leads out of it" in str(outside) and "frame 3 is not an image" in str(torn)

@@ -95,6 +95,20 @@ def test_a_press_is_read_and_timed(grey: tuple[CaptureSet, SensorProfile], tmp_p
     assert "frames a second" in latency_text(result.latency, result.reader)
 
 
+def test_photos_without_a_rest_say_what_was_waited_for(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    captures, profile = grey
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for number, press in enumerate(captures.presses):
+        levels = np.clip(np.rint(press.image()), 0, 255).astype(np.uint8)
+        write_image(folder / f"{number}.png", levels)
+    result = session(folder, captures, profile, Watching())
+    assert result.reader is None
+    assert result.unseen.startswith("It waited for the untouched gel: 1.5 s (12 frames and more")
+
+
 def test_a_session_ends_at_a_number_of_frames_or_by_a_watcher(
     grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
 ) -> None:

@@ -15,6 +15,7 @@ from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_repl
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.run import Order
 from taccel_lab.calibration.record.session import SessionStatus
+from taccel_lab.files.recorded_frame import RecordedFrame
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID
 
@@ -52,9 +53,9 @@ class SteeredCamera(ReplayCamera):
         """Whether frames have the time of the last one: what takes its time does not end."""
         self._time_s = 0.0
 
-        def frames() -> Iterator[np.ndarray]:
+        def frames() -> Iterator[RecordedFrame]:
             while True:
-                yield self.image
+                yield RecordedFrame("", self.image)
 
         # As few frames a second as tell a rest: each is looked at, sent and drawn by a browser.
         super().__init__(path, frames, CameraReplay(fps=12.0, paced=True, noise_levels=noise))
