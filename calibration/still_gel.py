@@ -43,8 +43,6 @@ LEAST_MARGIN, MARGIN_OF_ONE = 0.15, 0.8
 untouched gel of plain and dotted Minis and of 9DTact is higher than presses by 0.42 to 0.83, 0.19
 to 0.70 and 0.20 to 0.36, presses than other presses by -0.47 to 0.62, the least of six by 0.10 at
 most."""
-SHRINK = 3
-"""Of images that are read both ways."""
 
 Frames = Callable[[], Iterator[tuple[str, np.ndarray]]]
 """Names and RGB levels, shape [height_px, width_px, 3] of the profile; the same each time."""
@@ -169,7 +167,7 @@ def _net_rise(
 
     Both of squares [mm2]: a contact is deep, what surrounds it wide.
     """
-    reader = SurfaceReader(profile, background=background, shrink=SHRINK)
+    reader = SurfaceReader(profile, background=background)
     lit = reader.lit(image)
     rise_mm = 1e3 * reader.read_lit(lit, uncertainty=False).rise_m
     return float((rise_mm * np.abs(rise_mm)).sum()), float(np.square(rise_mm).sum())

@@ -64,7 +64,7 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
     spots = np.bincount(parts[sure & wide], minlength=count)
     touched = spots * grid.mm_per_px_x * grid.mm_per_px_y >= LEAST_MM2
     touched[0] = False
-    pixels = touched[parts]
+    pixels = touched[np.asarray(parts, dtype=int)]
     unseen = float(sure_mm.max())
     if not pixels.any():
         unseen = max(unseen, deepest)
