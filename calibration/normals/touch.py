@@ -34,7 +34,7 @@ class Touch:
     least_mm: float
     """Depth that a touched pixel has at least [mm]."""
     unseen_mm: float
-    """Depth [mm] that a contact in this image could have without being told from none."""
+    """Upper end [mm] of the 95 % interval of a depth anywhere in the image, where none is seen."""
 
     @property
     def any(self) -> bool:
@@ -65,7 +65,5 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
     touched = spots * grid.mm_per_px_x * grid.mm_per_px_y >= LEAST_MM2
     touched[0] = False
     pixels = touched[np.asarray(parts, dtype=int)]
-    unseen = float(sure_mm.max())
-    if not pixels.any():
-        unseen = max(unseen, deepest)
-    return Touch(pixels, least_mm, unseen)
+    unseen_mm = float((np.maximum(depth_mm, 0.0) + BAND_SIGMAS * sigma_mm).max())
+    return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM))

@@ -22,6 +22,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.rest_surface import RestSurface
+from taccel_lab.signals.slope_integration import border_of, plane_of
 
 LARGEST_RADII = 0.985
 """Contacts up to the ball's equator are taken this much smaller: its slope has no bound there."""
@@ -126,15 +127,23 @@ def depth_share(
     rim has sunk by grows with the square of a, as in Hertz's contact. A scale that is off by
     ``scale_share`` turns slopes by that, and each is summed over pixels as much larger. Beside
     that contacts tell a depth to ``LAYER_SHARE``, and the gel's thickness, where it is known to an
-    interval only, by ``thickness_share`` (``sunk_share``).
+    interval only, by ``thickness_share`` (``sunk_share``). Heights are counted from the border of
+    the image, which a thick gel sinks at, too.
     """
-    deeper = []
+    import torch
+
+    deeper, border = [], []
     for surface, circle in presses:
+        rise = torch.from_numpy(np.asarray(surface.displacement_mm(), dtype=np.float64))
+        zero = plane_of(rise, border_of((grid.height_px, grid.width_px), rise))
+        border.append(float(zero.ravel()[int(rise.argmin())]) / surface.depth_mm)
         rim_mm = min(circle.radius_px * grid.mm_per_px_x, LARGEST_RADII * ball_mm)
         per_mm = deeper_per_mm(rim_mm, ball_mm, surface.depth_mm)
         deeper.append(per_mm * radius_sigma_px * grid.mm_per_px_x / surface.depth_mm)
-    by_circles = float(np.sqrt(np.mean(np.square(deeper)))) if deeper else 0.0
-    return math.hypot(LAYER_SHARE, by_circles, 2 * scale_share, thickness_share)
+    by_circles, by_border = (
+        float(np.sqrt(np.mean(np.square(shares)))) if shares else 0.0 for shares in (deeper, border)
+    )
+    return math.hypot(LAYER_SHARE, by_circles, by_border, 2 * scale_share, thickness_share)
 
 
 def sunk_share(
