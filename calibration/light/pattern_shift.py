@@ -48,8 +48,8 @@ def pattern_shift(
 
 def _grain(picture: np.ndarray, mask: np.ndarray | None, sigma: float) -> np.ndarray:
     """Fine structure of the mean of the channels [levels], float32, shape [height, width]."""
-    grey = picture.astype(np.float32).mean(axis=-1, keepdims=True)
-    grain = (grey - smoothed(grey, mask, sigma).reshape(grey.shape))[..., 0]
+    picture = picture.astype(np.float32)
+    grain = (picture - smoothed(picture, mask, sigma)).mean(axis=-1)
     return grain if mask is None else np.where(mask, grain, np.float32(0))
 
 

@@ -204,7 +204,11 @@ def fit_normals(
         else synthetic_presses.presses(options.synthetic_presses, progress),
         progress=progress,
     )
-    config = replace(fit.model.config, cone_deg=_steepest_deg(training, scene))
+    config = replace(
+        fit.model.config,
+        cone_deg=_steepest_deg(training, scene),
+        presses_px=_presses_px(training),
+    )
     fit = replace(fit, model=NormalModel(config, fit.model.weights))
     unseen = () if synthetic_presses is None else synthetic_presses.presses(CHECKED)
     checked = counted(map(KnownPress.of_synthetic, unseen), progress, READING, CHECKED)
@@ -237,7 +241,7 @@ def fit_normals(
         joining = held.joining()
         every = [*training, *joining]
         if joining:
-            final = _in_bands_of(fit, going.go_on(joining, progress), _steepest_deg(every, scene))
+            final = _in_bands_of(fit, going.go_on(joining, progress), every, scene)
     items = [] if held is None else held.items
     result = NormalCalibration(
         fit=fit,
@@ -344,12 +348,24 @@ def _typical(sigmas: Sequence[CircleSigma]) -> CircleSigma:
     return float(center), float(radius)
 
 
-def _in_bands_of(scored: InverseFit, last: InverseFit, cone_deg: float) -> InverseFit:
+def _presses_px(frames: Sequence[InverseFrame]) -> tuple[float, ...]:
+    circles = [frame.circle for frame in frames]
+    return tuple(float(x) for c in circles for x in (c.u_px, c.v_px, c.radius_px))
+
+
+def _in_bands_of(
+    scored: InverseFit, last: InverseFit, frames: Sequence[InverseFrame], scene: CaptureScene
+) -> InverseFit:
     """The last fit with what is known of the scored one's errors: held-out presses tell no more of
     a fit that has seen them. Networks that err more on what they left out expect more, too."""
     known = scored.model.config
     factor = max(known.error_factor, last.model.config.error_factor)
-    config = replace(known, error_factor=factor, cone_deg=cone_deg)
+    config = replace(
+        known,
+        error_factor=factor,
+        cone_deg=_steepest_deg(frames, scene),
+        presses_px=_presses_px(frames),
+    )
     return replace(last, model=NormalModel(config, last.model.weights))
 
 

@@ -8,6 +8,8 @@ errors and hardly depends on what is pressed, so that it is found once for each 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from taccel_lab.calibration.light.light import LightDrift
@@ -41,7 +43,7 @@ class LightErrors:
             mask: Pixels that count, bool, shape [height_px, width_px].
             rest_normals: Of the face at rest, shape [h, w, 3]; flat when None.
         """
-        every = max(1, min(background.shape[:2]) // COARSE_PX)
+        self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
         self._part = np.s_[::every, ::every]
         self._grid, self._size = grid.thinned(every), background.shape[1::-1]
         self._level = background.reshape(-1, 3).mean(axis=0)
@@ -62,29 +64,30 @@ class LightErrors:
                 )
                 self._slopes[channel, k] = (read.slopes() + rest) / probe
 
-    def sigma_m(self, light: LightDrift, zero: np.ndarray | None) -> np.ndarray:
-        """Standard deviation of the heights [m], shape [height_px, width_px].
+    def sigma_m(
+        self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
+    ) -> list[np.ndarray]:
+        """Standard deviations of the heights [m] for each light of one image, [height, width].
 
         Args:
-            light: Of the image against the background.
+            lights: Of the image against the background.
             zero: Pixels that its heights are counted from, as of ``ReadHeights``.
+            every: Rows and columns apart that these are of: 1, or ``self.every``.
         """
         import cv2
 
-        part = None if zero is None else zero[self._part]
+        part = zero if zero is None or every > 1 else zero[self._part]
         if part is not None and not part.any():
             part = None
-        variance = np.zeros((self._grid.height_px, self._grid.width_px))
-        for slopes, covariance in zip(self._slopes, light.covariance_at(self._level), strict=True):
-            heights = np.array(
-                [
-                    resting_height(slope, self._grid, weights=self._weights, zero=part)
-                    for slope in slopes
-                ]
-            )
-            variance += np.einsum("khw,kl,lhw->hw", heights, covariance, heights)
-        whole = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
-        return np.sqrt(np.maximum(whole, 0.0))
+        heights = resting_height(self._slopes, self._grid, weights=self._weights, zero=part)
+        found = []
+        for light in lights:
+            covariance = light.covariance_at(self._level)
+            variance = np.einsum("ckhw,ckl,clhw->hw", heights, covariance, heights)
+            if every == 1:
+                variance = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
+            found.append(np.sqrt(np.maximum(variance, 0.0)))
+        return found
 
 
 def grey_light_sigma_mm(

@@ -7,19 +7,19 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
+from taccel_lab.calibration.dots.dot_mask import DotMask
 from taccel_lab.calibration.light.fit import fit_light, fit_press_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.other_light import light_of_background
 from taccel_lab.calibration.light.pattern_shift import pattern_shift
-from taccel_lab.calibration.normals.light_errors import COARSE_PX, LightErrors, grey_light_sigma_mm
+from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
 from taccel_lab.calibration.normals.touch import Touch, touch_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -54,6 +54,10 @@ class LitImage:
     """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid."""
     light: LightDrift
     """Its own light against the untouched sensor's."""
+    still: LightDrift
+    """The same if nothing touches: a contact takes part of a gradient of the light."""
+    mask: np.ndarray | None
+    """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,8 +72,8 @@ class SurfaceReading(Summary):
     """Standard deviation of both heights [m]. None of models that were fitted without synthetic
     presses, and of curves of earlier versions."""
     reading_sigma_m: np.ndarray | None
-    """That of a place where nothing touches [m], by the reading and the image's light: what is off
-    along with the depth, such as the calibration's circles or scale, is not in it."""
+    """That of a place if nothing touches [m], by the reading and the image's light: what is off
+    along with a depth, such as the calibration's circles or scale, is not in it."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
@@ -229,6 +233,7 @@ class SurfaceReader:
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self._sigma: tuple[np.ndarray, np.ndarray] | None = None
+        self._dots = DotMask.of(self.untouched)
 
     @property
     def sigma_of(self) -> SigmaOf | None:
@@ -268,7 +273,7 @@ class SurfaceReader:
                 "size (raw ones are rectified with --maps)"
             )
         lit = self.lit(image)
-        why = self._not_ours(image.astype(np.float32), lit.light)
+        why = self._not_ours(image, lit)
         if why:
             raise InputError(f"{name} {why}")
         found = self.read_lit(lit)
@@ -289,14 +294,15 @@ class SurfaceReader:
 
     def unlike(self, image: np.ndarray) -> str | None:
         """Why an image is not of the untouched sensor's gel, or None."""
-        levels = image.astype(np.float32)
-        return self._not_ours(levels, self._light(levels)) or None
+        return self._not_ours(image, self.lit(image)) or None
 
-    def _not_ours(self, levels: np.ndarray, light: LightDrift) -> str:
-        why = unlike(levels, self.untouched, light, self.mask)
+    def _not_ours(self, image: np.ndarray, lit: LitImage) -> str:
+        levels = image.astype(np.float32)
+        why = unlike(levels, self.untouched, lit.light, lit.mask)
         if why is not None:
             return f"is no image of the sensor that was calibrated: {why}"
-        shift = pattern_shift(light.remove(levels), self.untouched, self.mask)
+        # Dots go with the gel that a press drags along; only what else there is stands still.
+        shift = pattern_shift(lit.light.remove(levels), self.untouched, lit.mask)
         if shift is None:
             return ""
         right, down = shift
@@ -314,35 +320,40 @@ class SurfaceReader:
         it, and its light is fitted as that of a press.
         """
         levels = image.astype(np.float32)
-        first = self._shown(levels, self._light(levels, fit_light))
+        mask = self.mask if self._dots is None else self._dots.uncovered(levels, self.mask)
+
+        still = fit_light(levels, self.untouched, mask)
+
+        def shown(light: LightDrift) -> LitImage:
+            own = self._day.remove(light.remove(levels))
+            return LitImage(own.astype(np.float32), light, still, mask)
+
+        first = shown(still)
         if not self._is_dented(first):
             return first
-        return self._shown(levels, self._light(levels, fit_press_light))
-
-    def _shown(self, levels: np.ndarray, light: LightDrift) -> LitImage:
-        return LitImage(self._day.remove(light.remove(levels)).astype(np.float32), light)
-
-    def _light(self, levels: np.ndarray, fit: Callable[..., LightDrift] = fit_light) -> LightDrift:
-        return fit(levels, self.untouched, self.mask)
+        return shown(fit_press_light(levels, self.untouched, mask))
 
     def _is_dented(self, lit: LitImage) -> bool:
         """Whether a coarse look at an image shows a contact."""
         if self.response is not None:
-            rise_m = self.response.read(lit.levels, self.background, self.mask).height_m
+            rise_m = self.response.read(lit.levels, self.background, lit.mask).height_m
             return touch_of(rise_m, None, self.grid).any
         assert self.normal_model is not None
-        every = max(1, min(lit.levels.shape[:2]) // COARSE_PX)
+        every = self._light_errors.every
         found = read_heights(
             self.normal_model,
             lit.levels,
             self.background,
             self.grid,
-            mask=self.mask,
+            mask=lit.mask,
             rest_normals=self._rest_normals,
-            uncertainty=False,
             every=every,
         )
-        return touch_of(found.rise_m, None, self.grid.thinned(every)).any
+        sigma_m = found.reading_sigma_m
+        if sigma_m is not None:
+            (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, every)
+            sigma_m = np.hypot(sigma_m, light_m)
+        return touch_of(found.rise_m, sigma_m, self.grid.thinned(every)).any
 
     def read_lit(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
         """The surface under an image of ``lit``; without ``uncertainty`` the touch is decided by
@@ -353,7 +364,7 @@ class SurfaceReader:
 
     def _by_depth(self, lit: LitImage) -> SurfaceReading:
         assert self.response is not None
-        found = self.response.read(lit.levels, self.background, self.mask)
+        found = self.response.read(lit.levels, self.background, lit.mask)
         height = self.rest.height_m + found.height_m
         sigma_m, alone_m = _metres(found.sigma_mm), _metres(found.reading_sigma_mm)
         if sigma_m is not None and alone_m is not None:
@@ -384,7 +395,7 @@ class SurfaceReader:
             lit.levels,
             self.background,
             self.grid,
-            mask=self.mask,
+            mask=lit.mask,
             rest_normals=self._rest_normals,
             uncertainty=uncertainty,
         )
@@ -392,8 +403,8 @@ class SurfaceReader:
         tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
-            light_m = self._light_errors.sigma_m(lit.light, found.zero)
-            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
+            light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
+            sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
             self._sigma = sigma_m, alone_m
         last_m = alone_m if alone_m is not None or self._sigma is None else self._sigma[1]
         return SurfaceReading(

@@ -91,13 +91,14 @@ def _add_views(document: Document) -> Document:
     return {**document, "schema_version": 10}
 
 
-def _drop_light_choice(document: Document) -> Document:
-    """Version 11 has every image read in the profile's light; version 10 chose."""
+def _one_light(document: Document) -> Document:
+    """Version 11 has every image read in the profile's light and knows where presses were fitted;
+    version 10 chose, and does not know."""
     document = {**document, "schema_version": 11}
     block = document.get("normals")
     if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
         kept = {k: v for k, v in block["architecture"].items() if k != "light_drift"}
-        document["normals"] = {**block, "architecture": kept}
+        document["normals"] = {**block, "architecture": {**kept, "presses_px": []}}
     return document
 
 
@@ -111,7 +112,7 @@ STEPS: Mapping[int, Step] = {
     7: _add_sessions,
     8: _add_absolute_errors,
     9: _add_views,
-    10: _drop_light_choice,
+    10: _one_light,
 }
 
 

@@ -64,6 +64,10 @@ class NormalModelConfig:
     """Standard deviation, as a share of the depth, by what the calibration takes as known: circles,
     scale, the gel's law. 0 in profiles that do not say: heights then have the reading's alone."""
 
+    presses_px: tuple[float, ...] = ()
+    """Contacts that it was fitted to, each column, row and radius [px]; empty in profiles that do
+    not say."""
+
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
             raise InputError(
@@ -100,11 +104,26 @@ class NormalModelConfig:
                 raise InputError(
                     f"normal model {name} must lie in 0..10000, got {getattr(self, name):g}"
                 )
+        if len(self.presses_px) % 3 or not np.isfinite(self.presses_px).all():
+            raise InputError(
+                "normal model presses_px must hold finite columns, rows and radii, got "
+                f"{len(self.presses_px)} numbers"
+            )
         factors = (self.error_factor, self.radius95_sigmas)
         if min(self.input_scale) <= 0 or not all(0 < factor < 1e3 for factor in factors):
             raise InputError(
                 "normal model input_scale, error_factor and radius95_sigmas must be positive"
             )
+
+    def away(self, every: int = 1) -> np.ndarray:
+        """Distance of each pixel from the nearest contact that was fitted, in shorter sides of the
+        image, shape [h, w] of every so many-th row and column; 0 where none is known."""
+        u, v = (np.arange(0, count, every) for count in (self.width_px, self.height_px))
+        nearest = np.full((len(v), len(u)), np.inf if self.presses_px else 0.0)
+        for at_u, at_v, radius in np.reshape(self.presses_px, (-1, 3)):
+            beyond = np.hypot(u[None, :] - at_u, v[:, None] - at_v) - radius
+            np.minimum(nearest, np.maximum(beyond, 0.0), out=nearest)
+        return nearest / min(self.width_px, self.height_px)
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -153,6 +172,7 @@ class NormalModelConfig:
                 height_factor=float(values["height_factor"]),
                 along_factor=float(values["along_factor"]),
                 depth_share=float(values["depth_share"]),
+                presses_px=tuple(float(x) for x in values["presses_px"]),
             )
 
     def image_features(

@@ -336,7 +336,7 @@ def test_shapes_are_checked() -> None:
         ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
 
 
-DRIFT = LightDrift(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
+DRIFT = LightDrift(np.array([1.25, 0.8, 1.0]), np.array([2.0, -3.0, 5.0]))
 CONTACTS = [
     ContactCircle(70.0, 60.0, 13.0),
     ContactCircle(80.0, 59.5, 30.0),

@@ -108,25 +108,6 @@ def sound() -> Sound:
     return synthetic_captures(12, noise=1.0)
 
 
-def test_a_contact_larger_than_its_ball_fails_alone(sound: Sound) -> None:
-    """It has no surface, which is no end of the run."""
-    captures, surfaces = sound
-    split = captures.split(4)
-    name, large = split.heldout_names[0], {split.heldout[0]: ContactCircle(80.0, 59.0, 49.0)}
-    captures = with_circles(captures, large, heldout=split.heldout_names)
-    result = calibrated(captures, surfaces, options=BRIEF)
-    (failure,) = result.failures
-    assert failure.name == name
-    assert len(result.heldout) == 2
-    assert "heldout_failed" in {remark.code for remark in result.remarks}
-    rendered = [item.score.crop_psnr_db for item in result.heldout]
-    assert failure.background_only is not None
-    assert result.heldout_means()["crop_psnr_db"] == pytest.approx(
-        np.mean([*rendered, failure.background_only.crop_psnr_db])
-    )
-    assert result.figures()["failures"] == {name: failure.reason}
-
-
 def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
