@@ -193,6 +193,17 @@ def test_light_that_was_never_calibrated_is_taken_off(
     assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=0.08)
 
 
+def test_a_brighter_unit_reads_the_same_depth_against_its_own_background(clean: Clean) -> None:
+    captures, _, result = clean
+    profile = result.apply_to(flat_profile(GRID))
+    held = captures.presses[captures.split(4).heldout[0]].image()
+    rest = np.asarray(profile.background_rgb)
+    brighter = SurfaceReader(profile, background=np.clip(1.2 * rest, 0, 255))
+    own = SurfaceReader(profile).read(held).figures(GRID)
+    found = brighter.read(np.clip(np.rint(1.2 * held), 0, 255).astype(np.uint8)).figures(GRID)
+    assert found["max_depth_mm"] == pytest.approx(own["max_depth_mm"], rel=0.05)
+
+
 @pytest.mark.slow
 def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> None:
     """Lamps in stripes of a quarter of the image: the same colour means another tilt beside."""

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels that nothing touches read as no contact, 0 N, in light that has changed since."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.pressure.touch import TouchReader
+from taccel_lab.errors import InputError
+from taccel_lab.files.images import read_image
+from taccel_lab.sensors.profile import stock_sensor
+from tests.support.real_data import real_data
+
+MOST_N = 0.2
+"""Upper end of the interval of an untouched gel's force."""
+MINIS = (
+    "gsmini_gs_sdk/examples/data/background.png",
+    "gsmini_normalflow/examples/data/background.png",
+    "gsmini_cube_edges/background.png",
+    "gsmini_markers_video/0000.png",
+)
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+def weaker_on_one_side(image: np.ndarray, share: float) -> np.ndarray:
+    """The red lamp has faded by ``share`` at the right border."""
+    across = np.linspace(0.0, 1.0, image.shape[1])[None, :, None]
+    return image * (1.0 - share * across * np.array([1.0, 0.0, 0.0]))
+
+
+def compressed(image: np.ndarray) -> np.ndarray:
+    """As a JPEG of quality 85 gives it."""
+    _, coded = cv2.imencode(".jpg", np.clip(image, 0, 255).astype(np.uint8), [1, 85])
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=float)
+
+
+CHANGES: dict[str, Change] = {
+    "itself": lambda image: image,
+    "noise of 2 levels": lambda image: (
+        image + np.random.default_rng(0).normal(0.0, 2.0, image.shape)
+    ),
+    "JPEG": compressed,
+    "3 levels brighter": lambda image: image + 3.0,
+    "faded by 2 %": lambda image: 0.98 * image,
+    "red lamp 3 % weaker on one side": lambda image: weaker_on_one_side(image, 0.03),
+}
+
+
+def mini_image(name: str) -> np.ndarray:
+    """A picture at the size of the starter profile's camera, RGB uint8."""
+    camera = stock_sensor("gelsight_mini").camera
+    size = (camera.width_px, camera.height_px)
+    return np.asarray(cv2.resize(read_image(real_data(name)), size, interpolation=cv2.INTER_AREA))
+
+
+@pytest.mark.parametrize("name", MINIS)
+def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
+    image = mini_image(name)
+    reader = TouchReader(SurfaceReader(stock_sensor("gelsight_mini"), background=image))
+    for what, change in CHANGES.items():
+        changed = np.clip(np.rint(change(image.astype(float))), 0, 255).astype(np.uint8)
+        found = reader.read(changed)
+        figures = found.figures()
+        assert not figures["touched"] and figures["force_n"] == 0.0, what
+        assert figures["max_depth_mm"] == 0.0 and figures["contact_mm2"] == 0.0, what
+        for interval, most in (
+            ("force_interval95_n", MOST_N),
+            ("max_depth_interval95_mm", 0.3),
+            ("contact_interval95_mm2", 30.0),
+        ):
+            low, high = figures[interval]
+            assert low == 0.0 and 0.0 < high <= most, (what, interval)
+
+
+def test_a_marked_mini_rests_until_it_is_touched() -> None:
+    """Dots are masked: 57 frames at rest, then a finger."""
+    frames = [
+        read_image(real_data(f"gsmini_markers_video/{number:04d}.png"))
+        for number in (0, 14, 28, 42, 56, 60, 80, 120)
+    ]
+    reader = TouchReader(SurfaceReader(stock_sensor("gelsight_mini"), background=frames[0]))
+    found = [reader.read(frame) for frame in frames]
+    assert [reading.force_n > 0 for reading in found] == [False] * 5 + [True] * 3
+    for reading in found[:5]:
+        assert reading.force_interval_n is not None and reading.force_interval_n[1] <= MOST_N
+    depths = [-1e3 * reading.rise_m.min() for reading in found[5:]]
+    assert 0.3 < depths[0] < depths[1] < depths[2] < 1.5
+
+
+def test_a_gel_that_was_put_back_elsewhere_is_refused() -> None:
+    image = mini_image(MINIS[0])
+    rng = np.random.default_rng(0)
+    scratches = cv2.GaussianBlur(rng.normal(0.0, 12.0, image.shape[:2]), (0, 0), 1.2)[..., None]
+    marked = np.clip(image + 6.0 * scratches, 0, 255)
+    reader = SurfaceReader(stock_sensor("gelsight_mini"), background=marked.astype(np.uint8))
+    moved = np.roll(marked, (6, 9), (0, 1)).astype(np.uint8)
+    with pytest.raises(InputError, match=r"9 px to the right and .6 px down"):
+        reader.read(moved)
+    assert not reader.read(marked.astype(np.uint8)).touch.any
