@@ -58,8 +58,9 @@ of 1: -3 to +1 % at a tenth of the thickness, -15 to -5 % at three tenths; balls
 to +8 %."""
 LEAST_SHARE = 0.02
 """The least of it."""
-CONTACT_PRESSURE = 0.05
-"""Part of the greatest pressure from which on a place counts as contact."""
+CONTACT_PRESSURE = 0.15
+"""Part of the greatest pressure from which on a place counts as contact: a ball's contact is 2 %
+smaller there. Below it lies what a reading's errors feign beside a contact."""
 STEEPEST_REST = 0.5
 """Slope of the resting face from which on no flat layer stands for the gel."""
 DEEPEST_SHARE = 0.4
