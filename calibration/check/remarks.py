@@ -123,7 +123,7 @@ COVERAGE = RemarkKind(
     Severity.WARNING,
     "the contacts cover {covered:.0%} of the gel; no press in {empty} of {parts} parts of the "
     "image{names}. The colour model is only valid where balls were",
-    BY_COLOR,
+    ("color",),
 )
 SAME_DEPTH = RemarkKind(
     "same_depth",
