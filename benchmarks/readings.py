@@ -31,7 +31,7 @@ from taccel_lab.signals.normal_model import (
 )
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.read_heights import read_heights
-from taccel_lab.signals.slope_integration import height_from_slopes
+from taccel_lab.signals.slope_integration import resting_height
 
 SIZES = ((320, 320), (640, 480))
 WIDTH_MM = 19.0
@@ -169,7 +169,7 @@ def heights_mm(
     tilt, error = model.predict_pixels(features.reshape(-1, model.config.input_count))
     tilt, error = tilt.reshape(*read.slope.shape), error.reshape(read.rise_m.shape)
     alone = NormalMap(relative_normals(tilt), tilt, error, error)
-    rise_m = height_from_slopes(alone.slopes(), grid, zero=read.zero)
+    rise_m = resting_height(alone.slopes(), grid, zero=read.zero)
     return 1e3 * read.rise_m, 1e3 * rise_m
 
 

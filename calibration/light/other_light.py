@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from taccel_lab.calibration.light.fit import fit_light
@@ -22,13 +24,15 @@ def light_of_background(
     another pattern, it is the gain of each channel's mean: a lamp that is brighter by a part makes
     the untouched gel and the colours of a slope brighter by that part.
     """
-    light = fit_light(background, known, mask)
+    counted = slice(None) if mask is None else mask
+    means = [image[counted].reshape(-1, 3).mean(axis=0) for image in (background, known)]
+    ratio = np.maximum(means[0], 1.0) / np.maximum(means[1], 1.0)
+    # What a background does not tell, an even one above all, is a lamp's brightness, not an offset.
+    light = fit_light(background, known * ratio, mask)
+    light = replace(light, gain=light.gain * ratio)
     left = background - light.apply(known)
     own = known - np.median(known, axis=(0, 1))
-    counted = slice(None) if mask is None else mask
     spread, whole = (float(np.median(np.abs(part[counted]))) for part in (left, own))
     if spread <= SAME_PATTERN * whole:
         return light
-    means = (image[counted].reshape(-1, 3).mean(axis=0) for image in (background, known))
-    here, there = (np.maximum(mean, 1.0) for mean in means)
-    return LightDrift(here / there, np.zeros(3))
+    return LightDrift(ratio, np.zeros(3))

@@ -116,14 +116,18 @@ class NormalModelConfig:
             )
 
     def away(self, every: int = 1) -> np.ndarray:
-        """Distance of each pixel from the nearest contact that was fitted, in shorter sides of the
-        image, shape [h, w] of every so many-th row and column; 0 where none is known."""
-        u, v = (np.arange(0, count, every) for count in (self.width_px, self.height_px))
-        nearest = np.full((len(v), len(u)), np.inf if self.presses_px else 0.0)
-        for at_u, at_v, radius in np.reshape(self.presses_px, (-1, 3)):
-            beyond = np.hypot(u[None, :] - at_u, v[:, None] - at_v) - radius
-            np.minimum(nearest, np.maximum(beyond, 0.0), out=nearest)
-        return nearest / min(self.width_px, self.height_px)
+        """Distance of each pixel from the part of the image that fitted contacts span, in shorter
+        sides of it, shape [h, w] of every so many-th row and column; 0 where none is known."""
+        spans = []
+        for axis, count in enumerate((self.width_px, self.height_px)):
+            at = np.arange(0, count, every)
+            if self.presses_px:
+                middle, radius = np.reshape(self.presses_px, (-1, 3))[:, [axis, 2]].T
+                low, high = (middle - radius).min(), (middle + radius).max()
+                spans.append(np.maximum(np.maximum(low - at, at - high), 0.0))
+            else:
+                spans.append(np.zeros(len(at)))
+        return np.hypot(spans[0][None, :], spans[1][:, None]) / min(self.width_px, self.height_px)
 
     @property
     def features(self) -> tuple[str, ...]:

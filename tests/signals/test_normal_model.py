@@ -392,3 +392,16 @@ def test_models_whose_answers_no_sensor_shows_are_refused(seed: int) -> None:
     require_answers("it", np.full(100, 1.0), 2.0, "N", "more is none")
     with pytest.raises(InputError, match="it answers up to inf N, but more is none"):
         require_answers("it", np.full(100, np.nan), 2.0, "N", "more is none")
+
+
+def test_a_tilt_is_less_sure_away_from_the_contacts_that_were_fitted() -> None:
+    config = NormalModelConfig(200, 100, presses_px=(40.0, 50.0, 10.0, 60.0, 50.0, 20.0))
+    away = config.away()
+    assert away.shape == (100, 200)
+    assert away[30:71, 30:81].max() == 0.0
+    assert away[50, 110] == pytest.approx(0.3)
+    assert away[90, 110] == pytest.approx(np.hypot(0.2, 0.3))
+    assert np.array_equal(config.away(2), away[::2, ::2])
+    assert NormalModelConfig(200, 100).away().max() == 0.0
+    with pytest.raises(InputError, match="presses_px"):
+        NormalModelConfig(200, 100, presses_px=(40.0, 50.0))

@@ -74,7 +74,12 @@ def test_a_profile_gets_the_fit_to_all_presses_with_scores_and_bands_of_the_firs
         assert not np.array_equal(weight, scored.normal_weights[name])
     first, second = result.fit.model.config, result.final.model.config
     assert second.error_factor >= first.error_factor and second.cone_deg >= first.cone_deg
-    own = {"error_factor": first.error_factor, "cone_deg": first.cone_deg}
+    assert len(second.presses_px) > len(first.presses_px)
+    own = {
+        "error_factor": first.error_factor,
+        "cone_deg": first.cone_deg,
+        "presses_px": first.presses_px,
+    }
     assert replace(second, **own) == first
 
 

@@ -17,11 +17,11 @@ from taccel_lab.calibration.surfaces.design import fitted_design
 from taccel_lab.calibration.thickness.fit import (
     GelThickness,
     gel_thickness,
-    thickness_interval,
     thickness_origin,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.assumed import thickness_interval_mm
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
@@ -83,7 +83,7 @@ def test_a_thickness_that_nobody_measured_is_fitted_with_its_interval(thickness_
         assert high < 1.9 * low
     profile = found.apply_to(profile_of(captures))
     assert profile.gel.thickness_mm == found.thickness_mm == layer_of(profile).thickness_mm
-    assert thickness_interval(profile) == found.interval_mm
+    assert thickness_interval_mm(profile.gel) == found.interval_mm
     assert thickness_origin(profile) == "fitted" and profile.gel.provenance.kind == "calibrated"
     # What it does not know is in the depth: as far as depths differ over the interval.
     share = sunk_share(found.interval_mm, 1.2, BALL_RADIUS_MM, layer_of(profile))
