@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
 
 MAX_TILT_RAD = math.radians(85.0)
-AWAY = 0.3
+AWAY = 0.25
 """Distance from the part of the image that fitted contacts span, in its shorter sides, at which a
-tilt may be off by itself; less nearer by. Six presses of a corner read others 0.1 to 0.3 away by
-0.3 to 0.6 of their tilts wrong (FOTS), by less where colours are even (Taxim, RVSATHU)."""
+tilt may be off by itself; nearer by, by the square of it. Six presses of a corner read others 0.1
+to 0.3 away by 0.3 to 0.6 of their tilts wrong (FOTS), by less where colours are even."""
 MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
@@ -225,7 +225,7 @@ class NormalModel:
             if self.config.presses_px:
                 away = tensor_of(self.config.away(every), sigma_deg.dtype, on)
                 lean_deg = torch.rad2deg(tilt.norm(dim=-1)).to(sigma_deg.dtype)
-                sigma_deg = torch.hypot(sigma_deg, away / AWAY * lean_deg)
+                sigma_deg = torch.hypot(sigma_deg, (away / AWAY) ** 2 * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
         return found.like(image)
 
