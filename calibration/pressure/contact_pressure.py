@@ -64,7 +64,7 @@ smaller there. Below it lies what a reading's errors feign beside a contact."""
 STEEPEST_REST = 0.5
 """Slope of the resting face from which on no flat layer stands for the gel."""
 DEEPEST_SHARE = 0.4
-"""Part of the thickness below which strains are small enough for the stated error."""
+"""Part of the thickness from which on a remark says how far the layer's law may be off."""
 NORMAL_95 = 1.96
 UNKNOWN_SHARE = 0.01
 """Part of a force from which on a remark says that its time is not known."""
@@ -331,9 +331,10 @@ class PressureReader:
         """Where the layer does not hold for this reading, a sentence each."""
         said, deepest = [], -float(rise.min())
         if deepest > DEEPEST_SHARE * self.layer.thickness_mm:
+            strain = deepest / self.layer.thickness_mm
             said.append(
-                f"the gel is pressed by {deepest / self.layer.thickness_mm:.0%} of its thickness: "
-                "strains are larger than those that the interval holds for"
+                f"the gel is pressed by {strain:.0%} of its thickness: for the layer's law alone "
+                f"the interval holds {NORMAL_95 * LAYER_SHARE * strain:.0%} there"
             )
         border = np.ones(pressure.shape, dtype=bool)
         border[1:-1, 1:-1] = False
