@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
 
 
+LEAST_KPA = 0.1
+"""Top of the scale of pressures of a gel that nothing touches."""
+
+
 @in_report_style
 def draw_reading(
     image: np.ndarray | None,
@@ -39,7 +43,9 @@ def draw_reading(
     if image is not None:
         axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
     for ax, (label, values, colors) in zip(axes[pictures - len(maps) :], maps, strict=False):
-        shown = ax.imshow(values, extent=extent, cmap=colors)
+        most = max(float(values.max()), LEAST_KPA) if colors == "magma" else None
+        low = None if most is None else 0.0
+        shown = ax.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=most)
         figure.colorbar(shown, ax=ax, shrink=0.8).set_label(label)
     if press is not None:
         axes[pictures - 1].set_title(press.force_words, fontsize="medium")
