@@ -32,7 +32,7 @@ OTHER_SIZE = 1.1
 MIN_SCALED = 4
 """Labels from which on a common factor between them and the contacts is looked for."""
 MIN_SHIFTED = 4
-"""Labels from which on a shift that they share is told from one of a single label."""
+"""Labels from which on a shift that they share stands apart from that of a single label."""
 FEW_PRESSES = 10
 ONE_SPOT_RADII = 2.0
 """Presses are at one spot when their centres lie within this many contact radii."""

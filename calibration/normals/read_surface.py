@@ -21,17 +21,17 @@ from taccel_lab.calibration.light.other_light import light_of_background
 from taccel_lab.calibration.light.pattern_shift import pattern_shift
 from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
 from taccel_lab.calibration.normals.touch import Touch, touch_of
+from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
-from taccel_lab.signals.read_heights import read_heights
+from taccel_lab.signals.read_heights import ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.summary import Summary
 
-NORMAL_95 = 1.96
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is warned."""
@@ -232,7 +232,7 @@ class SurfaceReader:
         if self.method == "normals":
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self._sigma: tuple[np.ndarray, np.ndarray] | None = None
+        self._last_sigma_m: np.ndarray | None = None
         self._dots = DotMask.of(self.untouched)
 
     @property
@@ -338,17 +338,8 @@ class SurfaceReader:
         if self.response is not None:
             rise_m = self.response.read(lit.levels, self.background, lit.mask).height_m
             return touch_of(rise_m, None, self.grid).any
-        assert self.normal_model is not None
         every = self._light_errors.every
-        found = read_heights(
-            self.normal_model,
-            lit.levels,
-            self.background,
-            self.grid,
-            mask=lit.mask,
-            rest_normals=self._rest_normals,
-            every=every,
-        )
+        found = self._heights(lit, every=every)
         sigma_m = found.reading_sigma_m
         if sigma_m is not None:
             (light_m,) = self._light_errors.sigma_m([lit.still], found.zero, every)
@@ -388,9 +379,9 @@ class SurfaceReader:
             remarks=self.remarks,
         )
 
-    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
+    def _heights(self, lit: LitImage, *, uncertainty: bool = True, every: int = 1) -> ReadHeights:
         assert self.normal_model is not None
-        found = read_heights(
+        return read_heights(
             self.normal_model,
             lit.levels,
             self.background,
@@ -398,15 +389,19 @@ class SurfaceReader:
             mask=lit.mask,
             rest_normals=self._rest_normals,
             uncertainty=uncertainty,
+            every=every,
         )
+
+    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
+        assert self.normal_model is not None
+        found = self._heights(lit, uncertainty=uncertainty)
         read = found.normals
         tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
-            self._sigma = sigma_m, alone_m
-        last_m = alone_m if alone_m is not None or self._sigma is None else self._sigma[1]
+            self._last_sigma_m = alone_m
         return SurfaceReading(
             height_m=self.rest.height_m + found.rise_m,
             rise_m=found.rise_m,
@@ -418,7 +413,7 @@ class SurfaceReader:
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             saturated=None,
             method="normals",
-            touch=touch_of(found.rise_m, last_m, self.grid),
+            touch=touch_of(found.rise_m, self._last_sigma_m, self.grid),
             sigma_of=self.sigma_of,
             remarks=self.remarks,
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the gel is touched: decided once for each image, for all that is told of a contact.
+"""Where the gel is touched: decided once for each image, for all figures of a contact.
 
 A place counts as touched where the surface lies deeper than the reading and the image's light may
 be off by. Errors of heights are smooth, so that what is surely deeper has to be a spot as wide as

@@ -33,6 +33,7 @@ import numpy as np
 
 from taccel_lab.calibration.normals.touch import Touch
 from taccel_lab.calibration.pressure.overstress import Overstress
+from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -65,7 +66,6 @@ STEEPEST_REST = 0.5
 """Slope of the resting face from which on no flat layer stands for the gel."""
 DEEPEST_SHARE = 0.4
 """Part of the thickness from which on a remark says how far the layer's law may be off."""
-NORMAL_95 = 1.96
 UNKNOWN_SHARE = 0.01
 """Part of a force from which on a remark says that its time is not known."""
 

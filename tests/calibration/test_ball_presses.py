@@ -52,7 +52,7 @@ def test_one_wrong_label_and_one_untouched_frame_harm_no_other_press(tmp_path: P
     assert (found.labels.deviation_px < sound.labels.deviation_px + 0.3).all()
     assert {"labels_unused", "presses_left_out"} <= codes(found)
     assert "labels_off" not in codes(found)
-    # Who asks for the labels gets them, and is told.
+    # Who asks for the labels gets them, with a remark.
     asked = presses_of(maker, tmp_path / "labels", circles="labels")
     assert asked.circles[0] == maker.labels[wrong] and "labels_off" in codes(asked)
 
