@@ -31,6 +31,7 @@ from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.read_heights import ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.summary import Summary
+from taccel_lab.with_error import with_error
 
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
@@ -130,9 +131,8 @@ class SurfaceReading(Summary):
         row, column = self.deepest_px
         if not self.touch.any:
             return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
-        depth = f"{-1e3 * self.rise_m[row, column]:.4g}"
-        if self.height_sigma_m is not None:
-            depth += f" +- {1e3 * self.height_sigma_m[row, column]:.2g}"
+        sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
+        depth = with_error(-1e3 * self.rise_m[row, column], None if sigma_m is None else 1e3 * sigma_m)
         return f"{depth} mm at ({column}, {row}) px"
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:

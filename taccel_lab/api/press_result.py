@@ -13,7 +13,6 @@ import numpy as np
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_files import VIEWS, write_press, write_seen
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
@@ -21,6 +20,7 @@ from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.report import save_figure
 from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -175,8 +175,8 @@ class Press(Summary):
         options, last = self.plan.options, self.outcome.last
         height, width = self.outcome.height_m.shape
         rows = [
-            ("force", f"{self.force_n:.4g}{plus_minus(self.force_error_n)} N"),
-            ("deepest", f"{self._deepest_mm():.4g}{plus_minus(self.height_error_mm)} mm"),
+            ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
+            ("deepest", f"{with_error(self._deepest_mm(), self.height_error_mm)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),

@@ -9,7 +9,6 @@ they are as a rule, from a battery of presses (docs/verification.md, Presses by 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -93,8 +92,3 @@ def expected_error(
     return PressError(
         (by_mesh + dhat + path) * np.abs(force_n), HEIGHT_SHARE[kind] / finer**height_order * depth
     )
-
-
-def plus_minus(error: float) -> str:
-    """`` +- 0.012`` after a value; nothing where no error is known, as on a stored mesh."""
-    return "" if math.isnan(error) else f" +- {error:.2g}"

@@ -17,7 +17,6 @@ from taccel_lab.outputs import Outputs
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press import PressEnv
-from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_path import HOLD_STEPS, PressPath
 from taccel_lab.presses.press_states import PressStates
 from taccel_lab.presses.press_surface import FurtherView, PressSurface, press_surface
@@ -26,6 +25,7 @@ from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.tactile_image import tactile_image
 from taccel_lab.solvers import SolverConfig, StepReport
 from taccel_lab.summary import Summary
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from taccel_lab.signals.color_model import ColorModel
@@ -106,7 +106,7 @@ class PressOutcome(Summary):
         """Depth, force with its estimated error, and what the last step ended with."""
         final = self.steps[-1]
         return f"press to {final.depth_mm:.4g} mm", [
-            ("force", f"{final.wrench[2]:.4g}{plus_minus(self.force_error_n)} N"),
+            ("force", f"{with_error(final.wrench[2], self.force_error_n)} N"),
             ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
             ("last step", final.report.summary()),
         ]
