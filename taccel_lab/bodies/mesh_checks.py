@@ -121,7 +121,7 @@ def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: b
         )
     open_edges = edges[uses == 1]
     if closed and len(open_edges):
-        hint = ""
+        hint = "; close it there"
         if len(np.unique(vertices, axis=0)) < len(vertices):
             hint = "; some vertices coincide: merge them if the surface was meant to be closed"
         raise InputError(

@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_edges, check_surface
+from taccel_lab.bodies.surface_parts import turned_outward
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.triangle_file import read_triangle_file
+from taccel_lab.geometry.connectivity import piece_of_cells
 from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
@@ -64,6 +66,8 @@ class Indenter:
     texture: Texture | None = None
     """What stands out of the shape, whose surface is its mean; depths count from first touch of its
     highest points. Images show it, the solver presses the shape."""
+    remarks: tuple[str, ...] = ()
+    """What was changed to read it, a sentence each."""
 
     def contact(self, depth_mm: float) -> float | ToolSection:
         """About what of a gel a press touches, by the shape's section at half of the depth: a
@@ -102,7 +106,8 @@ def parse_indenter(text: str, texture: Texture | None = None) -> Indenter:
     over its surface."""
     kind, _, value = text.partition(":")
     if kind == "mesh":
-        return Indenter(text, _read_mesh(value), texture)
+        shape, remarks = _read_mesh(value)
+        return Indenter(text, shape, texture, remarks)
     if kind not in _SHAPES:
         raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
     counts, build = _SHAPES[kind]
@@ -194,7 +199,8 @@ def _length_m(text: str, value: str) -> float:
     return length_mm * 1e-3
 
 
-def _read_mesh(text: str) -> TriangleMesh:
+def _read_mesh(text: str) -> tuple[TriangleMesh, tuple[str, ...]]:
+    """The mesh of a file, and what was changed about it."""
     name, _, axis = text.rpartition("@")
     path, axis = (Path(name), axis) if name and axis in _INTO_GEL else (Path(text), "-z")
     what = f"indenter mesh {path}"
@@ -214,6 +220,7 @@ def _read_mesh(text: str) -> TriangleMesh:
         )
     check_edges(points, faces, what, closed=True)
     points = points @ np.array(_INTO_GEL[axis], dtype=np.float64).T
+    faces, turned = turned_outward(points, faces)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     corners = (points - centre)[faces]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -225,6 +232,9 @@ def _read_mesh(text: str) -> TriangleMesh:
             f"of at least {_MIN_THICKNESS_MM:g} mm is needed, a sheet has no inside"
         )
     check_surface(points, faces, what, closed=True)
-    if volume < 0:
-        faces = faces[:, [0, 2, 1]]
-    return TriangleMesh(points * 1e-3, faces)
+    remarks: tuple[str, ...] = ()
+    if turned:
+        count = int(piece_of_cells(faces).max()) + 1
+        which = "it was" if count == 1 else f"{turned} of its {count} parts were"
+        remarks = (f"{what}: {which} inside out, and turned round: all faces look outwards now",)
+    return TriangleMesh(points * 1e-3, faces), remarks

@@ -121,6 +121,32 @@ def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
     assert signed_volume(mesh) == pytest.approx(6e-9)
 
 
+def test_a_file_that_was_inside_out_is_said_to_be(tmp_path: Path) -> None:
+    """A part beside another as well; a cavity looks inwards, and a good file needs no word."""
+    points, faces = cube()
+    inwards = faces[:, [0, 1, 3, 2]]
+
+    def read(name: str, *parts: tuple[np.ndarray, np.ndarray]) -> Indenter:
+        joined = pyvista.merge([pyvista.PolyData(at, rows) for at, rows in parts])
+        return parse_indenter(
+            save(joined.extract_surface(algorithm="dataset_surface"), tmp_path / f"{name}.stl")
+        )
+
+    beside, small = points + np.array([5.0, 0, 0]), 0.5 * points
+    for name, parts, volume, said in (
+        ("good", [(points, faces), (beside, faces)], 12e-9, None),
+        ("whole", [(points, inwards)], 6e-9, "it was inside out, and turned round"),
+        ("part", [(points, faces), (beside, inwards)], 12e-9, "1 of its 2 parts were inside out"),
+        ("hollow", [(points, faces), (small, inwards)], 5.25e-9, None),
+        ("turned hollow", [(points, inwards), (small, faces)], 5.25e-9, "2 of its 2 parts"),
+    ):
+        found = read(name, *parts)
+        assert isinstance(found.shape, TriangleMesh)
+        assert signed_volume(found.shape) == pytest.approx(volume, rel=1e-6), name
+        assert (said is None) == (found.remarks == ()), name
+        assert said is None or said in found.remarks[0], name
+
+
 def cube() -> tuple[np.ndarray, np.ndarray]:
     """Corners [mm] and rows (3, a, b, c) of the faces of a cuboid."""
     found = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
