@@ -23,6 +23,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.contact.intersection import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
+from taccel_lab.outputs.guard_share import guard_force
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press_depth import MAX_DEPTH_FRACTION
@@ -387,6 +388,17 @@ class PressEnv:
     def press_force(self) -> np.ndarray:
         """Force of the gel on the indenter [N] in the press frame, shape [env_count, 3]."""
         return self._frames.vectors_in_press(self.wrench[:, :3])
+
+    def guard_share(self) -> np.ndarray:
+        """Part of the force along the press that hangs on the guard against inside-out tets,
+        [env_count]: what would change, to first order, if tets could be squeezed to nothing.
+        Exactly 0 where none is near it; NaN where the gel is about to buckle."""
+        tool = self.model.bodies[-1].node_slice
+        moves = np.zeros((*self.state.positions.shape, 3))
+        moves[:, tool] = self._frames.down_in_gel(len(self.at_m))[:, None]
+        found = np.abs(guard_force(self.solver, self.state, moves))
+        force = np.abs(self.press_force[:, 2])
+        return np.divide(found, force, out=np.zeros(len(force)), where=force > 0)
 
     def error_estimate(self) -> PressError:
         """Estimate the largest error of force and heights in 19 of 20 such presses, on a mesh

@@ -65,6 +65,13 @@ class PressFrames:
             return vectors_in_gel
         return rotate(self._poses[:, 3:] * [-1, -1, -1, 1], vectors_in_gel)
 
+    def down_in_gel(self, env_count: int) -> np.ndarray:
+        """Where the indenters come down along, in the gel frame, [env_count, 3]."""
+        down = np.array([0.0, 0.0, -1.0])
+        if self._poses is None:
+            return np.tile(down, (env_count, 1))
+        return rotate(self._poses[:, 3:], np.tile(down, (len(self._poses), 1)))
+
     def poses_in_gel(self, position: np.ndarray, turn_rad: np.ndarray | float) -> np.ndarray:
         """Poses of bodies at ``position`` [env, 3] of their press frames and turned about its z by
         one angle or one an environment, or by rotation vectors [env, 3], as gel_from_indenter,

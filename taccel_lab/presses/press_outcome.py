@@ -92,6 +92,9 @@ class PressOutcome(Summary):
     """Radius of the disc of the contact's area [m]."""
     smallest_volume_ratio: float
     """Smallest det F anywhere in a tet: above 0 when no tet is inverted."""
+    guard_share: float = 0.0
+    """Part of the last force that hangs on what keeps tets from turning inside out, see
+    ``PressEnv.guard_share``; 0 unless they are squeezed to a tenth of their volume."""
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
@@ -144,6 +147,7 @@ class PressOutcome(Summary):
             "contact_radius_mm": self.contact_radius_m * 1e3,
             "fine_force_n": self.fine_force_n,
             "smallest_volume_ratio": self.smallest_volume_ratio,
+            "guard_share": self.guard_share,
             "stopped": None if self.stopped is None else asdict(self.stopped),
             **self._loop(),
             "steps": [
@@ -293,6 +297,7 @@ def _read(
         indenter_pose=env.poses[0, 0],
         setback_m=float(env.setback_m[0]),
         smallest_volume_ratio=float(smallest_ratios(env.solver.elastic, env.state.positions)[0]),
+        guard_share=float(env.guard_share()[0]),
         states=states,
         stopped=stop,
         views=views,

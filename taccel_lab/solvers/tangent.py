@@ -56,6 +56,8 @@ class Tangent:
         state: State,
         moves: np.ndarray | None = None,
         who: np.ndarray | None = None,
+        *,
+        past: bool = False,
     ) -> None:
         """
         Args:
@@ -64,13 +66,14 @@ class Tangent:
             moves: Motion of prescribed nodes [m], [env_count, node_count, 3]: ``rim_n`` is its
                 pull on the gels. None for none.
             who: Environments to look at, bool, [env_count]; all when None.
+            past: Whether Maxwell branches count with the past that they had in the last step.
 
         Raises:
             InputError: A scene with inertia, damping, Maxwell branches or affine bodies.
         """
         model = solver.model
         check_state(state, model)
-        if solver.maxwell:
+        if solver.maxwell and not past:
             raise InputError(
                 "gradients need elastic gels: the force of a material with Maxwell branches "
                 "depends on its past, which they do not follow"
@@ -108,7 +111,7 @@ class Tangent:
         linear.rhs.zero_()
         linear.extra.clear()
         system = newton_system(solver.model, linear, solver.displacements)
-        for part in solver.elastic:
+        for part in solver.elements:
             part.add_hessian(self.active, self.state.positions, system, self._exact)
 
     def pull_of(self, moves: np.ndarray) -> np.ndarray:

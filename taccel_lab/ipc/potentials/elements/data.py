@@ -316,11 +316,14 @@ class ElementSum(Potential):
         self.write_forces(active, positions)
         self.gather_forces(active, gradient)
 
-    def write_forces(self, active: wp.array, positions: wp.array) -> None:
-        """Evaluate the gradients of all elements."""
+    def write_forces(
+        self, active: wp.array, positions: wp.array, kernel: wp.Kernel | None = None
+    ) -> None:
+        """Evaluate the gradients of all elements, or what another ``kernel`` finds in their
+        place."""
         outputs = [self._by_element(self._forces)]
         inputs = [active, positions, self.data]
-        self.launch(self.kernels.gradient, inputs, outputs, self._chunk_lanes)
+        self.launch(kernel or self.kernels.gradient, inputs, outputs, self._chunk_lanes)
 
     def gather_forces(self, active: wp.array, gradient: wp.array) -> None:
         """Add the parts of elements or chunks to the gradient of the nodes, without atomics."""
