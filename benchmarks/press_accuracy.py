@@ -3,8 +3,8 @@
 
 Every sensor of the catalogue is pressed off its mesh's symmetry with balls, tools with rims and a
 triangle, at two depths; flat pads from 0.8 to 10 mm are pressed with small and large balls and a
-punch. Poisson's ratios and friction take turns. Each case is pressed by the grades and by
-``--accuracy 3%`` and ``1%``.
+punch, and gels that relax at several speeds. Poisson's ratios and friction take turns. Each case is
+pressed by the grades and by ``--accuracy 3%`` and ``1%``.
 
 The truth is a mesh of twice as many elements along every side, less what ``dhat`` and the length of
 the steps add: both are of first order and do not depend on the mesh, so coarse presses measure them
@@ -41,9 +41,10 @@ from taccel_lab.presses import (
     parse_indenter,
     simulate_press,
 )
+from taccel_lab.presses.measured_press import FINER, Resolution, measured_press
 from taccel_lab.presses.physics import parse_accuracy
-from taccel_lab.presses.press_within import AS_IT_IS, COARSE, Resolution, press_within
-from taccel_lab.scene import Material, TriangleMesh
+from taccel_lab.presses.time_steps import relaxing_path
+from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import refined_press_mesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
@@ -81,13 +82,20 @@ PADS = (
 )  # fmt: skip
 """Flat pads besides the catalogue's: thickness, tool, depth [mm]."""
 PAD_RATIOS = (0.40, 0.46, 0.49)
+RELAXING = (
+    (0.2, 0.1, ((1.0, 1.0),)), (0.2, 1.0, ((2.0, 0.1),)),
+    (0.6, 1.0, ((0.5, 0.05), (0.5, 1.0))), (0.05, 1.0, ((1.0, 0.02),)),
+)  # fmt: skip
+"""Flat pads that relax: depth [mm], speed [mm/s] and branches (relative modulus, time [s])."""
+RELAXING_TOOLS = ("ball 4", "ball 1.5", "punch")
 GRADES = ("fast", "default")
 ASKED = ("3%", "1%")
 NEARER = 8
 """Of ``dhat`` and the steps, for the truth."""
 FINE = 2.0
 """Elements along a side over those of the default, for the truth."""
-BUDGET_S = 30.0
+LEVELS = 2
+"""Levels that a percentage may go up."""
 GRID_PX = 160
 STEEPEST_DEG = 60.0
 
@@ -118,7 +126,7 @@ class PressAccuracy(Suite):
             "default": PHYSICS[Accuracy.DEFAULT].record(),
             "fine": FINE,
             "nearer": NEARER,
-            "budget_s": BUDGET_S,
+            "levels": LEVELS,
         }
 
     def measure_rows(self, result: ResultFile) -> None:
@@ -142,11 +150,20 @@ class PressCase:
     friction: float
     thickness_mm: float | None = None
     """Of a pad that is not the catalogue's."""
+    speed_mm_s: float = 1.0
+    branches: tuple[tuple[float, float], ...] = ()
+    """Relative modulus and time [s] of each."""
 
     @property
     def label(self) -> str:
         pad = "" if self.thickness_mm is None else f" of {self.thickness_mm:g} mm"
+        pad += " that relaxes" if self.branches else ""
         return f"{self.family}{pad}, {self.tool}, {self.depth_mm:g} mm"
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its state depends on the path."""
+        return self.friction > 0 or bool(self.branches)
 
     def indenter(self) -> Indenter:
         """What presses."""
@@ -164,6 +181,8 @@ class PressCaseOutcome:
     """What a press gave."""
 
     force_n: float
+    solved_n: float
+    """Without what the press beside it takes off."""
     moved_m: np.ndarray
     """Height less that at rest [m], [height_px, width_px], NaN where the gel is steep."""
     force_error_n: float
@@ -174,8 +193,8 @@ class PressCaseOutcome:
     node_count: int
     newton_iterations: int
     seconds: float
-    refined: str | None = None
-    """How a percentage was met, in words."""
+    measured: str
+    """What the error rests on, in words."""
 
 
 def all_cases() -> Iterator[PressCase]:
@@ -188,6 +207,8 @@ def all_cases() -> Iterator[PressCase]:
             yield PressCase(family, tool, depth_mm, poisson_ratio, friction)
     for (thickness_mm, tool, depth_mm), ratio in itertools.product(PADS, PAD_RATIOS):
         yield PressCase("flat_pad", tool, depth_mm, ratio, 0.0, thickness_mm)
+    for tool, (depth_mm, speed, branches) in itertools.product(RELAXING_TOOLS, RELAXING):
+        yield PressCase("flat_pad", tool, depth_mm, 0.46, 0.0, speed_mm_s=speed, branches=branches)
 
 
 def triangle_prism(side_m: float = 5e-3, height_m: float = 3e-3) -> TriangleMesh:
@@ -203,19 +224,21 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
     indenter, parameters = case.indenter(), case.parameters()
     contact = indenter.contact(case.depth_mm)
     mesh = refined_press_mesh(parameters.pad(), AT_MM, contact, physics.mesh, at.mesh)
+    branches = tuple(MaxwellBranch(*branch) for branch in case.branches)
     layers = [
-        Material(layer.young_modulus_pa, case.poisson_ratio)
+        Material(layer.young_modulus_pa, case.poisson_ratio, branches=branches)
         for layer in parameters.layer_materials()
     ]
+    path = relaxing_path(PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s), branches)
     return simulate_press(
         mesh,
         layered_material(layers, mesh),
         indenter,
         AT_MM,
-        PressPath(case.depth_mm).with_steps(at.steps),
+        path.with_steps(at.steps),
         coarse_grid(parameters.grid()),
         friction_coefficient=case.friction,
-        physics=replace(physics, dhat_m=min(physics.dhat_m, at.dhat_m)),
+        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
         device=device,
     )
 
@@ -223,24 +246,21 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
 def outcome_of(case: PressCase, accuracy: str, device: str) -> PressCaseOutcome:
     """The press of a grade or a percentage."""
     asked, clock = parse_accuracy(accuracy), clock_of(device)
-    started, refined = clock(), None
-    if isinstance(asked, Accuracy):
-        found = press(case, PHYSICS[asked], AS_IT_IS, device)
-    else:
-        physics = PHYSICS[Accuracy.DEFAULT]
-        found, refinement = press_within(
-            asked,
-            lambda at: press(case, physics, at, device),
-            physics.dhat_m,
-            case.indenter().shape,
-            rubs=case.friction > 0,
-            budget_s=BUDGET_S,
-            clock=clock,
-        )
-        refined = refinement.words()
+    started = clock()
+    physics = PHYSICS[asked if isinstance(asked, Accuracy) else Accuracy.DEFAULT]
+    measured = measured_press(
+        lambda at: press(case, physics, at, device),
+        physics,
+        case.indenter().shape,
+        remembers=case.remembers,
+        asked=None if isinstance(asked, Accuracy) else asked,
+        levels=LEVELS,
+    )
+    found = measured.error.stated_for(measured.outcome)
     last = found.last
     return PressCaseOutcome(
-        force_n=float(found.steps[-1].wrench[2]),
+        force_n=found.force_n,
+        solved_n=measured.outcome.force_n,
         moved_m=_moved_m(found),
         force_error_n=found.force_error_n,
         height_error_m=found.height_error_m,
@@ -248,7 +268,7 @@ def outcome_of(case: PressCase, accuracy: str, device: str) -> PressCaseOutcome:
         node_count=found.mesh.node_count,
         newton_iterations=int(sum(s.report.newton_iterations[0] for s in found.steps)),
         seconds=clock() - started,
-        refined=refined,
+        measured=measured.error.words(),
     )
 
 
@@ -273,11 +293,12 @@ def truth(case: PressCase, fine: float, device: str) -> Truth:
     physics = PHYSICS[Accuracy.DEFAULT]
 
     def at(mesh: float, nearer: int, steps: int) -> PressOutcome:
-        resolution = Resolution(mesh, physics.dhat_m / nearer, steps)
-        return press(case, physics, resolution, device)
+        return press(case, physics, Resolution(mesh, 1 / nearer, steps), device)
 
-    finest, coarse = at(fine, 1, 1), at(COARSE, 1, 1)
-    others = [at(COARSE, NEARER, 1)] + ([at(COARSE, 1, NEARER)] if case.friction else [])
+    finest, coarse = at(fine, 1, 1), at(1 / FINER, 1, 1)
+    others = [at(1 / FINER, NEARER, 1)]
+    if case.remembers:
+        others.append(at(1 / FINER, 1, NEARER))
     force, moved = float(finest.steps[-1].wrench[2]), _moved_m(finest)
     for other in others:
         rest = NEARER / (NEARER - 1)
@@ -312,7 +333,8 @@ def measure(case: PressCase, accuracy: str, fine: float, device: str) -> dict[st
         "estimated_force_error": found.force_error_n / abs(found.force_n),
         "height_rms_m": float(np.sqrt(np.nanmean(apart**2))),
         "estimated_height_rms_m": found.height_error_m,
-        "refined": found.refined,
+        "measured": found.measured,
+        "solved_error": found.solved_n / true.force_n - 1,
         "residual": found.residual,
         "nodes": found.node_count,
         "converged_nodes": true.node_count,

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.api.press_result import Press as PressResult
     from taccel_lab.presses import PressPath
+    from taccel_lab.presses.signal_error import SignalError
     from taccel_lab.processes.beside import Beside
 
 
@@ -90,8 +90,9 @@ class PressCommand(PressOptions, _Files):
                 failure, pressed = error, finished[-1]
             pressed.write_into(folder, beside.call)
             beside.finish()
-        if pressed.refinement is not None:
-            console.print(f"note: stated error {pressed.refinement.words()}", soft_wrap=True)
+        if pressed.error is not None:
+            console.print(f"note: numerical error {pressed.error.words()}", soft_wrap=True)
+            console.print(f"note: force, {pressed.force_interval.words()}", soft_wrap=True)
         if failure is not None:
             steps = pressed.outcome.steps
             console.print(
@@ -105,42 +106,55 @@ class PressCommand(PressOptions, _Files):
         console.print(f"wrote {self.out}")
 
 
-def _stated(error: float, digits: str) -> str:
-    return "unknown" if math.isnan(error) else format(error, digits)
-
-
 def _path_rows(path: PressPath, figures: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Where the indenter ended and what it met; after a way back all else is of its end."""
     if path.back:
         yield "deepest, past first touch", f"{path.depth_mm:.4g}", "mm"
     if (hold := figures.get("hold")) is not None:
-        fall = f"{hold['from_n']:.4f}  {hold['to_n']:.4f}"
+        fall = f"{hold['from_n']:.4g}  {hold['to_n']:.4g}"
         yield f"force before and after {hold['seconds']:g} s of hold", fall, "N"
     if (loop := figures.get("loop")) is not None:
-        works = f"{loop['work_mj']:.4f}  {loop['lost_mj']:.4f}"
+        works = f"{loop['work_mj']:.4g}  {loop['lost_mj']:.4g}"
         yield "work of the press, lost on the way back", works, "mJ"
     yield "depth past first touch", f"{figures['steps'][-1]['depth_mm']:.4g}", "mm"
+
+
+def _digits(values: Iterable[float], error: float) -> str:
+    from taccel_lab.with_error import to_error
+
+    return "  ".join(to_error(float(value), error) for value in values)
+
+
+def _both(error: SignalError | None, unit: float = 1.0) -> str:
+    if error is None:
+        return "unknown"
+    return f"{unit * error.numerical:.2g}  {unit * error.total:.2g}"
 
 
 def _print_outcome(console: Console, pressed: PressResult) -> None:
     from rich.table import Table
 
+    from taccel_lab.with_error import with_error
+
     outcome, figures = pressed.outcome, pressed.figures()
-    force = figures["wrench"]["force_n"]
-    moment = figures["wrench"]["moment_nm"] * 1e3
+    force, moment, image = pressed.wrench[:3], 1e3 * pressed.wrench[3:], pressed.image_error
+    error_n, heights = outcome.force_error_n, pressed.height_error
+    ends = pressed.force_interval_n
     table = Table("figure", "value", "unit", title="press", title_justify="left")
     for name, value, unit in (
         *_path_rows(outcome.path, figures),
-        ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
-        ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
-        ("error of the force, stated", _stated(outcome.force_error_n, ".4f"), "N"),
-        ("error of the heights, stated", _stated(1e6 * outcome.height_error_m, ".1f"), "um rms"),
+        ("normal force, numerical error", with_error(force[2], error_n), "N"),
+        ("its 95 % interval, all told", "  ".join(f"{end:.3g}" for end in ends), "N"),
+        ("force of the gel on the indenter", _digits(force, error_n), "N"),
+        ("moment about the gel's origin", _digits(moment, error_n), "N mm"),
+        ("heights off by: numerical, all told", _both(heights, 1e3), "um rms"),
+        ("image off by: numerical, all told", _both(image), "levels rms"),
         ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
         ("force residual", f"{figures['residual_n']:.1e}", "N"),
         ("Newton iterations", f"{figures['newton_iterations']}", ""),
         ("smallest gap", f"{figures['min_distance_m'] * 1e6:.2f}", "um"),
         ("smallest volume ratio of a tet", f"{figures['smallest_volume_ratio']:.3f}", ""),
-        ("time a step", f"{figures['seconds_per_step']:.2f}", "s"),
+        ("time", f"{pressed.seconds:.1f}", "s"),
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
     ):
         table.add_row(name, value, unit)

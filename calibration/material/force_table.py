@@ -165,7 +165,7 @@ def force_table(
     exponent = 1.5 if tool.kind == "sphere" else 1.0
     forces = np.array([[item["force_n"][0] for item in row] for row in rows]).T
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
-    mesh = _press_errors(gel, tool, depths, friction) / NORMAL_95
+    mesh = _press_errors(gel, tool, depths) / NORMAL_95
     table = ForceTable(
         exponent=exponent,
         nu=nus,
@@ -189,17 +189,10 @@ def _nodes(low: float, high: float, count: int) -> np.ndarray:
     return 0.5 * (1 - s**2)
 
 
-def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray, friction: float) -> np.ndarray:
+def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray) -> np.ndarray:
     """Relative errors that presses to these depths [mm] keep to, [depth]."""
-    steps_mm = depths_mm / [len(PressPath(depth).waypoints()) for depth in depths_mm.tolist()]
-    return expected_error(
-        gel.physics,
-        tool.indenter().shape,
-        np.ones_like(depths_mm),
-        1e-3 * depths_mm,
-        1e-3 * steps_mm,
-        friction,
-    ).force_n
+    shape, one = tool.indenter().shape, np.ones_like(depths_mm)
+    return expected_error(gel.physics, shape, one, 1e-3 * depths_mm).force_n
 
 
 def _depths(depth_range_mm: tuple[float, float]) -> np.ndarray:

@@ -15,17 +15,19 @@ from taccel_lab.api.press_progress import steps_if_watched
 from taccel_lab.api.press_result import Press
 from taccel_lab.api.sensor import AnySensor
 from taccel_lab.camera.gel_camera import camera_of, face_of
+from taccel_lab.errors import SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
+from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
 from taccel_lab.presses.press_depth import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
 from taccel_lab.presses.press_surface import FurtherView
-from taccel_lab.presses.press_within import AS_IT_IS, press_within
+from taccel_lab.presses.time_steps import relaxing_path
 from taccel_lab.signals.rest_surface import rest_surface
 
 if TYPE_CHECKING:
     from taccel_lab.presses import PressOutcome, PressPath, PressPhysics
+    from taccel_lab.presses.measured_press import NumericalError
     from taccel_lab.presses.press_force import StepProgress
-    from taccel_lab.presses.press_within import Refinement, Resolution
 
 
 def press(
@@ -74,67 +76,89 @@ def run_press(
         path: PressPath,
         progress: StepProgress | None,
         at: Resolution = AS_IT_IS,
+        friction: float = plan.friction,
     ) -> PressOutcome:
+        # One below the options' resolution stands beside them and is nobody's result.
+        beside = at.mesh < 1
         gel = plan.mesh_for(physics, path.depth_mm, at.mesh)
+        material = profile_material(plan.profile.material, gel)
         outcome = simulate_press(
             gel,
-            profile_material(plan.profile.material, gel),
+            material,
             plan.indenter,
             options.at_mm,
-            path.with_steps(at.steps),
+            relaxing_path(path, material.branches).with_steps(at.steps),
             camera,
-            friction_coefficient=plan.friction,
-            physics=replace(physics, dhat_m=min(at.dhat_m, physics.dhat_m)),
+            friction_coefficient=friction,
+            physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
             designed_rest=rest,
             device=options.device,
-            progress=progress,
-            keep_states=options.states,
-            stopped=finished.append,
-            views=views,
+            progress=None if beside else progress,
+            keep_states=options.states and not beside,
+            stopped=None if beside else finished.append,
+            views={} if beside else views,
         )
-        if options.mesh == "profile":
-            # Nobody has measured what that mesh does.
-            outcome = replace(outcome, force_error_n=math.nan, height_error_m=math.nan)
-        finished.append(outcome)
+        if not beside:
+            finished.append(outcome)
         return outcome
 
     def result(outcome: PressOutcome, failure: str | None = None) -> Press:
-        return Press(plan, outcome, time.perf_counter() - started, failure, refinement)
+        if error is not None and failure is None:
+            outcome = error.stated_for(outcome)
+        return Press(plan, outcome, time.perf_counter() - started, failure, error, below, slippery)
 
-    refinement: Refinement | None = None
-    at, share, depth_mm = AS_IT_IS, options.asked_share, plan.first_mm
+    slippery: float | None = None
+    error: NumericalError | None = None
+    below: PressOutcome | None = None
+    at, depth_mm = AS_IT_IS, plan.first_mm
     try:
         if options.force_n is not None and plan.physics.accuracy != Accuracy.FAST:
             depth_mm = _rough_depth_mm(plan, options.force_n, simulate, progress)
-        if share is not None:
-            outcome, refinement = press_within(
-                share,
-                lambda at: simulate(plan.physics, options.path(depth_mm), progress, at),
-                plan.physics.dhat_m,
-                plan.indenter.shape,
-                rubs=plan.friction > 0,
-                budget_s=options.budget_s,
-            )
-            at = refinement.used
-        elif options.force_n is None:
+        if options.mesh == "profile":
+            # There is no coarser one to stand beside it, and nobody has measured what it does.
             outcome = simulate(plan.physics, options.path(depth_mm), progress)
+            outcome = replace(outcome, force_error_n=math.nan, height_error_m=math.nan)
+        else:
+            measured = measured_press(
+                lambda at: simulate(plan.physics, options.path(depth_mm), progress, at),
+                plan.physics,
+                plan.indenter.shape,
+                remembers=plan.remembers,
+                asked=options.asked_share,
+                levels=options.levels,
+            )
+            outcome, error, below = measured.outcome, measured.error, measured.below
+            at = Resolution.of(error.level, plan.remembers)
+            if plan.is_friction_doubtful and measured.below is not None:
+                path = options.path(depth_mm)
+                slippery = _slippery(
+                    measured.below,
+                    lambda: simulate(plan.physics, path, None, Resolution.of(-1), friction=0.0),
+                )
         if options.force_n is not None:
+            # What the resolution adds to a force it adds at a depth near by too.
             outcome = press_to_force(
-                options.force_n,
+                options.force_n / (1.0 if error is None else error.factor),
                 lambda depth_mm, on_step: simulate(
                     plan.physics, options.path(depth_mm), on_step, at
                 ),
                 deepest_mm(plan.gel, options.at_mm),
-                first_mm=depth_mm,
+                first=outcome,
                 progress=progress,
             )
-            if refinement is not None:
-                outcome = refinement.stated_for(outcome)
-    except BaseException as error:
+    except BaseException as why:
         if finished and stopped is not None:
-            stopped(result(finished[-1], str(error) or "interrupted"))
+            stopped(result(finished[-1], str(why) or "interrupted"))
         raise
     return result(outcome)
+
+
+def _slippery(rough: PressOutcome, press: Callable[[], PressOutcome]) -> float | None:
+    """Force without friction over that of a press with it; None where that did not converge."""
+    try:
+        return press().force_n / rough.force_n
+    except SimulationError:
+        return None
 
 
 def _rough_depth_mm(

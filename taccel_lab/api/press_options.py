@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
@@ -63,11 +62,12 @@ class PressOptions:
     """Then go back to first touch: image and force are those after it, and press.json has the
     loop of force over depth."""
     accuracy: str = "default"
-    """fast, default, reference, or the largest error of the force, such as 3%. The three are fixed
-    settings: each states the error that 19 of 20 such presses keep to. A percentage refines mesh,
-    contact range and steps until the measured error is below it."""
-    budget_s: float = 120.0
-    """Time for a percentage [s]; the press that was reached by then says what is missing."""
+    """fast, default, reference, or the largest numerical error of the force, such as 3%. The three
+    are fixed settings; a coarser press beside each measures its error. A percentage refines mesh,
+    contact range and steps until that error is below it."""
+    levels: int = 2
+    """How often a percentage may refine, at most 4: each time takes about four times as long as the
+    one before. The press that was reached by then says what is missing."""
     tolerance: float | None = None
     """Convergence tolerance: force residual over the sum of the contact forces. Default: that of
     the accuracy."""
@@ -144,6 +144,7 @@ class PressOptions:
         InputError names an option that the solver does not take."""
         from taccel_lab.bodies.bodies import check_friction
         from taccel_lab.presses import PHYSICS, Accuracy
+        from taccel_lab.presses.measured_press import MOST_LEVELS
         from taccel_lab.presses.physics import parse_accuracy
         from taccel_lab.scene import Element
 
@@ -158,8 +159,8 @@ class PressOptions:
                 raise InputError(
                     f"--accuracy {self.accuracy} refines the mesh: leave out --mesh and --element"
                 )
-            if not (math.isfinite(self.budget_s) and self.budget_s > 0):
-                raise InputError(f"--budget-s must be above 0 s, got {self.budget_s:g}")
+            if not 0 <= self.levels <= MOST_LEVELS:
+                raise InputError(f"--levels must lie in [0, {MOST_LEVELS}], got {self.levels}")
             grade = Accuracy.DEFAULT
         physics = PHYSICS[grade]
         if self.tolerance is not None:
@@ -198,7 +199,7 @@ class PressWords(TypedDict, total=False):
     step_mm: float
     step_deg: float
     accuracy: str
-    budget_s: float
+    levels: int
     tolerance: float | None
     dhat_mm: float | None
     element: Literal["linear", "quadratic"] | None

@@ -17,9 +17,11 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.devices import require_device
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.fitted_physics import physics_difference
+from taccel_lab.presses.measured_ranges import measured_ranges
 from taccel_lab.presses.press_depth import check_depth
 from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.profile.assumed import is_modulus_known
 from taccel_lab.report import save_drawing
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.press_mesh import profile_press_mesh
@@ -84,6 +86,19 @@ class PressPlan:
         from taccel_lab.presses.press_force import FIRST_SHARE
 
         return FIRST_SHARE * self.profile.gel.thickness_mm
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the gel's state depends on the path that led there."""
+        return self.friction > 0 or bool(self.profile.material.branches)
+
+    @property
+    def is_friction_doubtful(self) -> bool:
+        """Whether friction that nobody measured matters beside what is known of the modulus."""
+        material = self.profile.material
+        measured = "friction_coefficient" in measured_ranges(self.profile)
+        chosen = self.options.friction is not None or measured or self.friction == 0
+        return is_modulus_known(material) and not chosen
 
     @property
     def differs(self) -> str | None:

@@ -35,7 +35,7 @@ def step_progress(console: Console, title: str) -> Iterator[StepProgress]:
         def update(done: int, total: int, step: PressStep) -> None:
             report = step.report
             note = (
-                f"depth {step.depth_mm:.2f} mm, force {step.wrench[2]:.3g} N, residual "
+                f"depth {step.depth_mm:.2f} mm, force {step.wrench[2] + 0.0:.3g} N, residual "
                 f"{report.residual_n[0]:.1e} N, {report.newton_iterations[0]} Newton, "
                 f"{report.seconds:.2f} s"
             )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,10 +12,13 @@ import numpy as np
 
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.exporters.image_files import eight_bit
+from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.presses.force_interval import ForceInterval, force_causes
 from taccel_lab.presses.press_files import VIEWS, write_press, write_seen
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.presses.signal_error import SignalError, height_error_mm, image_error_levels
 from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.report import save_figure
 from taccel_lab.sensors.starters import is_starter
@@ -27,7 +30,10 @@ if TYPE_CHECKING:
 
     from taccel_lab.api.press_plan import PressPlan
     from taccel_lab.presses import PressOutcome
-    from taccel_lab.presses.press_within import Refinement
+    from taccel_lab.presses.measured_press import NumericalError
+
+TIMES = "times.json"
+"""File of a press folder: what the press and each step took [s]."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -42,23 +48,47 @@ class Press(Summary):
     """Time of the whole."""
     failure: str | None = None
     """Why the press ended before its path did."""
-    refinement: Refinement | None = None
-    """How a percentage of ``--accuracy`` was met, or not; None of its grades."""
+    error: NumericalError | None = None
+    """What the numerical error rests on; None of a stored mesh and of a press that failed."""
+    below: PressOutcome | None = None
+    """The coarser press that the error was measured by."""
+    slippery: float | None = None
+    """Force without friction over that with it, where the coefficient was in doubt and pressed."""
 
     @property
     def force_n(self) -> float:
         """Normal force of the gel on the indenter [N]."""
-        return float(self.wrench[2])
+        return self.outcome.force_n
 
     @property
     def force_error_n(self) -> float:
-        """Stated error of the force [N], see ``PressOptions.accuracy``; NaN of a stored mesh."""
+        """Numerical error of the force [N]: mesh, contact range, steps in path and time; NaN of a
+        stored mesh. What the gel leaves open is in ``force_interval_n``."""
         return self.outcome.force_error_n
+
+    @cached_property
+    def force_interval(self) -> ForceInterval:
+        """95 % interval of the force by all that is known to be uncertain, and its causes."""
+        plan = self.plan
+        causes = force_causes(
+            plan.profile,
+            plan.indenter,
+            self.outcome,
+            plan.options.friction,
+            self.slippery,
+            self._depth_sigma_mm,
+        )
+        return ForceInterval.of(self.force_n, causes)
+
+    @property
+    def force_interval_n(self) -> tuple[float, float]:
+        """Ends of ``force_interval`` [N]."""
+        return self.force_interval.low_n, self.force_interval.high_n
 
     @property
     def wrench(self) -> np.ndarray:
         """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
-        return self.outcome.steps[-1].wrench
+        return self.outcome.wrench
 
     @property
     def height_mm(self) -> np.ndarray:
@@ -70,10 +100,37 @@ class Press(Summary):
         """How far the face lies below where it rests [mm], [height_px, width_px]."""
         return 1e3 * (self.outcome.rest_height_m - self.outcome.height_m)
 
+    @cached_property
+    def height_error(self) -> SignalError:
+        """Error of the heights, root mean square [mm]; NaN of a stored mesh."""
+        return height_error_mm(self.outcome, self._depth_sigma_mm)
+
+    @cached_property
+    def image_error(self) -> SignalError | None:
+        """Error of the image in the profile's colours, root mean square [levels of 255]; None
+        without them, or where nothing was measured."""
+        profile, rgb = self.plan.profile, self._painted[0]
+        if rgb is None or self.below is None:
+            return None
+        assert profile.background_rgb is not None and profile.color is not None
+        beside = painted_images(profile, replace(self.below, states=None))[0]
+        assert beside is not None
+        photo = self.plan.photo
+        place_mm = 0.0 if photo is None or photo.at_sigma_mm is None else max(photo.at_sigma_mm)
+        return image_error_levels(
+            self.outcome,
+            rgb,
+            beside,
+            profile.background_rgb,
+            profile.color.provenance,
+            self._depth_sigma_mm,
+            place_mm / profile.camera.mm_per_px_x,
+        )
+
     @property
-    def height_error_mm(self) -> float:
-        """Stated error of the heights, root mean square [mm]; NaN of a stored mesh."""
-        return 1e3 * self.outcome.height_error_m
+    def _depth_sigma_mm(self) -> float:
+        photo = self.plan.photo
+        return 0.0 if photo is None else photo.depth_sigma_mm or 0.0
 
     @property
     def normals(self) -> np.ndarray:
@@ -121,8 +178,23 @@ class Press(Summary):
     def figures(self) -> dict[str, Any]:
         """Return every number of the press, as in ``press.json``."""
         like = {} if self.like is None else {"like": self.like}
-        refined = {} if self.refinement is None else {"refinement": self.refinement.figures()}
-        return {**self.outcome.figures(), **refined, **like}
+        return {**self.outcome.figures(), **self._errors(), **like}
+
+    def _errors(self) -> dict[str, Any]:
+        """Both errors of force, heights and image, and what they rest on."""
+        force, image = self.force_interval, self.image_error
+        return {
+            "errors": {
+                "force_n": {
+                    "numerical": self.force_error_n,
+                    "interval": self.force_interval_n,
+                    "causes": {each.name: (each.low, each.high) for each in force.causes},
+                },
+                "height_mm": asdict(self.height_error),
+                "image_levels": None if image is None else asdict(image),
+                "measured": None if self.error is None else self.error.figures(),
+            }
+        }
 
     def save(self, folder: Path | str) -> None:
         """Write pictures, arrays, mesh and ``press.json`` as the folder, whole or not at all.
@@ -147,10 +219,12 @@ class Press(Summary):
             "friction_coefficient": plan.friction,
             "differs_from_calibration": plan.differs,
             "like": self.like,
-            "refinement": None if self.refinement is None else self.refinement.figures(),
             "failure": self.failure,
-            "seconds": self.seconds,
+            **self._errors(),
         }
+        # Apart, so that equal presses have equal files.
+        step_s = [step.report.seconds for step in self.outcome.steps]
+        write_json(folder / TIMES, {"seconds": self.seconds, "step_seconds": step_s})
         rgb, frames = self._painted
         write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames, call)
         for name in self.outcome.views:
@@ -176,7 +250,8 @@ class Press(Summary):
         height, width = self.outcome.height_m.shape
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
-            ("deepest", f"{with_error(self._deepest_mm(), self.height_error_mm)} mm"),
+            ("95 % of it", "{:.3g} to {:.3g} N, all told".format(*self.force_interval_n)),
+            ("deepest", f"{with_error(self._deepest_mm(), self.height_error.total)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
@@ -184,8 +259,6 @@ class Press(Summary):
         ]
         if self.like is not None:
             rows.append(("photo", f"{self.like['psnr_db']:.1f} dB ({self._untouched()})"))
-        if self.refinement is not None:
-            rows.append(("refined", self.refinement.words()))
         if self.failure is not None:
             rows.append(("stopped", self.failure))
         depth = self.outcome.steps[-1].depth_mm

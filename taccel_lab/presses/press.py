@@ -115,8 +115,7 @@ class PressEnv:
         body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
         soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=physics.element)
         self.physics = physics
-        self._shape, self._friction = indenter.shape, friction_coefficient
-        self._step_m = np.zeros(env_count)
+        self._shape = indenter.shape
         self._shear_m = np.zeros((env_count, 2))
         self.mesh = soft.nodal_mesh
         """The gel with all its nodes: what ``positions`` belong to."""
@@ -175,7 +174,7 @@ class PressEnv:
         """Back to rest, the indenter above the gel."""
         dhat = self.solver.config.dhat_m
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
-        self._step_m, self._shear_m = 0 * self._step_m, 0 * self._shear_m
+        self._shear_m = 0 * self._shear_m
         self.state = initial_state(self.model, self._start)
 
     def restore(self, positions_m: np.ndarray, poses: np.ndarray) -> None:
@@ -256,9 +255,6 @@ class PressEnv:
             dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_STEP_S)
         report = self._step(target_m, shear_m, np.radians(twist_deg), stay, dt_s)
         done = report.converged & (True if stay is None else ~stay)
-        length_m = np.hypot(self.depth_m - deep, np.linalg.norm(shear_m - aside, axis=1))
-        # A hold rubs no more than the step before it did.
-        self._step_m = np.where(done & (length_m > 0), length_m, self._step_m)
         self._shear_m = np.where(done[:, None], shear_m, aside)
         return report
 
@@ -401,13 +397,6 @@ class PressEnv:
         return np.divide(found, force, out=np.zeros(len(force)), where=force > 0)
 
     def error_estimate(self) -> PressError:
-        """Estimate the largest error of force and heights in 19 of 20 such presses, on a mesh
-        made for the press, see ``expected_error``."""
-        return expected_error(
-            self.physics,
-            self._shape,
-            self.press_force[:, 2],
-            self.depth_m,
-            self._step_m,
-            self._friction,
-        )
+        """Largest error of force and heights in 19 of 20 such presses, on a mesh made for the
+        press, see ``expected_error``."""
+        return expected_error(self.physics, self._shape, self.press_force[:, 2], self.depth_m)

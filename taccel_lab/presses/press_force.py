@@ -69,12 +69,20 @@ class _Curve:
         return by_power_law(force, depth, force_n)
 
 
+def _told(outcome: PressOutcome, curve: _Curve) -> PressOutcome:
+    """The press, its steps told to the curve."""
+    for step in outcome.steps:
+        curve.add(step)
+    return outcome
+
+
 def press_to_force(
     force_n: float,
     press: PressTo,
     limit_mm: float,
     *,
     first_mm: float | None = None,
+    first: PressOutcome | None = None,
     tolerance: float = FORCE_TOLERANCE,
     progress: StepProgress | None = None,
 ) -> PressOutcome:
@@ -88,6 +96,7 @@ def press_to_force(
         press: Presses to a depth, such as a call of ``simulate_press`` with that depth in its path.
         limit_mm: Deepest press.
         first_mm: Where to begin; a tenth of ``limit_mm`` when None.
+        first: A press that is there already, in place of the first.
         tolerance: Part of ``force_n``.
         progress: As ``progress`` of ``simulate_press``, for all presses.
 
@@ -97,6 +106,8 @@ def press_to_force(
     """
     check_force(force_n)
     depth_mm = min(FIRST_SHARE * limit_mm if first_mm is None else first_mm, limit_mm)
+    if first is not None:
+        depth_mm = first.path.depth_mm
     for _ in range(MOST_PRESSES):
         curve = _Curve()
 
@@ -106,7 +117,8 @@ def press_to_force(
                 progress(done, total, step)
 
         try:
-            outcome = press(depth_mm, tell)
+            outcome = press(depth_mm, tell) if first is None else _told(first, curve)
+            first = None
         except SimulationError as error:
             # Too deep a guess; what it had passed by then says where to go, if it had.
             if not curve.force_n or curve.force_n[-1] < force_n:

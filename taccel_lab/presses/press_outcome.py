@@ -65,9 +65,9 @@ class PressOutcome(Summary):
     physics: PressPhysics
     steps: list[PressStep]
     force_error_n: float
-    """Stated error of the last force [N], see ``press_error``; NaN where none is known."""
+    """Numerical error of the last force [N], see ``measured_press``; NaN where none is known."""
     height_error_m: float
-    """Stated error of the heights, root mean square [m]; NaN where none is known."""
+    """Numerical error of the heights, root mean square [m]; NaN where none is known."""
     positions_m: np.ndarray
     """Deformed gel nodes [m], shape [node, 3]."""
     contact_forces_n: np.ndarray
@@ -109,10 +109,20 @@ class PressOutcome(Summary):
         """Depth, force with its estimated error, and what the last step ended with."""
         final = self.steps[-1]
         return f"press to {final.depth_mm:.4g} mm", [
-            ("force", f"{with_error(final.wrench[2], self.force_error_n)} N"),
+            ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
             ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
             ("last step", final.report.summary()),
         ]
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
+        return self.steps[-1].wrench
+
+    @property
+    def force_n(self) -> float:
+        """Normal force of the gel on the indenter [N]."""
+        return float(self.wrench[2])
 
     def seen_by(self, name: str) -> PressOutcome:
         """Return the outcome with the pixels of one of ``views``, without states."""
@@ -127,27 +137,26 @@ class PressOutcome(Summary):
         return tactile_image(model, background_rgb, self)
 
     def figures(self) -> dict[str, Any]:
-        """Return the numbers of the press for a JSON file."""
+        """Return the numbers of the press for a JSON file: no times, so equal presses are equal."""
         steps = [step.report for step in self.steps]
-        final = self.steps[-1]
+        wrench = self.wrench
         return {
-            "force_n": float(final.wrench[2]),
+            "force_n": float(wrench[2]),
             "force_error_n": self.force_error_n,
             "height_error_m": self.height_error_m,
-            "wrench": {"force_n": final.wrench[:3], "moment_nm": final.wrench[3:]},
+            "guard_share": self.guard_share,
+            "wrench": {"force_n": wrench[:3], "moment_nm": wrench[3:]},
             "residual_n": float(self.last.residual_n[0]),
             "contact_force_sum_n": float(self.last.contact_force_n[0]),
             "newton_iterations": int(sum(r.newton_iterations[0] for r in steps)),
             "cg_iterations": int(sum(r.cg_iterations[0] for r in steps)),
             "friction_lags": int(sum(r.friction_lags[0] for r in steps)),
-            "seconds_per_step": float(np.mean([r.seconds for r in steps])),
             "step_count": len(steps),
             "min_distance_m": float(min(r.min_distance_m[0] for r in steps)),
             "setback_m": self.setback_m,
             "contact_radius_mm": self.contact_radius_m * 1e3,
             "fine_force_n": self.fine_force_n,
             "smallest_volume_ratio": self.smallest_volume_ratio,
-            "guard_share": self.guard_share,
             "stopped": None if self.stopped is None else asdict(self.stopped),
             **self._loop(),
             "steps": [
@@ -163,7 +172,6 @@ class PressOutcome(Summary):
                     "cg_iterations": int(step.report.cg_iterations[0]),
                     "friction_lags": int(step.report.friction_lags[0]),
                     "min_distance_m": float(step.report.min_distance_m[0]),
-                    "seconds": step.report.seconds,
                 }
                 for step in self.steps
             ],

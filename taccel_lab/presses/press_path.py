@@ -73,8 +73,8 @@ class PressPath:
                 "deg are needed"
             )
 
-    def with_steps(self, times: int) -> PressPath:
-        """Divide the same path into ``times`` as many steps."""
+    def with_steps(self, times: float) -> PressPath:
+        """Divide the same path into ``times`` as many steps, 1 at least."""
         if times == 1:
             return self
         far = max(self.depth_mm, math.hypot(*self.shear_mm))

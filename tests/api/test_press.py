@@ -24,6 +24,7 @@ from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.processes.process_pool import usable_cores
 from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.with_error import with_error
 from tests.support.commands import refusal
 
 
@@ -82,6 +83,8 @@ def test_nobody_has_measured_a_stored_mesh() -> None:
     pressed = tl.press(small, "sphere:4", **QUICK, mesh="profile")
     assert np.isnan(pressed.force_error_n)
     assert "nan" not in repr(pressed)
+    low, high = pressed.force_interval_n
+    assert low < 0.6 * pressed.force_n and high > 1.9 * pressed.force_n, "of any modulus"
 
 
 def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
@@ -98,7 +101,8 @@ def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
     assert pressed.markers is None
     text = repr(pressed)
     assert text.startswith("sphere:4 pressed 0.3 mm into flat_pad\n")
-    assert f"{pressed.force_n:.4g}" in text and len(text.splitlines()) < 12
+    assert f"{with_error(pressed.force_n, pressed.force_error_n)} N" in text
+    assert len(text.splitlines()) < 12
     assert "<table>" in pressed._repr_html_() and len(pressed.plot().axes) >= 3
     pressed.save(tmp_path / "out")
     assert {"press.json", "scene.png", "image.png", "signals.npz", "gel.vtu"} - {
@@ -182,7 +186,7 @@ def test_the_command_has_the_same_options_and_defaults() -> None:
         ({"depth_mm": 9.0}, "goes past the gel"),
         ({"depth_mm": 0.3, "accuracy": "best"}, "accuracy 'best' is not known; allowed: fast"),
         ({"depth_mm": 0.3, "accuracy": "3%", "mesh": "profile"}, "leave out --mesh and --element"),
-        ({"depth_mm": 0.3, "accuracy": "3%", "budget_s": 0.0}, "--budget-s must be above 0 s"),
+        ({"depth_mm": 0.3, "accuracy": "3%", "levels": 5}, r"--levels must lie in \[0, 4\]"),
         ({"depth_mm": 0.3, "element": "cubic"}, "element 'cubic' is not known"),
         ({"depth_mm": 0.3, "friction": -1.0}, "--friction"),
         ({"depth_mm": 0.3, "device": "tpu"}, "device 'tpu' is not there"),
@@ -223,8 +227,8 @@ def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) ->
 def test_a_percentage_is_kept_against_the_closed_form() -> None:
     """Small strains, no friction: the exact linear solution is within 1 % of the truth there."""
     found = tl.press("flat_pad", "sphere:4", depth_mm=0.1, friction=0.0, accuracy="3%")
-    refined, gel = found.refinement, found.plan.profile.material
-    assert refined is not None and refined.shortfall is None
+    error, gel = found.error, found.plan.profile.material
+    assert error is not None and error.shortfall is None
     exact = layer_force_n(
         "sphere",
         np.array([0.1]),
@@ -235,8 +239,9 @@ def test_a_percentage_is_kept_against_the_closed_form() -> None:
     )[0]
     assert 0 < found.force_error_n <= 0.03 * found.force_n
     assert abs(found.force_n - exact) <= found.force_error_n + 0.01 * exact
-    assert found.figures()["refinement"]["stated"] <= 0.03
-    assert "refined" in repr(found)
+    errors = found.figures()["errors"]
+    assert errors["measured"]["share"] <= 0.03
+    assert errors["force_n"]["numerical"] == found.force_error_n
 
 
 # Photos -------------------------------------------------------------------------------------------

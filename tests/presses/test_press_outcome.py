@@ -136,7 +136,7 @@ def test_figures_progress_and_pose(
     assert figures["force_n"] == outcome.steps[-1].wrench[2]
     assert figures["residual_n"] <= 1e-4 * figures["contact_force_sum_n"]
     assert figures["newton_iterations"] == sum(int(r.newton_iterations[0]) for r in reports)
-    assert figures["seconds_per_step"] == pytest.approx(np.mean([r.seconds for r in reports]))
+    assert "seconds" not in json.dumps(figures, default=str), "equal presses have equal figures"
     assert figures["min_distance_m"] == min(float(r.min_distance_m[0]) for r in reports) > 0
     assert figures["step_count"] == len(figures["steps"]) == 3
     assert [step["depth_mm"] for step in figures["steps"]] == [0.25, 0.5, 0.5]

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In what interval the force of a press lies, by all that is known to be uncertain.
+
+Each cause gives factors of the force at the ends of its 95 % interval; as independent causes they
+are put together by the squares of their logarithms.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.profile.assumed import modulus_interval_pa, thickness_interval_mm
+from taccel_lab.scene import Ball
+
+if TYPE_CHECKING:
+    from taccel_lab.presses.indenter import Indenter
+    from taccel_lab.presses.press_outcome import PressOutcome
+    from taccel_lab.profile import SensorProfile
+
+FRICTION_SHARE = 0.13
+"""Of the normal force, by a coefficient that nobody measured: the largest of balls, a punch and an
+edge in pads of 1 to 6 mm, without friction beside 0.3 (a 4 mm ball 0.3 mm deep in 1 mm of gel)."""
+ROUGHER = 0.5
+"""What a coefficient of 1 adds over what one of 0 takes: 0.4 to 0.57 of those presses."""
+_LARGEST_RATIO = 0.4999
+"""Poisson's ratio up to which a layer's force is asked for."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What one uncertain quantity does to a force."""
+
+    name: str
+    low: float
+    """Factor of the force at the lower end [1], at most 1."""
+    high: float
+
+
+@dataclass(frozen=True)
+class ForceInterval:
+    """95 % interval of a force, and what it is made of."""
+
+    low_n: float
+    high_n: float
+    causes: tuple[Cause, ...]
+
+    @classmethod
+    def of(cls, force_n: float, causes: tuple[Cause, ...]) -> ForceInterval:
+        """That of a force [N] with independent causes."""
+        low = math.exp(-math.hypot(*(_log(each.low) for each in causes)))
+        high = math.exp(math.hypot(*(_log(each.high) for each in causes)))
+        ends = sorted((low * force_n, high * force_n))
+        return cls(ends[0], ends[1], causes)
+
+    def words(self) -> str:
+        """Interval and largest causes, for people."""
+        ranked = sorted(self.causes, key=lambda each: -max(_log(each.low), _log(each.high)))
+        said = [
+            f"{each.name} {_ends(each)}"
+            for each in ranked
+            if max(_log(each.low), _log(each.high)) > 1e-3
+        ]
+        return f"all told: {self.low_n:.3g} to {self.high_n:.3g} N (95 %: {', '.join(said)})"
+
+
+def _ends(cause: Cause) -> str:
+    if cause.high >= 1.5:
+        return f"x {cause.low:.2g} to {cause.high:.2g}"
+    return f"{100 * (cause.low - 1):+.2g} to {100 * (cause.high - 1):+.2g} %"
+
+
+def _log(factor: float) -> float:
+    """Size of a factor's logarithm; factors of 0 count as a millionth."""
+    return abs(math.log(max(factor, 1e-6)))
+
+
+def force_causes(
+    profile: SensorProfile,
+    indenter: Indenter,
+    outcome: PressOutcome,
+    friction: float | None,
+    slippery: float | None = None,
+    depth_sigma_mm: float = 0.0,
+) -> tuple[Cause, ...]:
+    """What makes the force of a press uncertain.
+
+    Args:
+        profile: Of the sensor; ``profile.assumed`` has priors for what it does not state.
+        indenter: What presses.
+        outcome: The press, with its numerical error.
+        friction: The coefficient that a person chose; None for the profile's.
+        slippery: Force without friction over that with it, where it was pressed.
+        depth_sigma_mm: Standard deviation of a depth that was read [mm].
+    """
+    found: list[Cause] = []
+    if math.isfinite(outcome.force_error_n) and outcome.force_n:
+        share = outcome.force_error_n / abs(outcome.force_n)
+        found.append(Cause("numerical", max(1.0 - share, 0.0), 1.0 + share))
+    material, ranges = profile.material, measured_ranges(profile)
+    # Every stress of a gel grows as its moduli do.
+    low_pa, high_pa = modulus_interval_pa(material)
+    pa = material.young_modulus_pa
+    found.append(Cause("Young's modulus", low_pa / pa, high_pa / pa))
+    nu, mm = material.poisson_ratio, profile.gel.thickness_mm
+    thin, thick = thickness_interval_mm(profile.gel)
+    force = _Layer(indenter, outcome)
+    rest = force.at(mm, nu)
+    found.append(Cause("thickness", force.at(thick, nu) / rest, force.at(thin, nu) / rest))
+    if (ratios := ranges.get("poisson_ratio")) is not None:
+        ends = (force.at(mm, min(end, _LARGEST_RATIO)) / rest for end in (ratios.low, ratios.high))
+        found.append(Cause("Poisson's ratio", *sorted(ends)))
+    if friction is None:
+        less = FRICTION_SHARE if slippery is None else max(1.0 - slippery, 0.0)
+        found.append(Cause("friction", 1.0 - less, 1.0 + ROUGHER * less))
+    if depth_sigma_mm > 0:
+        power = force_power(outcome)
+        off = 2 * depth_sigma_mm / outcome.path.depth_mm
+        found.append(Cause("depth", max(1.0 - off, 0.0) ** power, (1.0 + off) ** power))
+    return tuple(found)
+
+
+def force_power(outcome: PressOutcome) -> float:
+    """Power of the depth that the force grows as at full depth: of the last two steps down, or
+    1.5 (Hertz) of one."""
+    down = [
+        (step.depth_mm, float(step.wrench[2]))
+        for step in outcome.steps[: len(outcome.path.way_there())]
+        if step.shear_mm == (0.0, 0.0) and step.twist_deg == 0.0 and step.wrench[2] > 0
+    ]
+    if len(down) < 2:
+        return 1.5
+    (d0, f0), (d1, f1) = down[-2:]
+    return max(math.log(f1 / f0) / math.log(d1 / d0), 0.5)
+
+
+class _Layer:
+    """Force on a bonded layer of a tool that touches it as the press did: the ball itself, or a
+    punch of the contact's radius."""
+
+    def __init__(self, indenter: Indenter, outcome: PressOutcome) -> None:
+        self._depth_mm = np.array([outcome.path.depth_mm])
+        shape = indenter.shape
+        ball_mm = 1e3 * shape.radius_m if isinstance(shape, Ball) else 0.0
+        self._ball = ball_mm > 2 * outcome.path.depth_mm
+        self._radius_mm = ball_mm if self._ball else max(1e3 * outcome.contact_radius_m, 0.05)
+
+    def at(self, thickness_mm: float, poisson_ratio: float) -> float:
+        """For a modulus of 1 Pa [N]."""
+        kind = "sphere" if self._ball else "cylinder"
+        found = layer_force_n(kind, self._depth_mm, self._radius_mm, thickness_mm, poisson_ratio)
+        return float(np.ravel(found)[0])

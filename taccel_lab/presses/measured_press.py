@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A press that measures its numerical error: one of half the resolution stands beside it.
+
+From one level of resolution to the next elements are 2^0.5 times as many along every side, ``dhat``
+is halved, and so is the length of the steps, in path and time. Errors of dhat and steps halve, and
+those of the mesh at least. The change from the level below has their sign: half of it is taken off
+the force, half is stated, with what a battery of presses shows to be left
+(docs/verification.md, Presses by default). ``--accuracy 3%`` goes up level by level, where each
+press is the one beside the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.presses.physics import Accuracy, PressPhysics
+from taccel_lab.presses.press_error import Shares, expected_error
+from taccel_lab.presses.press_outcome import PressOutcome
+from taccel_lab.scene import Ball, Element, TriangleMesh
+
+FINER = 2**0.5
+"""Elements along a side over those of the level below."""
+MOST_LEVELS = 4
+"""Levels above that of the options."""
+TAKEN_OFF = STATED = 0.5
+"""Parts of the change from the level below: a first-order error is as large as the change, that of
+a mesh a third of it and less."""
+LEFT = {
+    Accuracy.FAST: Shares(0.011, 0.09),
+    Accuracy.DEFAULT: Shares(0.007, 0.024),
+    Accuracy.REFERENCE: Shares(0.003, 0.01),
+}
+"""Of the force, beside that: what 19 of 20 presses of the battery need."""
+LEFT_OF_DEPTH = 0.002
+"""The same of the heights, over the depth; beside it the whole change is stated."""
+UNKNOWN_GUARD = 0.01
+"""Stands for a share of the guard that cannot be measured, where the gel is about to buckle: twice
+the largest of seven pins and edges."""
+SECOND_ORDER = 0.5
+"""What second order leaves of a change on the next level."""
+UPRIGHT = 0.5
+"""Least z of the normals of pixels whose heights are compared: farther down on a dome's side
+heights are differences of where a facet happens to end."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How much finer a press is than the options say."""
+
+    mesh: float
+    """Elements along a side over those of the options."""
+    dhat: float
+    """Contact range over that of the options."""
+    steps: float
+    """Steps over those of the options."""
+
+    @classmethod
+    def of(cls, level: int, remembers: bool = True) -> Resolution:
+        """That of a level; 0 is that of the options. Where the path does not matter
+        (``remembers`` is False) finer levels keep its steps."""
+        steps = 2.0**level if remembers or level < 0 else 1.0
+        return cls(FINER**level, 2.0**-level, steps)
+
+
+AS_IT_IS = Resolution.of(0)
+
+
+@dataclass(frozen=True)
+class NumericalError:
+    """What a press states of its mesh, contact range and steps."""
+
+    factor: float
+    """The stated force over the solved one [1]."""
+    share: float
+    """Numerical error of the stated force, over it [1]."""
+    height_error_m: float
+    """Of the heights, root mean square [m]."""
+    guard_share: float
+    """Part of ``share`` that hangs on the guard against inside-out tets [1]."""
+    changes: tuple[float, ...]
+    """Solved forces less that of the finest level, over it, coarsest first [1]."""
+    level: int
+    """Of the press; 0 is that of the options."""
+    presses: int
+    asked: float | None = None
+    """Relative error that was asked for [1]; None of a grade."""
+    shortfall: str | None = None
+    """Why the error is not measured, or larger than asked for, in a sentence."""
+
+    def figures(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+    def words(self) -> str:
+        """What the error rests on, in a sentence."""
+        said = f"{100 * self.share:.2g} % of the force, by {self.presses} presses"
+        if self.level:
+            said += f", the finest {FINER**self.level:.2g} times as fine as the default"
+        if self.guard_share > 0.01:
+            said += (
+                f"; the guard against inverted elements carries {100 * self.guard_share:.2g} %: "
+                "the gel is pressed past what its mesh resolves"
+            )
+        if self.shortfall is None:
+            return said
+        if self.asked is None:
+            return f"{said}; {self.shortfall}"
+        return f"{said}; {100 * self.asked:g} % was not reached: {self.shortfall}"
+
+    def stated_for(self, outcome: PressOutcome) -> PressOutcome:
+        """A press of this resolution with what mesh, contact range and steps add taken off all its
+        loads, and with the errors that it states. What states it kept are as solved."""
+        factor = self.factor
+        steps = [replace(step, wrench=factor * step.wrench) for step in outcome.steps]
+        return replace(
+            outcome,
+            steps=steps,
+            contact_forces_n=factor * outcome.contact_forces_n,
+            contact_pressures_pa=factor * outcome.contact_pressures_pa,
+            von_mises_pa=factor * outcome.von_mises_pa,
+            force_error_n=self.share * abs(float(steps[-1].wrench[2])),
+            height_error_m=self.height_error_m,
+        )
+
+
+@dataclass(frozen=True)
+class MeasuredPress:
+    """A press, as it was solved, and what its error rests on."""
+
+    outcome: PressOutcome
+    error: NumericalError
+    below: PressOutcome | None
+    """That of the level below; None where it failed."""
+
+
+PressAt = Callable[[Resolution], PressOutcome]
+"""A press of some resolution; SimulationError where it does not converge."""
+
+
+def measured_press(
+    press: PressAt,
+    physics: PressPhysics,
+    shape: Ball | TriangleMesh,
+    *,
+    remembers: bool,
+    asked: float | None = None,
+    levels: int = 0,
+) -> MeasuredPress:
+    """Press, and press beside it, until the numerical error of the force is small enough.
+
+    Args:
+        press: Does a press.
+        physics: Of level 0.
+        shape: What presses.
+        remembers: Whether the gel's state depends on the path: it rubs or relaxes.
+        asked: Relative error of the force [1]; None for level 0 as it is.
+        levels: Finest level, 4 at most: each takes about four times as long as the one below.
+
+    Returns:
+        The finest press. SimulationError and InputError as of the press at level 0; where another
+        fails, the error says so.
+    """
+    best, level = press(AS_IT_IS), 0
+    found = _by_rule(best, physics, shape, asked)
+    if physics.element is Element.LINEAR:
+        reason = "linear elements are too stiff on any mesh, so that this is a rule of thumb"
+        return MeasuredPress(best, replace(found, shortfall=reason), None)
+    try:
+        below = press(Resolution.of(-1))
+    except (SimulationError, InputError) as error:
+        reason = f"the coarser press beside it failed ({error}), so that this is a rule of thumb"
+        return MeasuredPress(best, replace(found, shortfall=reason), None)
+    pressed, last = [below, best], 0.0
+    shortfall: str | None = None
+    while True:
+        found, last = _measured(pressed, physics, shape, last, asked)
+        if asked is None or found.share <= asked:
+            break
+        if level >= min(levels, MOST_LEVELS):
+            shortfall = f"{level} finer presses were allowed"
+            if level < MOST_LEVELS:
+                shortfall += f"; --levels {level + 1} takes about four times as long"
+            break
+        try:
+            best = press(Resolution.of(level + 1, remembers))
+        except (SimulationError, InputError) as error:
+            shortfall = f"a finer press failed: {error}"
+            break
+        level += 1
+        pressed.append(best)
+    return MeasuredPress(best, replace(found, shortfall=shortfall), pressed[-2])
+
+
+def _by_rule(
+    outcome: PressOutcome, physics: PressPhysics, shape: Ball | TriangleMesh, asked: float | None
+) -> NumericalError:
+    depth_m, guard = 1e-3 * outcome.path.depth_mm, _guard_share(outcome)
+    rule = expected_error(physics, shape, np.ones(1), np.full(1, depth_m))
+    share = float(rule.force_n[0]) + guard
+    return NumericalError(1.0, share, float(rule.height_m[0]), guard, (0.0,), 0, 1, asked)
+
+
+def _guard_share(outcome: PressOutcome) -> float:
+    return UNKNOWN_GUARD if math.isnan(outcome.guard_share) else outcome.guard_share
+
+
+def _measured(
+    pressed: list[PressOutcome],
+    physics: PressPhysics,
+    shape: Ball | TriangleMesh,
+    last: float,
+    asked: float | None,
+) -> tuple[NumericalError, float]:
+    """The error of the last of these presses, coarsest first, and its relative change of force.
+
+    Forces that went down and come up again (``last``: the change before) do not converge yet: under
+    rims the two errors of a mesh, too stiff and too far from the rim, may just cancel. The force
+    may be off by what second order leaves of the change before.
+    """
+    below, best = pressed[-2:]
+    guard = _guard_share(best)
+    solved = _compared_n(best)
+    changes = tuple(_compared_n(one) / solved - 1 if solved else 0.0 for one in pressed)
+    change, level = changes[-2], len(pressed) - 2
+    doubt = abs(change)
+    if change * last < 0:
+        doubt = max(doubt, SECOND_ORDER * abs(last))
+    factor = 1.0 - TAKEN_OFF * change
+    left = LEFT[physics.accuracy].of(shape) / FINER**level
+    share = (STATED * doubt + left) / abs(factor) + guard
+    moved = (best.height_m - best.rest_height_m) - (below.height_m - below.rest_height_m)
+    height_m = _rms(moved[best.normals[..., 2] > UPRIGHT])
+    height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
+    error = NumericalError(factor, share, height_m, guard, changes, level, len(pressed), asked)
+    return error, change
+
+
+def _compared_n(outcome: PressOutcome) -> float:
+    """Solved normal force at the end, or before the way back, which ends without one [N]."""
+    forces = [float(step.wrench[2]) for step in outcome.steps]
+    return max(forces) if outcome.path.back else forces[-1]
+
+
+def _rms(heights_m: np.ndarray) -> float:
+    """Root of the mean square, of pixels where both presses have gel; 0 of none."""
+    known = heights_m[np.isfinite(heights_m)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
