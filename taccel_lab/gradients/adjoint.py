@@ -25,6 +25,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.gradients.elastic_forces import elastic_gradient
 from taccel_lab.gradients.motion import GelMotion, MotionRecord
+from taccel_lab.gradients.parameters import Parameters
 from taccel_lab.gradients.rest_scale import RestScale
 from taccel_lab.ipc.potentials.contact_derivatives import (
     BEFORE,
@@ -34,6 +35,7 @@ from taccel_lab.ipc.potentials.contact_derivatives import (
     ContactDerivatives,
 )
 from taccel_lab.ipc.potentials.friction import step_motion
+from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix
 from taccel_lab.state import State
@@ -72,25 +74,21 @@ def pull_back(
     """Gradients of a loss from its derivatives by what a motion gave.
 
     Args:
-        motion: What ran it, with the parameters that it had then.
-        record: What came of it.
+        motion: What ran it; its model may have other parameters by now.
+        record: What came of it, with the parameters that gradients are taken at.
         positions: dL / d ``record.positions``, the same shape; zero when None.
         wrenches: dL / d ``record.wrenches``, the same shape; zero when None.
 
     Raises:
-        InputError: Arrays of other shapes, or a model that was changed since.
+        InputError: Arrays of other shapes.
     """
-    if record.changes != motion.model.changes:
-        raise InputError(
-            "the model's parameters were set anew since this motion was run: take its gradients "
-            "before, or run it again"
-        )
     by_positions = _given(positions, record.positions, "positions")
     by_wrenches = _given(wrenches, record.wrenches, "wrenches")
-    sweep = _Sweep(motion, record)
-    for k in reversed(range(len(record.positions))):
-        sweep.step(k, by_positions[k], by_wrenches[k])
-    return sweep.result()
+    with record.parameters.installed():
+        sweep = _Sweep(motion, record)
+        for k in reversed(range(len(record.positions))):
+            sweep.step(k, by_positions[k], by_wrenches[k])
+        return sweep.result()
 
 
 def _given(value: Array | None, like: Array, name: str) -> Array:
@@ -125,7 +123,7 @@ class _Sweep:
         self.mounts = [None if b.mount is None else names.index(b.mount) for b in bodies]
         config = motion.solver.config
         self.scales = [RestScale(model, config, gel) for gel in range(gels)]
-        self.by_poisson = [_by_poisson(motion, group) for group in model.elastic]
+        self.by_poisson = [_by_poisson(model, record.parameters, g) for g in model.elastic]
 
     def state(self, k: int) -> State:
         """That after step k; at the start for -1. Failed environments are at the start."""
@@ -298,7 +296,7 @@ class _Sweep:
             rows = slice(*model.body_rows()[gel])
             power = np.einsum("enx,enx->e", multipliers[:, place], forces[:, place])
             more = np.einsum("enx,enx->e", multipliers[:, place], by_poisson[:, place])
-            self.young[:, gel] += power / _moduli(self.motion, gel)[0]
+            self.young[:, gel] += power / self.record.parameters.of_gel(gel)[0]
             self.poisson[:, gel] += more
             for env, matrix in pulls.items():
                 # K x is that of the gel alone: its elements hold no node of another.
@@ -347,41 +345,20 @@ def _add_nodes(
     np.add.at(by_x, derivatives.nodes, found)
 
 
-def _moduli(motion: GelMotion, gel: int) -> tuple[Array, Array]:
-    """Young's modulus [Pa] and Poisson's ratio of a gel, one or [env_count] each."""
-    model = motion.model
-    for group in model.elastic:
-        for body, first, end in group.bodies:
-            if body == gel and group.young_moduli is not None and group.poisson_ratios is not None:
-                rows = (model.env_count, group.element_count)
-                both = [
-                    value.numpy().reshape(rows)[:, first:end]
-                    for value in (group.young_moduli, group.poisson_ratios)
-                ]
-                if any((value != value[:, :1]).any() for value in both):
-                    raise InputError(
-                        f"gradients need a gel of one material: that of {model.bodies[gel].name!r} "
-                        "was set by tet"
-                    )
-                return both[0][:, 0], both[1][:, 0]
-    material = model.scene.soft_bodies[gel].material
-    return np.asarray(material.young_modulus_pa), np.asarray(material.poisson_ratio)
-
-
-def _by_poisson(motion: GelMotion, group: ElementArrays) -> ElementArrays:
+def _by_poisson(model: Model, parameters: Parameters, group: ElementArrays) -> ElementArrays:
     """The elements with d moduli / d nu in place of the moduli, in which forces are linear."""
-    envs, count = motion.model.env_count, group.element_count
-    shared = group.young_moduli is None
+    envs, count = model.env_count, group.element_count
+    shared = group.mu.size == count
     mu, lam = np.zeros((envs, count)), np.zeros((envs, count))
     for body, first, end in group.bodies:
-        young, nu = (np.broadcast_to(value, envs) for value in _moduli(motion, body))
+        young, nu = (np.broadcast_to(value, envs) for value in parameters.of_gel(body))
         mu[:, first:end] = (-young / (2 * (1 + nu) ** 2))[:, None]
         slope = young * (1 + 2 * nu**2) / ((1 + nu) ** 2 * (1 - 2 * nu) ** 2)
         lam[:, first:end] = slope[:, None]
 
     def put(values: Array) -> wp.array:
         rows = values[:1] if shared else values
-        return wp.array(rows.ravel(), dtype=wp.float64, device=motion.model.device)
+        return wp.array(rows.ravel(), dtype=wp.float64, device=model.device)
 
     return replace(group, mu=put(mu), lam=put(lam))
 

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.gradients.parameters import Parameters
 from taccel_lab.ipc.potentials.contact_derivatives import ContactDerivatives, contact_derivatives
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model import Model
@@ -43,8 +44,8 @@ class MotionRecord:
     what is touched."""
     causes: list[str | None]
     """Why an environment has no gradients, None where it has."""
-    changes: int
-    """``Model.changes`` when it was run."""
+    parameters: Parameters
+    """Moduli and friction that it was run with."""
     seconds: float
     """Wall time of the steps."""
 
@@ -90,6 +91,7 @@ class GelMotion:
                 f"least one step, got {poses.shape}"
             )
         poses = np.stack([as_poses(model, row) for row in poses])
+        parameters = Parameters.of(model)
         state = initial_state(model, poses[0])
         start = state.positions.numpy().copy()
         shape = (len(poses) - 1, model.env_count)
@@ -116,7 +118,7 @@ class GelMotion:
                     int(env), state, solver.origin, solver.origin_poses, False
                 )
                 wrenches[k, env] = self._wrenches(derivatives, found[env], target[env])
-        return MotionRecord(poses, start, positions, wrenches, causes, model.changes, seconds)
+        return MotionRecord(poses, start, positions, wrenches, causes, parameters, seconds)
 
     def derivatives(
         self, env: int, state: State, before: wp.array, poses_before: wp.array, by_all: bool

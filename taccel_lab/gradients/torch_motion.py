@@ -8,6 +8,7 @@ that a loss of an image goes by its markers or its height map.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.gradients.adjoint import pull_back
-from taccel_lab.gradients.motion import TIGHT, GelMotion
+from taccel_lab.gradients.motion import TIGHT, GelMotion, MotionRecord
 from taccel_lab.model import Model
 from taccel_lab.signals import MarkerLayout
 from taccel_lab.signals.raster import FaceRaster
@@ -62,12 +63,28 @@ class TorchMotion:
             friction: One coefficient of all pairs of bodies that may touch, [env_count].
 
         Raises:
-            InputError: Bad values or shapes.
+            InputError: Bad values or shapes, or what is no tensor.
         """
-        causes: list[str | None] = []
-        inputs = (poses, young_modulus_pa, poisson_ratio, friction)
-        positions, wrenches = _Moved.apply(self.motion, causes, *inputs)  # type: ignore[misc]
-        return MovedGels(positions, wrenches, causes)
+        inputs = {
+            "poses": poses,
+            "young_modulus_pa": young_modulus_pa,
+            "poisson_ratio": poisson_ratio,
+            "friction": friction,
+        }
+        for name, value in inputs.items():
+            if value is not None or name == "poses":
+                _check_tensor(name, value)
+        call = _Call(self.motion)
+        positions, wrenches = _Moved.apply(call, *inputs.values())  # type: ignore[misc]
+        return MovedGels(positions, wrenches, call.causes)
+
+
+def _check_tensor(name: str, value: object) -> None:
+    if not isinstance(value, Tensor):
+        raise InputError(
+            f"{name} must be a torch tensor, got {type(value).__name__}: torch.as_tensor({name}) "
+            "makes one"
+        )
 
 
 def _set_parameters(
@@ -94,41 +111,88 @@ def _host(value: Tensor) -> np.ndarray:
     return value.detach().cpu().numpy().astype(np.float64)
 
 
+@dataclass
+class _Call:
+    """What stays with one call until its gradients are taken."""
+
+    motion: GelMotion
+    record: MotionRecord | None = None
+    causes: list[str | None] = field(default_factory=list)
+    """``MovedGels.causes``."""
+
+
 class _Moved(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any,
-        motion: GelMotion,
-        causes: list[str | None],
+        call: _Call,
         poses: Tensor,
         young: Tensor | None,
         poisson: Tensor | None,
         friction: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
-        _set_parameters(motion.model, young, poisson, friction)
-        ctx.motion, ctx.record, ctx.causes = motion, motion.run(_host(poses)), causes
-        ctx.like = poses, young, poisson, friction
-        causes[:] = ctx.record.causes
-        both = (ctx.record.positions, ctx.record.wrenches)
+        _set_parameters(call.motion.model, young, poisson, friction)
+        call.record = call.motion.run(_host(poses))
+        call.causes[:] = call.record.causes
+        both = (call.record.positions, call.record.wrenches)
         found = [torch.as_tensor(value, device=poses.device) for value in both]
         return found[0], found[1]
 
     @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        del output
+        ctx.call = inputs[0]
+        ctx.kinds = [None if v is None else (v.device, v.dtype) for v in inputs[1:]]
+
+    @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
-        found = pull_back(ctx.motion, ctx.record, _host(grads[0]), _host(grads[1]))
-        ctx.causes[:] = found.causes
+        values = _PulledBack.apply(ctx.call, *grads)
+        back = [
+            None if kind is None else value.to(*kind)
+            for kind, value in zip(ctx.kinds, values, strict=True)  # type: ignore[arg-type]
+        ]
+        return (None, *back)
+
+
+class _PulledBack(torch.autograd.Function):
+    """``pull_back`` by poses, moduli and friction: a function of its own, as ``torch.func`` asks of
+    one that leaves torch, which maps it over the rows of a Jacobian."""
+
+    @staticmethod
+    def forward(call: _Call, by_positions: Tensor, by_wrenches: Tensor) -> tuple[Tensor, ...]:
+        assert call.record is not None
+        found = pull_back(call.motion, call.record, _host(by_positions), _host(by_wrenches))
+        call.causes[:] = found.causes
         pairs = np.triu(found.friction).sum(axis=(1, 2))
         values = (found.poses, found.young_modulus, found.poisson_ratio, pairs)
-        back = [
-            None if like is None else torch.as_tensor(value).to(like)
-            for like, value in zip(ctx.like, values, strict=True)
-        ]
-        return (None, None, *back)
+        return tuple(torch.as_tensor(value) for value in values)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        """Nothing is kept: there is no way further back."""
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
+        raise InputError("a motion has first derivatives only: leave create_graph at False")
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple[int | None, ...], call: _Call, *grads: Tensor
+    ) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        rows = []
+        for i in range(info.batch_size):
+            one = [
+                value if dim is None else value.select(dim, i)
+                for value, dim in zip(grads, in_dims[1:], strict=True)
+            ]
+            rows.append(_PulledBack.apply(call, *one))
+        columns = tuple(torch.stack(column) for column in zip(*rows, strict=True))
+        return columns, (0,) * len(columns)
 
 
 def marker_places(positions: Tensor, layout: MarkerLayout, first_node: int = 0) -> Tensor:
     """Places of painted markers [m], [..., marker, 3], from nodes [..., node_count, 3];
     ``first_node``: of the gel."""
+    _check_tensor("positions", positions)
     nodes = torch.as_tensor(layout.nodes + first_node, dtype=torch.long, device=positions.device)
     weights = torch.as_tensor(layout.weights, device=positions.device).to(positions)
     return (positions[..., nodes, :] * weights[..., None]).sum(dim=-2)
@@ -146,6 +210,7 @@ def height_map(positions: Tensor, faces: np.ndarray, grid: PixelGrid) -> Tensor:
         faces: Triangles of the face, int, [face, 3].
         grid: Pixels.
     """
+    _check_tensor("positions", positions)
     raster = FaceRaster(faces, grid)
     host = positions.detach().cpu().contiguous().to(torch.float64)
     raster.update(wp.from_torch(host, dtype=wp.vec3d))

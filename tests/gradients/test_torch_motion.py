@@ -95,13 +95,104 @@ def test_bad_shapes_are_refused() -> None:
         moving(torch.tensor(CASE.poses), young_modulus_pa=torch.tensor([2e5]))
 
 
-def test_parameters_of_a_later_call_do_not_pass_for_those_of_an_earlier_one() -> None:
+def young_of(value: float) -> torch.Tensor:
+    return torch.full((1, 1), value, dtype=torch.float64, requires_grad=True)
+
+
+def slope(poses: torch.Tensor, values: dict[str, float], name: str, step: float) -> float:
+    """Central difference of the forces' loss, by a motion of its own."""
     moving = TorchMotion(CASE.model(), TIGHT)
-    young = torch.full((1, 1), 1.8e5, dtype=torch.float64, requires_grad=True)
-    first = of_forces(moving(torch.tensor(CASE.poses), young_modulus_pa=young))
-    of_forces(moving(torch.tensor(CASE.poses), young_modulus_pa=1.1 * young)).backward()
-    with pytest.raises(InputError, match="set anew since"):
-        first.backward()
+
+    def at(by: float) -> float:
+        shifted = {key: value + (by if key == name else 0.0) for key, value in values.items()}
+        tensors = {
+            key: torch.full((1,) if key == "friction" else (1, 1), value, dtype=torch.float64)
+            for key, value in shifted.items()
+        }
+        return float(of_forces(moving(poses, **tensors)))
+
+    return (at(step) - at(-step)) / (2 * step)
+
+
+def test_two_calls_before_one_way_back() -> None:
+    """Of other moduli, other friction and other numbers of steps, the model's own ones first."""
+    moving = TorchMotion(CASE.model(), TIGHT)
+    whole, short = torch.tensor(CASE.poses), torch.tensor(CASE.poses[:3])
+    of_scene = whole.clone().requires_grad_()
+    friction = torch.full((1,), 0.2, dtype=torch.float64, requires_grad=True)
+    soft, hard = young_of(1.2e5), young_of(3.1e5)
+    total = of_forces(moving(of_scene))
+    total = total + of_forces(moving(whole, young_modulus_pa=soft))
+    total = total + of_forces(moving(short, young_modulus_pa=hard, friction=friction))
+    after = moving.motion.model.pair_friction.numpy().copy()
+    total.backward()
+    np.testing.assert_array_equal(moving.motion.model.pair_friction.numpy(), after)
+    alone = whole.clone().requires_grad_()
+    of_forces(TorchMotion(CASE.model(), TIGHT)(alone)).backward()
+    assert of_scene.grad is not None and alone.grad is not None
+    np.testing.assert_allclose(of_scene.grad.numpy(), alone.grad.numpy(), rtol=1e-10, atol=1e-12)
+    first = {"young_modulus_pa": 1.2e5}
+    second = {"young_modulus_pa": 3.1e5, "friction": 0.2}
+    for tensor, poses, values, name, step in (
+        (soft, whole, first, "young_modulus_pa", 20.0),
+        (hard, short, second, "young_modulus_pa", 20.0),
+        (friction, short, second, "friction", 1e-5),
+    ):
+        assert tensor.grad is not None
+        expected = slope(poses, values, name, step)
+        assert float(tensor.grad) == pytest.approx(expected, rel=1e-5), values
+
+
+def test_ways_back_in_any_order_and_again() -> None:
+    moving, poses = TorchMotion(CASE.model(), TIGHT), torch.tensor(CASE.poses)
+    soft, hard = young_of(1.2e5), young_of(3.1e5)
+    first, second = (of_forces(moving(poses, young_modulus_pa=young)) for young in (soft, hard))
+    slopes = {}
+    for turn, (loss, young) in enumerate(
+        [(first, soft), (second, hard), (first, soft), (second, hard)]
+    ):
+        (slopes[turn],) = torch.autograd.grad(loss, young, retain_graph=True)
+    assert slopes[0] == slopes[2] and slopes[1] == slopes[3]
+    for turn, value in ((0, 1.2e5), (1, 3.1e5)):
+        expected = slope(poses, {"young_modulus_pa": value}, "young_modulus_pa", 20.0)
+        assert float(slopes[turn]) == pytest.approx(expected, rel=1e-5)
+    # A call between a motion and its way back leaves what later calls find.
+    as_it_is = of_forces(moving(poses))
+    assert float(as_it_is) == pytest.approx(float(second.detach()), rel=1e-10)
+
+
+def test_jacobians_by_torch_func() -> None:
+    moving, poses = TorchMotion(CASE.model(), TIGHT), torch.tensor(CASE.poses)
+
+    def forces(young: torch.Tensor) -> torch.Tensor:
+        return moving(poses, young_modulus_pa=young).wrenches[-1, 0, 0, :3]
+
+    at = young_of(1.8e5).detach()
+    one_by_one = torch.autograd.functional.jacobian(forces, at)
+    found = torch.func.jacrev(forces)(at)
+    np.testing.assert_allclose(found.numpy(), one_by_one.numpy(), rtol=1e-12)
+    step = 20.0
+    expected = (forces(at + step) - forces(at - step)) / (2 * step)
+    np.testing.assert_allclose(one_by_one.flatten().numpy(), expected.numpy(), rtol=1e-5)
+
+
+def test_second_derivatives_are_refused() -> None:
+    moving, young = TorchMotion(CASE.model(), TIGHT), young_of(1.8e5)
+    loss = of_forces(moving(torch.tensor(CASE.poses), young_modulus_pa=young))
+    (once,) = torch.autograd.grad(loss, young, create_graph=True)
+    with pytest.raises(InputError, match="first derivatives only"):
+        torch.autograd.grad(once.sum(), young)
+
+
+@pytest.mark.parametrize("name", ["poses", "young_modulus_pa", "poisson_ratio", "friction"])
+def test_what_is_no_tensor_is_named(name: str) -> None:
+    given = {"poses": torch.tensor(CASE.poses), name: np.array([[0.4]])}
+    with pytest.raises(InputError, match=f"^{name} must be a torch tensor, got ndarray"):
+        TorchMotion(CASE.model(), TIGHT)(**given)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^positions must be a torch tensor, got ndarray"):
+        marker_places(MESH.nodes_m[None], MARKERS)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^positions must be a torch tensor, got ndarray"):
+        height_map(MESH.nodes_m[None], FACES, GRID)  # type: ignore[arg-type]
 
 
 def test_where_the_motion_is_given_markers_do_not_know_the_modulus() -> None:
