@@ -88,6 +88,9 @@ class PressCommand(PressOptions, _Files):
                 if not finished or (had_earlier and not isinstance(error, Exception)):
                     raise
                 failure, pressed = error, finished[-1]
+            if plan.photo is not None:
+                # Where its place and depth were corrected to.
+                pressed.plan.write_scene(folder, beside.call)
             pressed.write_into(folder, beside.call)
             beside.finish()
         if pressed.error is not None:
@@ -160,8 +163,11 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
         table.add_row(name, value, unit)
     if pressed.like is not None:
         like = pressed.like
-        x, y = like["at_mm"]
-        table.add_row("place in the photo", f"{x:.3f}  {y:.3f}", "mm")
+        place = zip("xy", like["at_mm"], like["at_sigma_mm"] or (None, None), strict=True)
+        for axis, at, sigma in place:
+            table.add_row(f"place in the photo, {axis}", with_error(at, sigma), "mm")
+        depth = with_error(like["depth_mm"], like["depth_sigma_mm"])
+        table.add_row("depth in the photo", depth, "mm")
         table.add_row("photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB")
         table.add_row("photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB")
     if outcome.fine_force_n is not None:

@@ -333,6 +333,10 @@ class SurfaceReader:
             return first
         return shown(fit_press_light(levels, self.untouched, mask))
 
+    def in_own_light(self, levels: np.ndarray) -> np.ndarray:
+        """An image in the profile's light as the untouched sensor's own light shows it."""
+        return self._day.apply(levels)
+
     def _is_dented(self, lit: LitImage) -> bool:
         """Whether a coarse look at an image shows a contact."""
         if self.response is not None:

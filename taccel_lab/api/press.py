@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
+from taccel_lab.api.press_like import like_photo
 from taccel_lab.api.press_options import PressOptions, PressWords
 from taccel_lab.api.press_plan import PressPlan
 from taccel_lab.api.press_progress import steps_if_watched
@@ -62,7 +63,10 @@ def run_press(
 ) -> Press:
     """Simulate a plan. Where a step fails, or an interrupt comes, ``stopped`` is handed what was
     finished, if anything was; the error goes on."""
-    options, started = plan.options, time.perf_counter()
+    started = time.perf_counter()
+    if plan.photo is not None:
+        plan = like_photo(plan, lambda rough: run_press(rough, progress))
+    options = plan.options
     camera = camera_of(plan.profile)
     rest = rest_surface(plan.profile.mesh, face_of(camera))
     views = {}

@@ -26,7 +26,8 @@ class PressOptions:
     again."""
     like: Path | None = None
     """Image of a real press, in place of depth and place: the calibrated sensor reads both from it
-    and presses the indenter there. like.png shows photo, simulation and difference."""
+    and presses the indenter there, roughly at first, until the simulated image reads the same.
+    like.png shows photo, simulation and difference."""
     untouched: Path | None = None
     """Image of the untouched sensor for --like, if newer than the profile's. With a starter profile
     it is looked for beside the photo."""
@@ -102,6 +103,8 @@ class PressOptions:
 
     def aim(self) -> str:
         """Say how far the press goes."""
+        if self.like is not None:
+            return f"like {self.like.name}"
         return f"{self.depth_mm:g} mm" if self.force_n is None else f"to {self.force_n:g} N"
 
     @property

@@ -3,25 +3,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.api.seen_press import SeenPress
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.image_files import eight_bit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taccel_lab.calibration.normals.read_surface import SurfaceReader
     from taccel_lab.profile import SensorProfile
 
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
-_CORE = 0.5
-"""Share of the deepest place above which the gel follows the indenter: its middle is the press's.
-The gel's slope around it would draw the middle towards the side with more gel."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +30,24 @@ class PressPhoto:
     path: Path
     rgb: np.ndarray
     """Levels in the light of the background, float32, [height_px, width_px, 3]."""
-    background: np.ndarray
-    """The untouched sensor, levels, the same shape."""
     at_mm: tuple[float, float]
-    """Gel x and y of the middle of what is pressed in [mm]."""
+    """Gel x and y of the indenter's axis [mm]; as read, of the middle of what is pressed in."""
     depth_mm: float
     """Deepest place below the resting face [mm]."""
+    at_sigma_mm: tuple[float, float] | None
+    """Standard deviations of x and y [mm]; None where the profile states none."""
     depth_sigma_mm: float | None
-    """Its standard deviation; None where the profile states none."""
+    """Standard deviation of the depth; None where the profile states none."""
     warnings: tuple[str, ...]
     """What the reading says of itself, a sentence each."""
+    seen: SeenPress = field(repr=False)
+    """What is read in the photo itself."""
+    reader: SurfaceReader = field(repr=False)
+
+    @property
+    def background(self) -> np.ndarray:
+        """The untouched sensor, levels, [height_px, width_px, 3]."""
+        return self.reader.background
 
     @classmethod
     def read(cls, profile: SensorProfile, path: Path, background: Path | None = None) -> PressPhoto:
@@ -56,7 +63,6 @@ class PressPhoto:
             InputError: A profile without these blocks, an image of another sensor, no contact, a
                 starter profile without an untouched image.
         """
-        from scipy import ndimage
 
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
@@ -72,29 +78,52 @@ class PressPhoto:
         reader = SurfaceReader(
             untouched.profile, background=untouched.image, background_name=untouched.name
         )
-        found = reader.read(image, str(path))
-        figures = found.figures(reader.grid)
-        if not found.touch.any:
-            raise InputError(f"{path} shows {found.depth_words}: there is no press to simulate")
-        depth = -found.rise_m
-        column, row = figures["deepest_px"]
-        parts, _ = ndimage.label(depth > _CORE * depth[row, column])  # type: ignore[misc]
-        core = parts == parts[row, column]
-        middle = ndimage.center_of_mass(depth * core)[::-1]
-        x, y = reader.grid.gel_from_pixel(np.array(middle))
-        warnings = list(figures["warnings"])
-        edge = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
-        if edge.any():
+        reading = reader.read(image, str(path))
+        seen = SeenPress.of(reading, reader.grid)
+        if seen is None:
+            raise InputError(f"{path} shows {reading.depth_words}: there is no press to simulate")
+        warnings = list(reading.figures(reader.grid)["warnings"])
+        if not seen.whole:
             warnings.append("the contact reaches the image's border: its middle is not seen whole")
         return cls(
             path,
             reader.lit(image).levels,
-            reader.background,
-            (float(x), float(y)),
-            figures["max_depth_mm"],
-            figures["max_depth_sigma_mm"],
+            seen.at_mm,
+            seen.depth_mm,
+            seen.at_sigma_mm,
+            seen.depth_sigma_mm,
             tuple(warnings),
+            seen,
+            reader,
         )
+
+    def beside(
+        self, image: np.ndarray, at_mm: tuple[float, float], depth_mm: float
+    ) -> PressPhoto | None:
+        """The photo with place and depth of a simulated press, as far off as its image reads.
+
+        Both images are read alike, so that what readings are off by as a rule cancels: the networks
+        and the integration, the rest of a curved gel, and the middle of a tool that is not its
+        axis.
+
+        Args:
+            image: Of the simulated press, RGB levels, [height_px, width_px, 3].
+            at_mm: Where it was pressed.
+            depth_mm: And how deep.
+
+        Returns:
+            None where the simulated image shows no contact.
+        """
+        levels = self.simulated(image.astype(np.float32), self.reader.profile)
+        lit = self.reader.lit(self.reader.in_own_light(levels))
+        reading = self.reader.read_lit(lit, uncertainty=False)
+        found = SeenPress.of(reading, self.reader.grid)
+        if found is None:
+            return None
+        x, y = np.array(at_mm) + self.seen.at_mm - found.at_mm
+        # By their ratio, as readings that are off are so by a share of the depth.
+        depth_mm *= self.seen.depth_mm / found.depth_mm
+        return replace(self, at_mm=(float(x), float(y)), depth_mm=depth_mm)
 
     def simulated(self, painted: np.ndarray, profile: SensorProfile) -> np.ndarray:
         """A painted press over the photo's own background, levels, [height_px, width_px, 3]."""
@@ -128,6 +157,7 @@ class PressPhoto:
         return {
             "photo": str(self.path),
             "at_mm": self.at_mm,
+            "at_sigma_mm": self.at_sigma_mm,
             "depth_mm": self.depth_mm,
             "depth_sigma_mm": self.depth_sigma_mm,
             "psnr_db": psnr_db(shown, seen),
