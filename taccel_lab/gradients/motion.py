@@ -62,7 +62,8 @@ class GelMotion:
         """
         Args:
             model: Elastic gels of uniform material, kinematic bodies and planes, quasi-static.
-            config: The solver's settings; its steps are not halved.
+            config: The solver's settings; its steps are not halved, and the static range of
+                friction is ``friction_eps_m`` in all of them, as no derivative follows a range.
 
         Raises:
             InputError: Any other model.
@@ -79,7 +80,8 @@ class GelMotion:
                     f"gradients need a gel of one material: that of {body.name!r} varies by tet"
                 )
         self.model = model
-        self.solver = SolverIPC(model, replace(config, max_substep_halvings=0))
+        undivided = replace(config, max_substep_halvings=0, friction_step_share=0.0)
+        self.solver = SolverIPC(model, undivided)
 
     def run(self, poses: np.ndarray) -> MotionRecord:
         """Move the tools through ``poses`` from rest: see ``MotionRecord.poses``."""

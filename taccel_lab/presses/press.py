@@ -269,9 +269,7 @@ class PressEnv:
         """One step, taken again where the mean gap came out other than the indenter was held back
         by. ``depth_m`` [env_count], ``shear_m`` [env_count, 2], ``twist_rad`` one or [env_count].
 
-        Again means from its own start: friction then sees one step to the corrected place. As a
-        separate step from the first one's end, the correction slides by next to nothing, which
-        lets friction go.
+        Again means from its own start: friction then sees one step to the corrected place.
         """
         resting = np.zeros(len(self.at_m), dtype=bool) if stay is None else stay.copy()
         before, held_back = self.state.copy(), self.setback_m

@@ -7,6 +7,7 @@ import warp as wp
 
 from taccel_lab.ipc.motion.unknowns import measure_velocities
 from taccel_lab.ipc.potentials.elements.inversion import find_inversions
+from taccel_lab.ipc.potentials.friction import ToolWays
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
@@ -245,7 +246,13 @@ def _begin_potentials(run: StepLaunches) -> None:
         forces, wrenches = state.loads(run.model)
         s.load.begin_step(x, forces, wrenches, fresh)
     if s.friction is not None:
-        s.friction.begin_step(fresh, s.dts, s.whole_dts)
+        tools = ToolWays()
+        tools.starts, tools.ends = s.origin_poses, s.end_poses
+        tools.radii = run.p.prescribed.radii
+        others = s.inertia is not None or s.affine is not None or s.load is not None
+        tools_alone = bool(run.model.kinematic) and not others
+        tools.share = s.config.friction_step_share if tools_alone else 0.0
+        s.friction.begin_step(fresh, s.dts, s.whole_dts, tools)
 
 
 def end_step(run: StepLaunches) -> None:

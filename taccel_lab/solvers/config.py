@@ -34,6 +34,10 @@ class SolverConfig:
     friction_eps_m: float = 1e-6
     """Sliding in a whole step below which friction is static, of a quasi-static scene, which knows
     no speed; a part of a step has this part of it."""
+    friction_step_share: float = 0.01
+    """Largest static range over the way of the tool that goes farthest in a step, of a quasi-static
+    scene that tools alone move. What sticks creeps by up to the range in every step: any number of
+    steps creeps by at most this part of the whole way. 0: ``friction_eps_m`` in all steps."""
     max_friction_lags: int = 100
     """How often friction may be frozen anew within a step."""
     max_substep_halvings: int = 8
@@ -68,6 +72,10 @@ class SolverConfig:
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
+        if not 0 <= self.friction_step_share <= 1:
+            raise InputError(
+                f"friction_step_share must lie in [0, 1], got {self.friction_step_share:g}"
+            )
         if self.kappa_pa is not None and not (
             math.isfinite(self.kappa_pa) and 1.0 <= self.kappa_pa <= 1e13
         ):

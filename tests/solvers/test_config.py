@@ -19,6 +19,7 @@ BAD = {
     "absolute_tolerance_n": (NAN, -1.0),
     "friction_eps_m": (0.0, float("inf")),
     "friction_speed_m_s": (0.0, NAN),
+    "friction_step_share": (-0.1, 2.0, NAN),
     "kappa_pa": (0.0, NAN),
     "max_newton_iterations": (0,),
     "max_step_iterations": (0,),

@@ -20,6 +20,12 @@ the displacements that an elliptic pressure makes inside and outside of its circ
                   / (pi a^2)   for r > c,   dx_0 = dx at Q = mu F;
 
 what is left out goes with cos(2 phi) around the axis.
+
+On the way back from dx* and Q* every node sticks again, and slips anew from the rim inwards against
+twice the limit [Mindlin, Deresiewicz 1953]: Q* - Q(dx) = 2 Q_first((dx* - dx) / 2), with Q_first
+the curve of the first loading above. The loop between dx* and -dx* takes
+
+    W = 8 int_0^dx* Q_first ddx - 4 Q* dx*.
 """
 
 from __future__ import annotations
@@ -67,7 +73,7 @@ class Slid:
     @property
     def expected_ratio(self) -> float:
         """Q / (mu F) by Mindlin at this dx."""
-        return 1 - max(0.0, 1 - self.shift) ** 1.5
+        return first_loading(self.shift)
 
     @property
     def stick_radius(self) -> float:
@@ -82,6 +88,11 @@ class Slid:
         return float(tried[np.argmin(loss)])
 
 
+def first_loading(shift: float) -> float:
+    """Q / (mu F) by Mindlin at a dx over that at full slip."""
+    return 1 - max(0.0, 1 - shift) ** 1.5
+
+
 def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
     """Mean sliding around the axis over dx at full slip; ``radii`` and ``stick`` over a."""
     r = np.maximum(radii, stick)
@@ -90,13 +101,17 @@ def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
     return r**2 / 2 - stick**2 + outside / np.pi
 
 
-def pressed_block(cells: int) -> tuple[HalfSpace, float, float]:
-    """A ball pressed into the half-space without friction, from now on with it; the load [N] and
-    dx at full slip [m]."""
+def pressed_block(cells: int, eps_m: float = EPS) -> tuple[HalfSpace, float, float]:
+    """A ball pressed into the half-space without friction, from now on with it, static below
+    ``eps_m`` a step at most; the load [N] and dx at full slip [m]."""
 
-    def config(eps_m: float) -> SolverConfig:
+    def config(eps_m: float, share: float = SolverConfig.friction_step_share) -> SolverConfig:
         return SolverConfig(
-            dhat_m=DHAT, relative_tolerance=1e-5, absolute_tolerance_n=1e-12, friction_eps_m=eps_m
+            dhat_m=DHAT,
+            relative_tolerance=1e-5,
+            absolute_tolerance_n=1e-12,
+            friction_eps_m=eps_m,
+            friction_step_share=share,
         )
 
     mesh = half_space_mesh(RADIUS, cells, DOMAIN_OVER_RADIUS * RADIUS, GROWTH)
@@ -107,11 +122,11 @@ def pressed_block(cells: int) -> tuple[HalfSpace, float, float]:
         poisson=POISSON,
         friction=MU,
         start_m=BALL + 2 * DHAT,
-        config=config(1e-2),
+        config=config(1e-2, share=0.0),
     )
     block.move(0.0, BALL - DEPTH)
     load = -float(block.normal_n[:, 2].sum())
-    block.solver = SolverIPC(block.model, config(EPS))
+    block.solver = SolverIPC(block.model, config(eps_m))
     return block, load, 3 * MU * load * (2 - POISSON) / (16 * RADIUS * SHEAR)
 
 
@@ -182,3 +197,76 @@ def test_the_way_there_does_not_matter() -> None:
     """Coulomb friction forgets how a growing load was cut into steps, but for eps a step."""
     at_once, in_parts = slid(2, 0.6)[-1], slid(2, 0.2, 0.4, 0.6)[-1]
     assert in_parts.ratio == pytest.approx(at_once.ratio, rel=3e-3)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """There, back and there again, to and fro between ``LOOP`` and its negative."""
+
+    steps: int
+    """Of each of the three ways."""
+    ratios: np.ndarray
+    """Q over mu F after each step, shape [3 * steps]."""
+
+    @property
+    def shifts(self) -> np.ndarray:
+        """dx over that at full slip, the same shape."""
+        part = np.arange(1, self.steps + 1) / self.steps
+        return LOOP * np.concatenate([part, 1 - 2 * part, 2 * part - 1])
+
+    @property
+    def expected(self) -> np.ndarray:
+        """Ratios by Mindlin and Deresiewicz."""
+        first = [first_loading(shift) for shift in self.shifts[: self.steps]]
+        return self.of_first(np.array(first))
+
+    def of_first(self, first: np.ndarray) -> np.ndarray:
+        """Ratios of all three ways that follow from those of the first."""
+        return np.concatenate([first, first[-1] - 2 * first, 2 * first - first[-1]])
+
+    def loss(self, ratios: np.ndarray) -> float:
+        """What the closed loop takes, over mu F and dx at full slip, by trapezoids."""
+        at, force = self.shifts[self.steps - 1 :], ratios[self.steps - 1 :]
+        return float((0.5 * (force[1:] + force[:-1]) * np.diff(at)).sum())
+
+
+LOOP = 0.8
+
+
+@lru_cache
+def looped(cells: int, steps: int) -> Loop:
+    """Friction as it is by default: static below 1 um, a tenth of dx at full slip, at most."""
+    block, load, full = pressed_block(cells, SolverConfig.friction_eps_m)
+    loop = Loop(steps, np.zeros(3 * steps))
+    for k, shift in enumerate(loop.shifts):
+        block.move(shift * full, BALL - DEPTH)
+        loop.ratios[k] = block.friction_n[:, 0].sum() / (MU * load)
+    return loop
+
+
+def check_loop(loop: Loop, force: float, loss: float) -> None:
+    """Within ``force`` of mu F of the curve, and ``loss`` of what it takes; trapezoids lose alike
+    in both."""
+    assert np.abs(loop.ratios - loop.expected).max() < force
+    assert loop.loss(loop.ratios) == pytest.approx(loop.loss(loop.expected), rel=loss)
+    # Closed, and of its own first loading, whatever the mesh makes of that.
+    first = loop.ratios[: loop.steps]
+    assert loop.ratios[-1] == pytest.approx(first[-1], abs=2e-3)
+    assert np.abs(loop.ratios - loop.of_first(first)).max() < 0.008
+
+
+def test_loop_of_partial_slip() -> None:
+    """Two elements along the contact radius; the loss is a small difference of large numbers."""
+    check_loop(looped(2, 8), force=0.055, loss=0.26)
+
+
+def test_loops_do_not_depend_on_the_number_of_steps() -> None:
+    """What sticks creeps a part of the way, not of each step."""
+    fine, coarse = looped(2, 8), looped(2, 2)
+    assert np.abs(fine.ratios[3::4] - coarse.ratios).max() < 0.005
+
+
+@pytest.mark.slow
+def test_loop_on_a_finer_mesh() -> None:
+    """Three elements: a third of the error of two in force, half of it in what the loop takes."""
+    check_loop(looped(3, 8), force=0.025, loss=0.125)

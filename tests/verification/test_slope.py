@@ -8,6 +8,7 @@ Beyond it slides at g (sin - mu cos). (``test_affine`` leans gravity instead.)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,7 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, free_block, pose
@@ -235,29 +236,73 @@ def test_creep_goes_by_time_whatever_the_step(dt: float, speed: float) -> None:
     assert along == pytest.approx(10 * dt * speed * (1 - np.sqrt(1 - 0.8)), rel=1e-2)
 
 
+def sheared_gel(**config: float) -> tuple[SolverIPC, Callable[[float, float], float]]:
+    """A gel below a ball; what brings the ball to x, z [m] in one step, and gives its friction."""
+    mesh = block_mesh((4, 4, 2), (8e-3, 8e-3, 2e-3))
+    ball = KinematicBody(Ball(4e-3), 0.5)
+    settings = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-5, **config)  # type: ignore[arg-type]
+    model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), ball).finalize()
+    solver = SolverIPC(model, settings)
+    state = initial_state(model, everywhere(1, pose(0, 0, 4.1e-3)))
+
+    def force(x: float, z: float) -> float:
+        report = solver.step(state, everywhere(1, pose(x, 0, z)))
+        assert report.converged.all(), report.summary()
+        return float(-solver.friction_gradient.numpy()[0, : model.soft_count, 0].sum())
+
+    return solver, force
+
+
 def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
     """A gel sheared by a ball that then rests: what its friction lets go in so many steps is the
     same when they are taken in halves. The range is large, so that there is much to let go."""
     relaxed = []
     for halved in (False, True):
-        mesh = block_mesh((4, 4, 2), (8e-3, 8e-3, 2e-3))
-        ball = KinematicBody(Ball(4e-3), 0.5)
-        config = SolverConfig(dhat_m=DHAT, relative_tolerance=1e-5, friction_eps_m=2e-5)
-        model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), ball).finalize()
-        solver = SolverIPC(model, config)
-        path = [(0, 4.1e-3), (0, 3.7e-3), (1e-4, 3.7e-3)] + 4 * [(1e-4, 3.7e-3)]
-        state = initial_state(model, everywhere(1, pose(0, 0, path[0][1])))
-        forces = []
-        for x, z in path[1:]:
-            if halved and len(forces) == 2:
-                fail_whole_steps(solver, monkeypatch)
-            report = solver.step(state, everywhere(1, pose(x, 0, z)))
-            assert report.converged.all(), report.summary()
-            assert report.substeps[0] == (2 if halved and len(forces) >= 2 else 1)
-            forces.append(-solver.friction_gradient.numpy()[0, : model.soft_count, 0].sum())
-        relaxed.append(1 - forces[-1] / forces[1])
+        solver, force = sheared_gel(friction_eps_m=2e-5, friction_step_share=0.0)
+        force(0, 3.7e-3)
+        first = force(1e-4, 3.7e-3)
+        if halved:
+            fail_whole_steps(solver, monkeypatch)
+        relaxed.append(1 - [force(1e-4, 3.7e-3) for _ in range(4)][-1] / first)
     assert relaxed[0] > 0.05
     assert relaxed[1] == pytest.approx(relaxed[0], rel=0.1)
+
+
+def test_what_a_resting_tool_shears_stays() -> None:
+    """By default the range is a part of the tools' way: next to nothing where they rest."""
+    _, force = sheared_gel(friction_eps_m=2e-5)
+    force(0, 3.7e-3)
+    first = force(1e-4, 3.7e-3)
+    rests = [force(1e-4, 3.7e-3) for _ in range(10)]
+    assert rests[-1] == pytest.approx(first, rel=2e-3)
+
+
+def test_static_ranges_are_a_part_of_the_longest_way() -> None:
+    """Of two tools, by shift and turn, from where the step began even when it is taken again."""
+    mesh = block_mesh((2, 2, 1), (8e-3, 8e-3, 2e-3))
+    tools = [KinematicBody(Ball(4e-3), 0.5, name=name) for name in ("one", "other")]
+    model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), tools).finalize()
+    solver = SolverIPC(model, SolverConfig(friction_eps_m=1e-5))
+    poses = np.stack([pose(0, 0, 6e-3), pose(0, 0, 16e-3)])[None]
+    state = initial_state(model, poses)
+    assert solver.friction is not None
+
+    def after(shift_m: float, angle: float, again: bool = False) -> float:
+        """Range of a step of the second tool from where it is at first [m]."""
+        target = poses.copy()
+        target[0, 1, 0] += shift_m
+        target[0, 1, 3:] = 0, 0, np.sin(angle / 2), np.cos(angle / 2)
+        assert solver.step(state, Control(target), again=again).converged.all()
+        assert solver.friction is not None
+        return float(solver.friction.eps_u_m.numpy()[0])
+
+    assert after(2e-4, 0.0) == pytest.approx(2e-6)
+    assert after(3e-4, 0.02, again=True) == pytest.approx(0.01 * (3e-4 + 0.02 * 4e-3))
+    assert after(3e-4, 0.02) == pytest.approx(1e-8), "nothing moves: a thousandth"
+    assert after(3e-3, 0.0) == pytest.approx(1e-5), "never above friction_eps_m"
+    pushed = np.zeros((1, model.node_count, 3))
+    solver.step(state, Control(forces=pushed))
+    assert float(solver.friction.eps_u_m.numpy()[0]) == 1e-5, "forces move things, too"
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.kinematics import turn_between
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
@@ -251,12 +252,45 @@ def _friction_hessian_kernel(
             add_weighted_block(env, nodes, w, core, part, parts, system)
 
 
+@wp.struct
+class ToolWays:
+    """What the tools do from where sliding counts to the end of a step.
+
+    starts, ends: world_from_body, [env_count, kinematic_count] as all.
+    radii: reach from their origins [m].
+    share: largest static range over the longest way; 0 for the whole range, whatever they do.
+    """
+
+    starts: wp.array2d(dtype=wp.transformd)
+    ends: wp.array2d(dtype=wp.transformd)
+    radii: wp.array2d(dtype=wp.float64)
+    share: wp.float64
+
+
+_LEAST_RANGE = wp.constant(wp.float64(1e-3))
+"""Part of the static range that a step keeps in which no tool moves: friction stays smooth."""
+
+
+@wp.func
+def longest_way(env: int, tools: ToolWays) -> wp.float64:
+    """How far any point of any tool goes at most [m]."""
+    longest = wp.float64(0.0)
+    for tool in range(tools.starts.shape[1]):
+        start = tools.starts[env, tool]
+        end = tools.ends[env, tool]
+        shift = wp.length(wp.transform_get_translation(end) - wp.transform_get_translation(start))
+        turn = turn_between(wp.transform_get_rotation(start), wp.transform_get_rotation(end))
+        longest = wp.max(longest, shift + tools.radii[env, tool] * turn)
+    return longest
+
+
 @wp.kernel
 def _begin_friction_kernel(
     who: wp.array(dtype=wp.int32),
     dts: wp.array(dtype=wp.float64),
     whole_dts: wp.array(dtype=wp.float64),
     whole_range: wp.float64,
+    tools: ToolWays,
     counts: wp.array(dtype=wp.int32),
     ranges: wp.array(dtype=wp.float64),
 ):
@@ -264,7 +298,11 @@ def _begin_friction_kernel(
     env = wp.tid()
     if who[env] != 0:
         counts[env] = 0
-        ranges[env] = whole_range * (dts[env] / whole_dts[env])
+        widest = whole_range * (dts[env] / whole_dts[env])
+        ranges[env] = widest
+        if tools.share > wp.float64(0.0):
+            part = tools.share * longest_way(env, tools)
+            ranges[env] = wp.clamp(part, _LEAST_RANGE * widest, widest)
 
 
 def step_motion(
@@ -307,7 +345,8 @@ class FrictionPotential(EnergyTerm):
             model.env_count, static_range_m, dtype=wp.float64, device=model.device
         )
         """Sliding in the step that was begun below which friction is static [m], float64,
-        shape [env_count]: eps_v * dt, so that steps of any length creep at the same speed."""
+        shape [env_count]: eps_v * dt, so that steps of any length creep at the same speed, or a
+        part of the tools' way, so that paths of any number of steps creep as far."""
         self.frozen = FrozenContacts()
         """The collisions as they were frozen."""
         self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
@@ -356,14 +395,17 @@ class FrictionPotential(EnergyTerm):
             [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen],
         )
 
-    def begin_step(self, who: wp.array, dts: wp.array, whole_dts: wp.array) -> None:
+    def begin_step(
+        self, who: wp.array, dts: wp.array, whole_dts: wp.array, tools: ToolWays | None = None
+    ) -> None:
         """Forget the frozen collisions of the environments ``who`` (int32, [env_count]), whose
         steps are as long as ``dts`` says [s], float64, [env_count], and have the whole static range
-        if that is ``whole_dts`` [s]."""
+        if that is ``whole_dts`` [s], or what the way of ``tools`` leaves of it."""
+        tools = tools or ToolWays()
         launch(
             _begin_friction_kernel,
             dim=self.model.env_count,
-            inputs=[who, dts, whole_dts, self._static_range_m],
+            inputs=[who, dts, whole_dts, self._static_range_m, tools],
             outputs=[self.counts, self.eps_u_m],
             device=self.model.device,
         )
