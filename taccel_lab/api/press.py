@@ -118,8 +118,8 @@ def run_press(
     try:
         if options.force_n is not None and plan.physics.accuracy != Accuracy.FAST:
             depth_mm = _rough_depth_mm(plan, options.force_n, simulate, progress)
-        if options.mesh == "profile":
-            # There is no coarser one to stand beside it, and nobody has measured what it does.
+        if options.mesh == "profile" or plan.is_rough:
+            # Beside a stored mesh there is no coarser one, and nobody has measured what it does.
             outcome = simulate(plan.physics, options.path(depth_mm), progress)
             outcome = replace(outcome, force_error_n=math.nan, height_error_m=math.nan)
         else:

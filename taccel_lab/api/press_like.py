@@ -69,7 +69,7 @@ def _rough(plan: PressPlan) -> PressPlan:
     options = replace(
         plan.options, like=None, accuracy=Accuracy.FAST, unload=False, hold_s=0.0, states=False
     )
-    return replace(plan, options=options, physics=physics, photo=None)
+    return replace(plan, options=options, physics=physics, photo=None, is_rough=True)
 
 
 def _settled(plan: PressPlan, found: PressPhoto) -> bool:

@@ -47,6 +47,8 @@ class PressPlan:
     """Coefficient between indenter and gel."""
     photo: PressPhoto | None = None
     """What is to be pressed like."""
+    is_rough: bool = False
+    """Whether it only leads to another press: its error is not measured."""
 
     @classmethod
     def of(cls, sensor: AnySensor, options: PressOptions) -> PressPlan:

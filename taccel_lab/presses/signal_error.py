@@ -60,8 +60,8 @@ def image_error_levels(
     numerical = _rms((rgb - beside_rgb)[where])
     changed = rgb - background_rgb
     depth = _rms(changed[where]) * 2 * depth_sigma_mm / outcome.path.depth_mm
-    slopes = np.stack(np.gradient(changed, axis=(0, 1)))
-    place = _rms(slopes[:, where]) * math.sqrt(2) * 2 * place_sigma_px
+    slopes = [_rms(np.gradient(changed, axis=axis)[where]) for axis in (0, 1)]
+    place = math.hypot(*slopes) * 2 * place_sigma_px
     psnr_db = colours.residuals.get("heldout_crop_psnr_db")
     seen = 0.0 if psnr_db is None else _WHITE * 10 ** (-psnr_db / 20)
     return SignalError(numerical, math.hypot(numerical, depth, place, seen))
