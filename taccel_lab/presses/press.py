@@ -11,6 +11,7 @@ that gap (``outputs.contact_layer``): forces and heights depend on dhat to secon
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -42,6 +43,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC, StepReport
+from taccel_lab.solvers.env_phase import STALL_AFTER
 from taccel_lab.state import initial_state
 
 START_CLEARANCE_M = 5e-6
@@ -54,6 +56,11 @@ FIRST_SETBACK = 0.8
 mean gap of balls of 1.5 to 8 mm, 0.2 mm deep, is 0.77 to 0.83. What comes out else is corrected."""
 SETBACK_ROUNDS = 4
 """How often a step is corrected for the mean gap that it had."""
+_CAUSES = {
+    EnvStatus.STALLED: f"STALLED, neither residual nor energy fell in {STALL_AFTER} iterations",
+    EnvStatus.BLOCKED: "BLOCKED, the way leads through what holds the gel",
+}
+"""What a status does not say by itself."""
 
 
 def _reach(shape: Ball | TriangleMesh) -> str:
@@ -331,11 +338,11 @@ class PressEnv:
     def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
         """Why an environment did not converge on its way to a depth, in words."""
         depth = float(np.broadcast_to(depth_mm, (len(self.at_m),))[env])
-        config = self.solver.config
+        config, status = self.solver.config, EnvStatus(report.status[env])
         return (
             f"the press at ({self.at_m[env, 0] * 1e3:.3g}, {self.at_m[env, 1] * 1e3:.3g}) mm, "
             f"depth {depth:.4g} mm did not converge: "
-            f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
+            f"{_CAUSES.get(status, status.name)}, residual {report.residual_n[env]:.2e} N of "
             f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
             f"iterations, where a step may take {config.max_substep_halvings} halvings and "
             f"{config.max_step_iterations} iterations"
@@ -345,7 +352,7 @@ class PressEnv:
         self, path: PressPath, progress: Callable[[int, int, StepReport], None] | None = None
     ) -> list[StepReport]:
         """Go along a path in all environments; ``progress`` gets step, step count and report."""
-        self.checked_depth_m(path.depth_mm)
+        self._require_free(path)
         waypoints, durations = path.waypoints(), path.durations_s()
         reports = []
         for i, (depth, shear, twist) in enumerate(waypoints):
@@ -354,6 +361,23 @@ class PressEnv:
             if progress is not None:
                 progress(i + 1, len(waypoints), reports[-1])
         return reports
+
+    def _require_free(self, path: PressPath) -> None:
+        """Refuse a path that leads the indenter through what holds the gel."""
+        everyone = np.ones(len(self.at_m), dtype=bool)
+        depth_m, start = self.checked_depth_m(path.depth_mm), self.poses
+        aside = [way[1:] for way in path.way_there() if way[1:] != ((0.0, 0.0), 0.0)]
+        for shear, twist in [((0.0, 0.0), 0.0), *aside]:
+            shear_m = np.tile(np.array(shear) * 1e-3, (len(self.at_m), 1))
+            end = self._poses(depth_m, shear_m, math.radians(twist))
+            for env, way in self.solver.ways.find(start, end, everyone).items():
+                x, y = self.at_m[env] * 1e3
+                raise InputError(
+                    f"the press at ({x:.3g}, {y:.3g}) mm to depth {path.depth_mm:.4g} mm, shear "
+                    f"({shear[0]:.3g}, {shear[1]:.3g}) mm and twist {twist:.3g} deg cannot be "
+                    f"done: {way.place()}"
+                )
+            start = end
 
     # What can be read --------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from taccel_lab.ipc.potentials.friction import ToolWays
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
-from taccel_lab.solvers.env_phase import STEPPING, stop
+from taccel_lab.solvers.env_phase import STEPPING, forget_gain, stop
 from taccel_lab.solvers.env_progress import (
     Balance,
     Clearance,
@@ -19,6 +19,7 @@ from taccel_lab.solvers.env_progress import (
     Curvature,
     Flags,
     Following,
+    Gain,
     Phases,
     Prescribed,
     Roster,
@@ -54,6 +55,7 @@ def _begin_step_kernel(
     following: Following,  # out
     curvature: Curvature,  # out
     search: Search,  # out
+    gain: Gain,  # out
     flags: Flags,  # out
     r: Rules,
 ):
@@ -102,6 +104,9 @@ def _begin_step_kernel(
     following.left[env] = wp.float64(0.0)
     clearance.margin[env] = r.dhat
     search.before[env] = zero
+    search.after[env] = wp.float64(wp.inf)
+    forget_gain(env, gain)
+    gain.counted[env] = zero
     curvature.projected[env] = 0
     curvature.boost[env] = one
     curvature.sharpness[env] = one
@@ -211,6 +216,7 @@ def begin_step(run: StepLaunches) -> None:
         p.following,
         p.curvature,
         p.search,
+        p.gain,
         p.flags,
         run.rules,
     )

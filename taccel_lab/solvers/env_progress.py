@@ -231,6 +231,20 @@ class Search:
 
 
 @wp.struct
+class Gain:
+    """What the iterations of a step have gained, see ``env_phase.gains``."""
+
+    least_excess: wp.array(dtype=wp.float64)
+    """Least ``Balance.excess`` since all frames arrived."""
+    least_energy: wp.array(dtype=wp.float64)
+    """Least energy since then [J]."""
+    counted: wp.array(dtype=wp.float64)
+    """Part of the prescribed motion that was last counted as a gain."""
+    idle: wp.array(dtype=wp.int32)
+    """Iterations since the last gain."""
+
+
+@wp.struct
 class Flags:
     """What holds for all environments of a call together: arrays of shape [1]."""
 
@@ -295,6 +309,7 @@ PARTS = {
     "following": Following,
     "curvature": Curvature,
     "search": Search,
+    "gain": Gain,
     "flags": Flags,
 }
 """Structs by name; a kernel takes those that it uses, under these names and in this order."""
@@ -313,7 +328,7 @@ class EnvProgress:
     ) -> None:
         self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
         self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
-        self.following = Following()
+        self.following, self.gain = Following(), Gain()
         self.curvature, self.search, self.flags = Curvature(), Search(), Flags()
         self.report = ReportBlock.zeros(env_count, device)
         """What a report needs, on the memory of the parts."""

@@ -11,7 +11,17 @@ import warp as wp
 
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
-from taccel_lab.solvers.env_progress import Balance, Counts, Flags, Following, Phases, Rules
+from taccel_lab.solvers.env_progress import (
+    Balance,
+    Counts,
+    Flags,
+    Following,
+    Gain,
+    Phases,
+    Prescribed,
+    Rules,
+    Search,
+)
 from taccel_lab.solvers.measure import (
     add_friction,
     element_rounding,
@@ -64,8 +74,11 @@ def _judge_friction_kernel(
     elements: wp.array2d(dtype=wp.float64),
     phases: Phases,  # out
     counts: Counts,  # out
+    prescribed: Prescribed,
     balance: Balance,  # out
     following: Following,  # out
+    search: Search,
+    gain: Gain,  # out
     flags: Flags,  # out
     r: Rules,
 ):
@@ -100,7 +113,7 @@ def _judge_friction_kernel(
         stop(env, _CONVERGED, phases)
     elif counts.lags[env] >= r.max_lags:
         stop(env, _FRICTION, phases)
-    go_on(env, phases, counts, flags, r)
+    go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
 
 
 @wp.kernel
@@ -143,8 +156,11 @@ def _judge(run: StepLaunches) -> None:
         element_rounding(run),
         p.phases,
         p.counts,
+        p.prescribed,
         p.balance,
         p.following,
+        p.search,
+        p.gain,
         p.flags,
         run.rules,
     )

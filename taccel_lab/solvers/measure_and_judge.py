@@ -5,15 +5,25 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.solvers.env_phase import CLOSING, FREEZING, enter, go_on, leave, stop
+from taccel_lab.solvers.env_phase import (
+    CLOSING,
+    FREEZING,
+    enter,
+    forget_gain,
+    go_on,
+    leave,
+    stop,
+)
 from taccel_lab.solvers.env_progress import (
     Balance,
     Counts,
     Flags,
     Following,
+    Gain,
     Phases,
     Prescribed,
     Rules,
+    Search,
 )
 from taccel_lab.solvers.freeze_friction import refreeze_friction
 from taccel_lab.solvers.measure import bound_rounding, element_rounding, evaluate_gradient, weigh
@@ -103,6 +113,8 @@ def _judge_kernel(
     prescribed: Prescribed,
     balance: Balance,  # out
     following: Following,
+    search: Search,
+    gain: Gain,  # out
     flags: Flags,  # out
     r: Rules,
 ):
@@ -114,7 +126,7 @@ def _judge_kernel(
     if phases.active[env] != 0 and mask[env] != 0:
         judge(env, elements, phases, prescribed, balance, following, flags, r)
     if last != 0:
-        go_on(env, phases, counts, flags, r)
+        go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
 
 
 @wp.kernel
@@ -123,6 +135,7 @@ def _judge_joints_kernel(
     phases: Phases,  # out
     counts: Counts,  # out
     balance: Balance,  # out
+    gain: Gain,  # out
     flags: Flags,  # out
     r: Rules,
 ):
@@ -136,6 +149,7 @@ def _judge_joints_kernel(
         return
     counts.joint_rounds[env] += 1
     flags.reopened[0] = 1
+    forget_gain(env, gain)
     if counts.joint_rounds[env] > r.max_joint_rounds:
         stop(env, _JOINT, phases)
 
@@ -149,6 +163,8 @@ def _settle_kernel(
     prescribed: Prescribed,
     balance: Balance,  # out
     following: Following,
+    search: Search,
+    gain: Gain,  # out
     flags: Flags,  # out
     r: Rules,
 ):
@@ -157,7 +173,7 @@ def _settle_kernel(
     if phases.active[env] != 0 and mask[env] != 0:
         weigh(env, elements, balance, r)
         settle(env, phases, prescribed, balance, following, flags, r)
-    go_on(env, phases, counts, flags, r)
+    go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
 
 
 def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
@@ -178,6 +194,8 @@ def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
         p.prescribed,
         p.balance,
         p.following,
+        p.search,
+        p.gain,
         p.flags,
         run.rules,
     )
@@ -192,6 +210,8 @@ def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
             p.prescribed,
             p.balance,
             p.following,
+            p.search,
+            p.gain,
             p.flags,
             run.rules,
         )
@@ -205,6 +225,13 @@ def _close_joints(run: StepLaunches) -> None:
     assert s.joints is not None
     s.joints.update_multipliers(p.phases.inner, run.state.positions)
     run.decide(
-        _judge_joints_kernel, s.joints.violations, p.phases, p.counts, p.balance, p.flags, run.rules
+        _judge_joints_kernel,
+        s.joints.violations,
+        p.phases,
+        p.counts,
+        p.balance,
+        p.gain,
+        p.flags,
+        run.rules,
     )
     wp.capture_if(p.flags.reopened, on_true=lambda: evaluate_gradient(run, p.phases.inner))

@@ -72,6 +72,8 @@ class ReadySteps:
             separate = solver.find_separate(state)
             overlapping = who & ~separate
             who &= separate
+            blocked = list(solver.find_blocked(control, state, who))
+            who[blocked] = False
             progress.roster.again.zero_()
             progress.flags.most_rounds.fill_(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
@@ -83,6 +85,7 @@ class ReadySteps:
             progress.underway &= status == EnvStatus.RUNNING
             solver.end(state)
         status[overlapping] = EnvStatus.OVERLAP
+        status[blocked] = EnvStatus.BLOCKED
         return replace(
             report,
             status=status,

@@ -21,6 +21,7 @@ import warp as wp
 
 from taccel_lab.bodies.scene_description import LONGEST_HOLD_S, check_dt
 from taccel_lab.errors import InputError
+from taccel_lab.ipc.contact.blocked_ways import BlockedWay, BlockedWays
 from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
@@ -36,7 +37,7 @@ from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraph
 from taccel_lab.solvers.step_launches import StepLaunches
-from taccel_lab.solvers.step_report import EnvStatus, StepReport
+from taccel_lab.solvers.step_report import EnvStatus, StepReport, refused
 from taccel_lab.state import State, check_state, initial_state, poses_array
 
 wp.set_module_options({"enable_backward": False})
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 HALVING_HELPS = [
     EnvStatus.NO_CONVERGENCE,
+    EnvStatus.STALLED,
     EnvStatus.LINE_SEARCH,
     EnvStatus.FRICTION,
     EnvStatus.JOINT,
@@ -72,6 +74,8 @@ class SolverIPC(SolverParts):
         self._nobody = np.zeros(model.env_count, dtype=bool)
         self._start: State | None = None
         """Where environments are put back to; made by the first reset."""
+        self.ways = BlockedWays(model)
+        """What is held in the way of kinematic bodies."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
         self._changes, self._moves = -1, model.moves
@@ -110,8 +114,8 @@ class SolverIPC(SolverParts):
         Environments that fail are tried in halves of the step, up to ``max_substep_halvings``
         times and ``max_step_iterations`` Newton iterations; one that fails even so is rolled back
         to the start of the whole step and flagged.
-        Before their first step, environments are searched for bodies that overlap: these are
-        flagged and not stepped (``ipc.start_checks.check_start`` says what is wrong).
+        Environments whose bodies overlap before their first step are flagged and not stepped
+        (``ipc.start_checks.check_start`` says what is wrong), nor are those that ``find_blocked``.
 
         The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
         anything is taken again. After resets it also reads which environments overlap. All other
@@ -131,11 +135,10 @@ class SolverIPC(SolverParts):
             self.progress.roster.again.fill_(int(again))
             # The same array as in the step before where all go on: nothing to compare.
             able = separate if who is self._everyone else separate & who
-            report = self._attempt(able, dt, whole=True)
-            overlapping = ~separate & who
-            if overlapping.any():
-                status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
-                report = replace(report, status=status)
+            blocked = self.find_blocked(control, state, able)
+            if blocked:
+                able = able & ~np.isin(np.arange(len(able)), list(blocked))
+            report = refused(self._attempt(able, dt, whole=True), ~separate & who, blocked)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
                 report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
             if not report.converged[who].all():
@@ -279,6 +282,13 @@ class SolverIPC(SolverParts):
             wp.copy(state.unsearched, self._overlaps.find(state, state.unsearched))
             separate = state.separate = state.unsearched.numpy() == 0
         return separate
+
+    def find_blocked(
+        self, control: Control | Any, state: State, who: np.ndarray
+    ) -> dict[int, BlockedWay]:
+        """Find what is held in the way to targets of the host, by environment of ``who``."""
+        poses = control.target_poses if isinstance(control, Control) else control
+        return self.ways.to_targets(state, poses, who)
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the

@@ -4,7 +4,7 @@ read; a step itself reads its statuses, which decide whether it is taken again i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -40,6 +40,11 @@ class EnvStatus(IntEnum):
     """Bodies overlapped before the first step, see ``SolverIPC.step``."""
     IMPACT = 12
     """BDF2 met an impact: the solver takes the step again by implicit Euler at once."""
+    STALLED = 13
+    """Neither residual nor energy has fallen in ``env_phase.STALL_AFTER`` iterations."""
+    BLOCKED = 14
+    """The way to the target leads a kinematic body through bonded faces of a gel, see
+    ``SolverIPC.find_blocked``; nothing was tried."""
 
 
 _INTS = ("status", "newton_iterations", "cg_iterations", "friction_lags") + (
@@ -274,3 +279,14 @@ class StepReport:
                 f"{self.min_distance_m[env] * 1e6:>10.3f}{self.smallest_step[env]:>15.3g}"
             )
         return "\n".join(lines)
+
+
+def refused(report: StepReport, overlapping: np.ndarray, blocked: Iterable[int]) -> StepReport:
+    """Flag environments that were asked for and not stepped: those of ``overlapping`` (bool,
+    [env_count]), and ``blocked`` ones by number."""
+    blocked = list(blocked)
+    if not (overlapping.any() or blocked):
+        return report
+    status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
+    status[blocked] = EnvStatus.BLOCKED
+    return replace(report, status=status)

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.solvers import EnvStatus, SolverConfig
@@ -249,6 +251,28 @@ def test_motions_that_no_press_makes_are_refused(
     env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.zeros((2, 2)))
     with pytest.raises(InputError, match=message):
         env.move_to(depth_mm, **motion)  # type: ignore[arg-type]
+
+
+def test_a_shear_into_a_bonded_wall_is_refused_before_the_press() -> None:
+    """Went down first, and then took all iterations of a step and its parts."""
+    block = block_mesh((6, 6, 3), (8e-3, 8e-3, 4e-3))
+    wall = (block.nodes_m[block.faces][..., 0] > 4e-3 - 1e-9).all(axis=1)
+    region = np.where(wall, int(Region.BOND), block.face_regions)
+    mesh = TetMesh(block.nodes_m, block.tets, block.faces, region)
+    env = PressEnv(mesh, GEL, parse_indenter("sphere:2.0"), CENTRE, physics=LINEAR)
+    start = env.poses
+    for shear, blocked in (((6.0, 0.0), True), ((-6.0, 0.0), False), ((1.0, 0.0), False)):
+        path = PressPath(0.5, shear_mm=shear, step_mm=1.0)
+        if not blocked:
+            env._require_free(path)
+            continue
+        words = r"shear \(3, 0\) mm and twist 0 deg cannot be done: 'sphere:2.0' would pass"
+        with pytest.raises(InputError, match=words):
+            env.follow(path)
+        assert np.array_equal(env.poses, start)
+        report = env.try_to(0.5, shear)
+        assert report.status[0] == EnvStatus.BLOCKED and report.newton_iterations[0] == 0
+        assert "the way leads through what holds the gel" in env.failure(0, report, 0.5)
 
 
 def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

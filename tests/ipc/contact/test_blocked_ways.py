@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ways of tools through bonded faces are told before a step is tried, and no others are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.contact.blocked_ways import BlockedWays
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+)
+from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverIPC
+from taccel_lab.state import initial_state
+
+THICKNESS_M = 4e-3
+MESH = block_mesh((4, 4, 2), (8e-3, 8e-3, THICKNESS_M))
+"""Contact face at z = 0, bonded face 4 mm below."""
+PIN = cylinder_mesh(0.5e-3, 6e-3)
+
+
+def pose(x: float, y: float, z: float, tilt_deg: float = 0.0) -> np.ndarray:
+    """Of one environment and body, lengths in mm, tilted about y; [1, 1, 7]."""
+    half = np.radians(tilt_deg) / 2
+    found = np.array([1e-3 * x, 1e-3 * y, 1e-3 * z, 0, np.sin(half), 0, np.cos(half)])
+    return found[None, None]
+
+
+def model(
+    shape: Ball | TriangleMesh,
+    envs: int = 1,
+    mount: str | None = None,
+    initial_pose: np.ndarray | None = None,
+) -> Model:
+    bodies = [KinematicBody(shape, name="tool"), KinematicBody(None, name="mount")]
+    gel = SoftBody(
+        MESH,
+        Material(1e5, 0.45),
+        element=Element.LINEAR,
+        name="gel",
+        mount=mount,
+        initial_pose=initial_pose,
+    )
+    return Scene(gel, bodies[: 1 if mount is None else 2], envs).finalize("cpu")
+
+
+@pytest.mark.parametrize(
+    ("shape", "start", "end", "blocked"),
+    [
+        (Ball(2e-3), pose(0, 0, 100), pose(0, 0, 1), False),
+        (Ball(2e-3), pose(100, 0, 1), pose(0, 0, 1), False),
+        (Ball(2e-3), pose(0, 0, 1), pose(500, 0, 1), False),
+        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -1.5), False),
+        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -2.5), True),
+        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -500), True),
+        (Ball(2e-3), pose(7, 0, -3), pose(0, 0, -3), True),
+        (Ball(2e-3), pose(9, 0, 50), pose(9, 0, -50), False),
+        (PIN, pose(0, 0, 3.1), pose(0, 0, -0.9), False),
+        (PIN, pose(0, 0, 3.1), pose(0, 0, -1.2), True),
+        (PIN, pose(0, 0, 3.1), pose(0, 0, -500), True),
+        # The middle of a wide tool is far above, its rim is not; and the whole gel in a box.
+        (box_mesh((12e-3, 2e-3, 1e-3)), pose(0, 0, 2), pose(0, 0, 0, 30), False),
+        (box_mesh((12e-3, 2e-3, 1e-3)), pose(0, 0, 2), pose(0, 0, -1.5, 30), True),
+        (box_mesh((20e-3, 20e-3, 20e-3)), pose(0, 0, 11), pose(0, 0, 1), True),
+    ],
+)
+def test_only_ways_through_what_is_held_are_blocked(
+    shape: Ball | TriangleMesh, start: np.ndarray, end: np.ndarray, blocked: bool
+) -> None:
+    found = BlockedWays(model(shape)).find(start, end, np.ones(1, dtype=bool))
+    assert list(found) == ([0] if blocked else [])
+
+
+def test_a_step_is_refused_at_once_and_the_others_go_on() -> None:
+    """Took 102 iterations a part and up to 2,000 in all, and ended at 6e9 N."""
+    made = model(Ball(2e-3), 3)
+    solver, start = SolverIPC(made), np.tile(pose(0, 0, 2.1), (3, 1, 1))
+    state = initial_state(made, start)
+    target = np.concatenate([pose(0, 0, 1.8), pose(0, 0, -500), pose(0, 0, 1.9)])
+    before = state.positions.numpy().copy()
+    report = solver.step(state, target)
+    good, bad = EnvStatus.CONVERGED, EnvStatus.BLOCKED
+    assert report.status.tolist() == [good, bad, good]
+    assert report.newton_iterations[1] == 0 and report.substeps[1] == 0
+    after = state.positions.numpy()
+    assert np.array_equal(after[1], before[1]) and not np.array_equal(after[0], before[0])
+    assert report.failures() == {"BLOCKED": [1]}
+    everyone = np.ones(3, dtype=bool)
+    words = solver.find_blocked(np.tile(pose(0, 0, -500), (3, 1, 1)), state, everyone)[1].words()
+    for part in ("a step of 502.1 mm", "'tool'", "'gel', 4 mm thick", "held", "shorter dt"):
+        assert part in words
+    # The next step is one like any other.
+    assert solver.step(state, start).converged.all()
+
+
+def test_steps_at_their_own_pace_refuse_it_too() -> None:
+    made = model(Ball(2e-3), 2)
+    solver = SolverIPC(made)
+    state = initial_state(made, np.tile(pose(0, 0, 2.1), (2, 1, 1)))
+    steps = ReadySteps(solver, state, iterations=50)
+    report = steps.step_ready(np.concatenate([pose(0, 0, -9), pose(0, 0, 1.9)]))
+    assert report.status.tolist() == [EnvStatus.BLOCKED, EnvStatus.CONVERGED]
+    assert not steps.underway.any()
+
+
+def test_what_is_held_moves_with_its_mount() -> None:
+    """A tool that goes along is not in the way of anything; one that stays is."""
+    ways = BlockedWays(model(Ball(2e-3), mount="mount"))
+    one = np.ones(1, dtype=bool)
+    start = np.concatenate([pose(0, 0, 2.1), pose(0, 0, 0)], axis=1)
+    along = np.concatenate([pose(0, 0, -497.9), pose(0, 0, -500)], axis=1)
+    towards = np.concatenate([pose(0, 0, 2.1), pose(0, 0, 5)], axis=1)
+    assert ways and not ways.find(start, along, one)
+    assert list(ways.find(start, towards, one)) == [0]
+
+
+def test_a_gel_is_held_where_it_was_put() -> None:
+    aside = np.stack([pose(0, 0, 50)[0, 0], pose(0, 0, 0, 180)[0, 0]])
+    ways = BlockedWays(model(Ball(2e-3), 2, initial_pose=aside))
+    two = np.ones(2, dtype=bool)
+    for start, end, blocked in ((52.1, 43, 0), (-2.1, 3, 1)):
+        poses = [np.tile(pose(0, 0, z), (2, 1, 1)) for z in (start, end)]
+        assert list(ways.find(poses[0], poses[1], two)) == [blocked]
+
+
+def test_a_scene_without_held_gels_has_nothing_to_look_at() -> None:
+    free = SoftBody(MESH, Material(1e5, 0.45), bonded_nodes=np.zeros(0, dtype=int))
+    falling = TimeStepping(quasi_static=False)
+    scene = Scene(free, KinematicBody(Ball(1e-3)), time=falling)
+    assert not BlockedWays(scene.finalize("cpu"))
+    assert not BlockedWays(Scene(SoftBody(MESH, Material(1e5, 0.45))).finalize("cpu"))
+
+
+def test_targets_on_a_device_are_not_read() -> None:
+    made = model(Ball(2e-3))
+    solver, one = SolverIPC(made), np.ones(1, dtype=bool)
+    state = initial_state(made, pose(0, 0, 2.1))
+    through = pose(0, 0, -9)
+    assert list(solver.find_blocked(through, state, one)) == [0]
+    assert list(solver.find_blocked(Control(through), state, one)) == [0]
+    there = wp.array(through.reshape(1, 1, 7), dtype=wp.transformd, device="cpu")
+    assert not solver.find_blocked(there, state, one)
+    assert not solver.find_blocked(None, state, one)
