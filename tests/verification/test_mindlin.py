@@ -268,5 +268,5 @@ def test_loops_do_not_depend_on_the_number_of_steps() -> None:
 
 @pytest.mark.slow
 def test_loop_on_a_finer_mesh() -> None:
-    """Three elements: a third of the error of two in force, half of it in what the loop takes."""
-    check_loop(looped(3, 8), force=0.025, loss=0.125)
+    """Three elements: half of the error of two, in force and in what the loop takes."""
+    check_loop(looped(3, 8), force=0.026, loss=0.13)
