@@ -64,7 +64,8 @@ class PressCommand(PressOptions, _Files):
 
         console = notes()
         plan = PressPlan.of(self.sensor, self)
-        for note in plan.notes():
+        told = plan.notes()
+        for note in told:
             console.print(f"note: {note}", soft_wrap=True)
         finished: list[PressResult] = []
         failure: BaseException | None = None
@@ -93,6 +94,9 @@ class PressCommand(PressOptions, _Files):
                 pressed.plan.write_scene(folder, beside.call)
             pressed.write_into(folder, beside.call)
             beside.finish()
+        for note in pressed.plan.notes():
+            if note not in told:
+                console.print(f"note: {note}", soft_wrap=True)
         if pressed.error is not None:
             console.print(f"note: numerical error {pressed.error.words()}", soft_wrap=True)
             console.print(f"note: force, {pressed.force_interval.words()}", soft_wrap=True)
