@@ -25,9 +25,9 @@ class PressOptions:
     four extra presses find the depth. Shear and twist follow at that depth and change the force
     again."""
     like: Path | None = None
-    """Image of a real press, in place of depth and place: the calibrated sensor reads both from it
-    and presses the indenter there, roughly at first, until the simulated image reads the same.
-    like.png shows photo, simulation and difference."""
+    """Image of a real press, in place of depth and place. The calibrated sensor reads both from it.
+    One to three rough presses correct them, until their image reads the same. like.png shows photo,
+    simulation and difference."""
     untouched: Path | None = None
     """Image of the untouched sensor for --like, if newer than the profile's. With a starter profile
     it is looked for beside the photo."""
