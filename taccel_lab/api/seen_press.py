@@ -17,7 +17,8 @@ _CORE = 0.5
 The gel's slope around it would draw the middle towards the side with more gel."""
 _CURVED_TO = 0.5
 """Part of a curved gel's lean that is uncertain. A tool touches a slope beside its axis, where it
-comes straight down; presses on a GelSight's dome whose contacts a person marked lie half-way."""
+comes straight down; presses on a GelSight's dome are found up to half of that from the contacts
+that a person marked."""
 
 
 @dataclass(frozen=True)
