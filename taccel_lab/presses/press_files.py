@@ -125,9 +125,15 @@ def write_seen(
         "contact_forces_n": outcome.contact_forces_n,
         "contact_pressures_pa": outcome.contact_pressures_pa,
     }
-    seen: np.ndarray | None = None
+    seen = None if rgb is None else eight_bit(rgb)
+    if seen is not None:
+        arrays["rgb"] = seen
+    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
+    if markers is not None:
+        arrays |= markers.arrays()
+    # Before the light is followed: another process compresses meanwhile.
+    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
     if rgb is not None:
-        seen = arrays["rgb"] = eight_bit(rgb)
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
         call(write_rgb, folder / "image_raw.png", rgb)
     else:
@@ -135,13 +141,10 @@ def write_seen(
         if predicted is not None:
             seen = predicted[0]
             call(write_rgb, folder / "predicted.png", seen)
-    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
     if markers is not None:
-        arrays |= markers.arrays()
         markers.write_csv(folder / MARKERS)
         places = markers.image_px, markers.rest_px, markers.places_px[-1]
         call(save_drawing, folder / "markers.png", draw_markers, seen, *places)
-    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
     return markers
 
 

@@ -151,6 +151,17 @@ def test_a_plan_loads_no_kernels() -> None:
     assert loaded_by("import taccel_lab.api.press_plan", (*HEAVY, *kernels, "scipy")) == "set()"
 
 
+def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> None:
+    methods = tuple(f"taccel_lab.ipc.linear.{name}" for name in ("arrow.solver", "cg.block_cg"))
+    code = (
+        "from taccel_lab import press\n"
+        "press('flat_pad', depth_mm=0.2, accuracy='fast', element='linear')"
+    )
+    assert loaded_by(code, (*methods, "taccel_lab.ipc.linear.cpu")) == (
+        "{'taccel_lab.ipc.linear.cpu'}"
+    )
+
+
 def test_the_designed_mesh_is_kept_between_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

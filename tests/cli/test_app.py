@@ -249,6 +249,20 @@ def test_help_is_fast_and_light() -> None:
     assert best < 1.0, f"help took {best:.2f} s"
 
 
+FROZEN = """
+    import atexit, gc, sys
+    from taccel_lab.cli.app import main
+    # Called last: what is registered later is called before.
+    atexit.register(lambda: print(gc.get_freeze_count() > 10_000))
+    sys.argv = ["taccel-lab", "--version"]
+    main()
+"""
+
+
+def test_no_garbage_is_looked_for_as_the_process_ends() -> None:
+    assert python(FROZEN).stdout.splitlines()[-1] == "True"
+
+
 TERMINATED = """
     import os, signal, sys
     from pathlib import Path

@@ -12,9 +12,6 @@ import warp as wp
 
 from taccel_lab.ipc.device.block_ops import team
 from taccel_lab.ipc.device.launches import Scratch
-from taccel_lab.ipc.linear.arrow.solver import MAX_ROWS, Arrow, holds
-from taccel_lab.ipc.linear.cg.block_cg import BlockCG
-from taccel_lab.ipc.linear.cg.pipelined_cg import PATIENCE, TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.cpu import SsorCG
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem, LinearReport
 from taccel_lab.model.matrix_pattern import BlockPattern
@@ -84,13 +81,35 @@ class LinearSystem(LinearProblem):
 _LONG = 2**31 - 1
 """Clock cycles, about a second, for which a team waits for all its members where bits count: fewer
 thread blocks add up in another order."""
+
+# Warp reads the kernels of a module when that is imported: those of GPUs, which are most, are
+# imported where one is used.
+
+
+def _block_cg(system: LinearSystem) -> Solver:
+    from taccel_lab.ipc.linear.cg.block_cg import BlockCG
+
+    return BlockCG(system, system.clusters)
+
+
+def _arrow(system: LinearSystem) -> Solver:
+    from taccel_lab.ipc.linear.arrow.solver import Arrow
+
+    return Arrow(system, system.clusters)
+
+
+def _pipelined_cg(system: LinearSystem) -> Solver:
+    from taccel_lab.ipc.linear.cg.pipelined_cg import PATIENCE, PipelinedCG
+
+    patience = _LONG if system.in_any_order else PATIENCE
+    return PipelinedCG(system, system.clusters, patience=patience)
+
+
 METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,
-    "cg": lambda system: BlockCG(system, system.clusters),
-    "arrow": lambda system: Arrow(system, system.clusters),
-    "pipelined": lambda system: PipelinedCG(
-        system, system.clusters, patience=_LONG if system.in_any_order else PATIENCE
-    ),
+    "cg": _block_cg,
+    "arrow": _arrow,
+    "pipelined": _pipelined_cg,
 }
 
 
@@ -98,6 +117,8 @@ def usable_methods(row_count: int, device: wp.Device) -> list[str]:
     """Those of ``METHODS`` that are made for a device and can hold systems of so many rows."""
     if device.is_cpu:
         return ["ssor"]
+    from taccel_lab.ipc.linear.arrow.solver import MAX_ROWS
+
     return ["arrow", "cg", "pipelined"] if row_count <= MAX_ROWS else ["cg", "pipelined"]
 
 
@@ -108,6 +129,9 @@ def _method(
     if device.is_cpu:
         # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
         return "ssor"
+    from taccel_lab.ipc.linear.arrow.solver import holds
+    from taccel_lab.ipc.linear.cg.pipelined_cg import TASKS_PER_ROW
+
     if holds(pattern, clusters):
         return "arrow"
     # Several thread blocks an environment where one would have more than it can do at a time.
