@@ -132,7 +132,9 @@ class SurfaceReading(Summary):
         if not self.touch.any:
             return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
         sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
-        depth = with_error(-1e3 * self.rise_m[row, column], None if sigma_m is None else 1e3 * sigma_m)
+        depth = with_error(
+            -1e3 * self.rise_m[row, column], None if sigma_m is None else 1e3 * sigma_m
+        )
         return f"{depth} mm at ({column}, {row}) px"
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:

@@ -114,6 +114,7 @@ class PressPlan:
             found.append(self.differs)
         if self.photo is not None:
             found += self.photo.warnings
+        found += self.indenter.remarks
         if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
             words = size_words(self.indenter.shape.vertices_m)
             found.append(f"{self.options.indenter} is {words}")

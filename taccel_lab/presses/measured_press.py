@@ -32,8 +32,8 @@ TAKEN_OFF = STATED = 0.5
 """Parts of the change from the level below: a first-order error is as large as the change, that of
 a mesh a third of it and less."""
 LEFT = {
-    Accuracy.FAST: Shares(0.011, 0.09),
-    Accuracy.DEFAULT: Shares(0.007, 0.024),
+    Accuracy.FAST: Shares(0.008, 0.08),
+    Accuracy.DEFAULT: Shares(0.008, 0.028),
     Accuracy.REFERENCE: Shares(0.003, 0.01),
 }
 """Of the force, beside that: what 19 of 20 presses of the battery need."""
@@ -44,6 +44,8 @@ UNKNOWN_GUARD = 0.01
 the largest of seven pins and edges."""
 SECOND_ORDER = 0.5
 """What second order leaves of a change on the next level."""
+SLOWEST = 0.75
+"""Largest fall of changes from level to level that is believed: first order halves them."""
 UPRIGHT = 0.5
 """Least z of the normals of pixels whose heights are compared: farther down on a dome's side
 heights are differences of where a facet happens to end."""
@@ -231,6 +233,10 @@ def _measured(
     doubt = abs(change)
     if change * last < 0:
         doubt = max(doubt, SECOND_ORDER * abs(last))
+    elif last:
+        # Changes that fall by r leave r / (1 - r) of the last (Richardson), of which half is off.
+        falls = min(change / last, SLOWEST)
+        doubt *= max(1.0, 2 * falls / (1 - falls) - 1)
     factor = 1.0 - TAKEN_OFF * change
     left = LEFT[physics.accuracy].of(shape) / FINER**level
     share = (STATED * doubt + left) / abs(factor) + guard

@@ -74,6 +74,7 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
 ) -> None:
     monkeypatch.setattr(press_accuracy, "DEPTHS_MM", (0.1,))
     monkeypatch.setattr(press_accuracy, "NEARER", 2)
+    monkeypatch.setattr(press_accuracy, "RELAXING", ())
     coarse = {**PHYSICS, Accuracy.DEFAULT: PHYSICS[Accuracy.FAST]}
     monkeypatch.setattr(press_accuracy, "PHYSICS", coarse)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
