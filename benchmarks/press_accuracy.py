@@ -43,7 +43,7 @@ from taccel_lab.presses import (
 )
 from taccel_lab.presses.measured_press import FINER, Resolution, measured_press
 from taccel_lab.presses.physics import parse_accuracy
-from taccel_lab.presses.time_steps import relaxing_path
+from taccel_lab.presses.press_steps import bounded_path
 from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import refined_press_mesh
@@ -229,7 +229,8 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
         Material(layer.young_modulus_pa, case.poisson_ratio, branches=branches)
         for layer in parameters.layer_materials()
     ]
-    path = relaxing_path(PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s), branches)
+    path = PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s)
+    path = bounded_path(path, branches, case.friction)
     return simulate_press(
         mesh,
         layered_material(layers, mesh),

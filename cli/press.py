@@ -132,9 +132,7 @@ def _digits(values: Iterable[float], error: float) -> str:
     return "  ".join(to_error(float(value), error) for value in values)
 
 
-def _both(error: SignalError | None, unit: float = 1.0) -> str:
-    if error is None:
-        return "unknown"
+def _both(error: SignalError, unit: float = 1.0) -> str:
     return f"{unit * error.numerical:.2g}  {unit * error.total:.2g}"
 
 
@@ -155,7 +153,6 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
         ("force of the gel on the indenter", _digits(force, error_n), "N"),
         ("moment about the gel's origin", _digits(moment, error_n), "N mm"),
         ("heights off by: numerical, all told", _both(heights, 1e3), "um rms"),
-        ("image off by: numerical, all told", _both(image), "levels rms"),
         ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
         ("force residual", f"{figures['residual_n']:.1e}", "N"),
         ("Newton iterations", f"{figures['newton_iterations']}", ""),
@@ -165,6 +162,8 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
     ):
         table.add_row(name, value, unit)
+    if image is not None:
+        table.add_row("image off by: numerical, all told", _both(image), "levels rms")
     if pressed.like is not None:
         like = pressed.like
         place = zip("xy", like["at_mm"], like["at_sigma_mm"] or (None, None), strict=True)

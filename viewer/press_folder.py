@@ -16,6 +16,7 @@ from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.files.text_file import shown
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.section import linear_tets
+from taccel_lab.with_error import with_error
 
 STATES = "states.npz"
 PRESS = "press.json"
@@ -43,9 +44,10 @@ def summary(folder: Path) -> list[tuple[str, str]]:
     if not isinstance(figures, dict):
         raise InputError(f"{source}: press is {shown(figures)}; a table of figures is needed")
     if "force_n" in figures:
-        text = f"{number_at(about, 'press.force_n', source):.3f}"
+        error = None
         if figures.get("force_error_n") is not None:
-            text += f" ± {number_at(about, 'press.force_error_n', source):.3f}"
+            error = number_at(about, "press.force_error_n", source)
+        text = with_error(number_at(about, "press.force_n", source), error)
         rows.append(("force at the end", f"{text} N"))
     if figures.get("contact_radius_mm") is not None:
         radius = number_at(about, "press.contact_radius_mm", source)

@@ -22,7 +22,6 @@ from scipy.interpolate import CubicSpline
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
-from taccel_lab.presses import PressPath
 from taccel_lab.presses.press_error import expected_error
 from taccel_lab.progress import Progress, silent
 

@@ -21,8 +21,8 @@ from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_pre
 from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
 from taccel_lab.presses.press_depth import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
+from taccel_lab.presses.press_steps import bounded_path
 from taccel_lab.presses.press_surface import FurtherView
-from taccel_lab.presses.time_steps import relaxing_path
 from taccel_lab.signals.rest_surface import rest_surface
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def run_press(
             material,
             plan.indenter,
             options.at_mm,
-            relaxing_path(path, material.branches).with_steps(at.steps),
+            bounded_path(path, material.branches, friction).with_steps(at.steps),
             camera,
             friction_coefficient=friction,
             physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),

@@ -32,8 +32,8 @@ TAKEN_OFF = STATED = 0.5
 """Parts of the change from the level below: a first-order error is as large as the change, that of
 a mesh a third of it and less."""
 LEFT = {
-    Accuracy.FAST: Shares(0.008, 0.08),
-    Accuracy.DEFAULT: Shares(0.008, 0.028),
+    Accuracy.FAST: Shares(0.007, 0.08),
+    Accuracy.DEFAULT: Shares(0.007, 0.026),
     Accuracy.REFERENCE: Shares(0.003, 0.01),
 }
 """Of the force, beside that: what 19 of 20 presses of the battery need."""

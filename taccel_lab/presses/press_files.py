@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -161,7 +162,12 @@ def _draw_loads(folder: Path, outcome: PressOutcome, label: str, call: Call) -> 
     down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
     depth_mm = np.array([0.0] + [s.depth_mm for s in down])
     force_n = np.array([0.0] + [s.wrench[2] for s in down])
-    call(save_drawing, folder / "force_depth.png", draw_force_depth, depth_mm, force_n, label)
+    # After a way back or a turn the error is that of another step than the curve's last.
+    error_n = outcome.force_error_n if len(down) == len(outcome.steps) else math.nan
+    if outcome.path.back:
+        error_n = math.nan
+    draw = partial(draw_force_depth, error_n=error_n)
+    call(save_drawing, folder / "force_depth.png", draw, depth_mm, force_n, label)
 
 
 def _write_states(

@@ -7,6 +7,7 @@ as the camera sees them: x right, y down, in millimetres of the gel frame.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from taccel_lab.report.style import (
     in_report_style,
     new_figure,
 )
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -231,13 +233,22 @@ def draw_contact_forces(
 
 @in_report_style
 def draw_force_depth(
-    depth_mm: np.ndarray, force_n: np.ndarray, label: str, title: str = "Force over depth"
+    depth_mm: np.ndarray,
+    force_n: np.ndarray,
+    label: str,
+    title: str = "Force over depth",
+    error_n: float = math.nan,
 ) -> Figure:
-    """Normal force [N] over indentation depth [mm], both of shape [step]."""
+    """Normal force [N] over indentation depth [mm], both of shape [step], and the error of the last
+    one where it is known."""
     figure, axes = new_figure(6.4, 4.0)
     axes.grid(True)
     axes.set_axisbelow(True)
     axes.plot(depth_mm, force_n, "o-", color=BLUE, label=label, zorder=3)
+    if math.isfinite(error_n):
+        label = f"{with_error(float(force_n[-1]), error_n)} N, numerical error"
+        ends = depth_mm[-1:], force_n[-1:], error_n
+        axes.errorbar(*ends, color=ORANGE, capsize=6, lw=2, label=label, zorder=4)
     axes.set_title(title)
     axes.set_xlabel("indentation depth [mm]")
     axes.set_ylabel("normal force [N]")
