@@ -15,7 +15,8 @@ IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
     "learning": ("scene", "source", "envs", "pace"),
     "press_accuracy": (
-        "family", "thickness_mm", "tool", "depth_mm", "poisson_ratio", "friction", "setting",
+        "family", "thickness_mm", "tool", "depth_mm", "poisson_ratio", "friction", "branches",
+        "setting",
     ),
     "multi_gpu": ("mode", "scaling", "gpus", "envs"),
     "stress": ("family",),
