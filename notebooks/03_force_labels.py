@@ -141,9 +141,9 @@ legend = axis.legend()
 # %% [markdown]
 # ## 3. What a data set says of its own error
 #
-# Every row of a data set carries `force_error_n`, what 19 of 20 presses of its mesh, steps and
-# contact range keep to. Here it is run twice to see: a data set by the
-# accuracy `fast`, and the same touches with finer meshes. `fast` is off by the difference.
+# Every row of a data set carries `force_error_n`, what 19 of 20 presses of its grade keep to. Here
+# it is run twice to see: a data set by the accuracy `fast`, and the same touches with finer meshes.
+# `fast` is off by the difference.
 
 # %%
 from taccel_lab.datasets.plan import DatasetPlan

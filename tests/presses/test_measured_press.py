@@ -64,8 +64,24 @@ def test_batches_state_what_their_grade_keeps_to() -> None:
             assert found.force_n.tolist() == [2 * share, 2 * share, 0.0]
             assert found.height_m[1] == pytest.approx(5 * found.height_m[0])
             assert found.height_m[0] > found.height_m[2] == 0
-    linear = expected_error(replace(DEFAULT, element=Element.LINEAR), BALL, np.ones(1), np.ones(1))
-    assert linear.force_n[0] == LINEAR_SHARE
+    linear = replace(DEFAULT, element=Element.LINEAR)
+    assert expected_error(linear, BALL, np.ones(1), np.ones(1)).force_n[0] == LINEAR_SHARE
+    coarser = replace(linear, mesh=PHYSICS[Accuracy.FAST].mesh)
+    assert expected_error(coarser, BALL, np.ones(1), np.ones(1)).force_n[0] > LINEAR_SHARE
+
+
+def test_settings_that_nobody_measured_state_nothing() -> None:
+    for unusual in (
+        replace(DEFAULT, dhat_m=2 * DEFAULT.dhat_m),
+        replace(DEFAULT, mesh=PHYSICS[Accuracy.FAST].mesh),
+    ):
+        found = expected_error(unusual, BALL, np.ones(2), np.ones(2))
+        assert np.isnan(found.force_n).all() and np.isnan(found.height_m).all()
+    finer = replace(DEFAULT, mesh=PHYSICS[Accuracy.REFERENCE].mesh, dhat_m=0.5 * DEFAULT.dhat_m)
+    assert (
+        expected_error(finer, BALL, np.ones(1), np.ones(1)).force_n[0]
+        == FORCE_SHARE[Accuracy.DEFAULT].smooth
+    )
 
 
 @pytest.mark.parametrize(
