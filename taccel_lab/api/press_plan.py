@@ -17,7 +17,7 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.devices import require_device
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.fitted_physics import physics_difference
-from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.presses.measured_ranges import measured_range
 from taccel_lab.presses.press_depth import check_depth
 from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
@@ -98,7 +98,7 @@ class PressPlan:
     def is_friction_doubtful(self) -> bool:
         """Whether friction that nobody measured matters beside what is known of the modulus."""
         material = self.profile.material
-        measured = "friction_coefficient" in measured_ranges(self.profile)
+        measured = measured_range(self.profile, "friction_coefficient") is not None
         chosen = self.options.friction is not None or measured or self.friction == 0
         return is_modulus_known(material) and not chosen
 

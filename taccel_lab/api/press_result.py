@@ -158,7 +158,8 @@ class Press(Summary):
         """Return the press as one of the sensor's cameras shows it."""
         profile = self.plan.profile.seen_by(name)
         outcome = self.outcome.seen_by(name) if name in self.outcome.views else self.outcome
-        return replace(self, plan=replace(self.plan, profile=profile), outcome=outcome)
+        # The press beside it kept the pixels of the first camera alone.
+        return replace(self, plan=replace(self.plan, profile=profile), outcome=outcome, below=None)
 
     @cached_property
     def markers(self) -> PressMarkers | None:

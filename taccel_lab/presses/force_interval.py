@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.presses.measured_ranges import measured_range
 from taccel_lab.profile.assumed import modulus_interval_pa, thickness_interval_mm
 from taccel_lab.scene import Ball
 
@@ -102,7 +102,7 @@ def force_causes(
     if math.isfinite(outcome.force_error_n) and outcome.force_n:
         share = outcome.force_error_n / abs(outcome.force_n)
         found.append(Cause("numerical", max(1.0 - share, 0.0), 1.0 + share))
-    material, ranges = profile.material, measured_ranges(profile)
+    material = profile.material
     # Every stress of a gel grows as its moduli do.
     low_pa, high_pa = modulus_interval_pa(material)
     pa = material.young_modulus_pa
@@ -112,17 +112,29 @@ def force_causes(
     force = _Layer(indenter, outcome)
     rest = force.at(mm, nu)
     found.append(Cause("thickness", force.at(thick, nu) / rest, force.at(thin, nu) / rest))
-    if (ratios := ranges.get("poisson_ratio")) is not None:
-        ends = (force.at(mm, min(end, _LARGEST_RATIO)) / rest for end in (ratios.low, ratios.high))
-        found.append(Cause("Poisson's ratio", *sorted(ends)))
+    if (ratios := measured_range(profile, "poisson_ratio")) is not None:
+        ends = (min(max(end, 0.0), _LARGEST_RATIO) for end in (ratios.low, ratios.high))
+        found.append(Cause("Poisson's ratio", *sorted(force.at(mm, end) / rest for end in ends)))
     if friction is None:
         less = FRICTION_SHARE if slippery is None else max(1.0 - slippery, 0.0)
-        found.append(Cause("friction", 1.0 - less, 1.0 + ROUGHER * less))
+        down, up = _friction_parts(profile)
+        found.append(Cause("friction", 1.0 - down * less, 1.0 + up * ROUGHER * less))
     if depth_sigma_mm > 0:
         power = force_power(outcome)
         off = 2 * depth_sigma_mm / outcome.path.depth_mm
         found.append(Cause("depth", max(1.0 - off, 0.0) ** power, (1.0 + off) ** power))
     return tuple(found)
+
+
+def _friction_parts(profile: SensorProfile) -> tuple[float, float]:
+    """Parts of the ways from the profile's coefficient to 0 and to 1 that it may be off by."""
+    known = measured_range(profile, "friction_coefficient")
+    if known is None:
+        return 1.0, 1.0
+    value = profile.material.friction_coefficient
+    down = (value - known.low) / value if value > 0 else 0.0
+    up = (known.high - value) / (1.0 - value) if value < 1 else 0.0
+    return min(down, 1.0), min(up, 1.0)
 
 
 def force_power(outcome: PressOutcome) -> float:

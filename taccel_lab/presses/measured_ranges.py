@@ -40,32 +40,41 @@ def measured_ranges(profile: SensorProfile) -> dict[str, MeasuredRange]:
     """
     found = {}
     for name in QUANTITIES:
-        value = float(getattr(profile.material, name))
-        widths = [
-            part
-            for part in (
-                _of_fit(profile.material.provenance, name, value),
-                _of_units(profile, name),
-            )
-            if part is not None
-        ]
-        if not widths:
+        known = measured_range(profile, name)
+        if known is None:
             continue
-        low = value - math.hypot(*(below for below, _, _ in widths))
-        high = value + math.hypot(*(above for _, above, _ in widths))
-        if name == "friction_coefficient":
-            low = max(low, 0.0)
         if (
-            low < 0
-            or (name == "young_modulus_pa" and low == 0)
-            or (name == "poisson_ratio" and high >= 0.5)
+            known.low < 0
+            or (name == "young_modulus_pa" and known.low == 0)
+            or (name == "poisson_ratio" and known.high >= 0.5)
         ):
             raise InputError(
                 f"the spread of {name} that sensor {profile.sensor.name!r} states reaches from "
-                f"{low:g} to {high:g}, which no gel has: give a range of your own"
+                f"{known.low:g} to {known.high:g}, which no gel has: give a range of your own"
             )
-        found[name] = MeasuredRange(low, high, " and ".join(what for _, _, what in widths))
+        found[name] = known
     return found
+
+
+def measured_range(profile: SensorProfile, name: str) -> MeasuredRange | None:
+    """That of one of ``QUANTITIES``, whether a gel has such values or not; None without a spread
+    that was measured."""
+    value = float(getattr(profile.material, name))
+    widths = [
+        part
+        for part in (
+            _of_fit(profile.material.provenance, name, value),
+            _of_units(profile, name),
+        )
+        if part is not None
+    ]
+    if not widths:
+        return None
+    low = value - math.hypot(*(below for below, _, _ in widths))
+    high = value + math.hypot(*(above for _, above, _ in widths))
+    if name == "friction_coefficient":
+        low = max(low, 0.0)
+    return MeasuredRange(low, high, " and ".join(what for _, _, what in widths))
 
 
 def _of_fit(provenance: Provenance, name: str, value: float) -> tuple[float, float, str] | None:

@@ -80,6 +80,16 @@ def test_what_is_known_makes_the_interval_smaller(pad: tl.SensorProfile) -> None
     assert wide.low_n < narrow.low_n < 2.0 < narrow.high_n < wide.high_n
 
 
+def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad: tl.SensorProfile) -> None:
+    material, pa = pad.material, pad.material.young_modulus_pa
+    wild = {"young_modulus_pa": pa, "poisson_ratio": 0.1, "friction_coefficient": 0.1}
+    known = material.provenance.model_copy(update={"kind": "measured", "spread": wild})
+    found = causes(pad.with_block(material.replace(provenance=known)))
+    assert found["Young's modulus"].low == 0.5, "a spread as large as its value says nothing"
+    assert found["Poisson's ratio"].low < 1.0 < found["Poisson's ratio"].high
+    assert 1 - FRICTION_SHARE < found["friction"].low < 1.0
+
+
 def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(
     pad: tl.SensorProfile,
 ) -> None:
