@@ -155,7 +155,8 @@ def _overview(data: Dataset) -> Any:
         (axes[0, 1], tangential_n(steps)[pressed], "tangential force [N]", ORANGE),
         (axes[0, 2], steps["contact_area_mm2"][pressed], "contact area [mm²]", GREEN),
         (axes[1, 0], steps["depth_mm"][pressed], "depth past first touch [mm]", BLUE),
-        (axes[1, 1], 100 * share[pressed], "estimated force error [%]", GREY),
+        # Rounded, as bins cannot part what differs by rounding.
+        (axes[1, 1], np.round(100 * share[pressed], 3), "estimated force error [%]", GREY),
     ):
         axis.hist(values, bins=30, color=color)
         axis.set_xlabel(label)

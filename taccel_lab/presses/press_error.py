@@ -8,7 +8,6 @@ says of their grade (docs/verification.md, Presses by default).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,6 +43,10 @@ HEIGHT_SHARE = {
     Accuracy.REFERENCE: Shares(0.001, 0.005),
 }
 """Root mean square error of the heights over the depth."""
+COARSE_ORDER = 5
+"""How errors grow on meshes coarser than the grade's, by elements along a side."""
+GAP_SHARE = 0.06
+"""Of the force, by what ``dhat`` is larger than the grade's, over the depth."""
 LINEAR_SHARE = 0.6
 """Of the force by linear elements on the default mesh; of first order in the elements' size."""
 
@@ -67,22 +70,21 @@ def expected_error(
     """What presses of a grade keep to in 19 of 20 cases, on meshes made for the press.
 
     Args:
-        physics: Grade and element; with a coarser mesh or a larger contact range than the grade's
-            nobody has measured what presses keep to, and errors are NaN.
+        physics: Grade and element; a coarser mesh or a larger contact range add to it.
         shape: What presses.
         force_n: Along the press [N], [env_count].
         depth_m: Past first touch [m], [env_count].
     """
-    force_n, depth_m = np.abs(force_n), np.maximum(depth_m, 0.0)
-    if physics.element is Element.LINEAR:
-        finer = (_cells(physics, shape) / _cells(PHYSICS[Accuracy.DEFAULT], shape)) ** (1 / 3)
-        share = LINEAR_SHARE / finer
-    else:
-        usual = PHYSICS[physics.accuracy]
-        coarser = _cells(physics, shape) < _cells(usual, shape) or physics.dhat_m > usual.dhat_m
-        share = math.nan if coarser else FORCE_SHARE[physics.accuracy].of(shape)
-    heights = HEIGHT_SHARE[physics.accuracy].of(shape)
-    return PressError(share * force_n, (math.nan if math.isnan(share) else heights) * depth_m)
+    depth_m = np.maximum(depth_m, 0.0)
+    linear, usual = physics.element is Element.LINEAR, PHYSICS[physics.accuracy]
+    rule = PHYSICS[Accuracy.DEFAULT] if linear else usual
+    finer = (_cells(physics, shape) / _cells(rule, shape)) ** (1 / 3)
+    coarser = min(finer, 1.0) ** -COARSE_ORDER
+    share = LINEAR_SHARE / finer if linear else coarser * FORCE_SHARE[physics.accuracy].of(shape)
+    wider_m = max(physics.dhat_m - usual.dhat_m, 0.0)
+    gap = GAP_SHARE * wider_m / np.maximum(depth_m, physics.dhat_m)
+    heights = coarser * HEIGHT_SHARE[physics.accuracy].of(shape)
+    return PressError((share + gap) * np.abs(force_n), heights * depth_m)
 
 
 def _cells(physics: PressPhysics, shape: Ball | TriangleMesh) -> int:

@@ -70,13 +70,15 @@ def test_batches_state_what_their_grade_keeps_to() -> None:
     assert expected_error(coarser, BALL, np.ones(1), np.ones(1)).force_n[0] > LINEAR_SHARE
 
 
-def test_settings_that_nobody_measured_state_nothing() -> None:
-    for unusual in (
-        replace(DEFAULT, dhat_m=2 * DEFAULT.dhat_m),
-        replace(DEFAULT, mesh=PHYSICS[Accuracy.FAST].mesh),
-    ):
-        found = expected_error(unusual, BALL, np.ones(2), np.ones(2))
-        assert np.isnan(found.force_n).all() and np.isnan(found.height_m).all()
+def test_coarser_settings_state_more_and_finer_ones_no_less() -> None:
+    usual = expected_error(DEFAULT, RIMS, np.ones(1), np.full(1, DEPTH_M)).force_n[0]
+    coarser = replace(DEFAULT, mesh=PHYSICS[Accuracy.FAST].mesh)
+    assert expected_error(coarser, RIMS, np.ones(1), np.full(1, DEPTH_M)).force_n[0] > 1.5 * usual
+    wider = replace(DEFAULT, dhat_m=5e-5)
+    found = [
+        expected_error(wider, RIMS, np.ones(1), np.full(1, d)).force_n[0] for d in (1e-4, 1e-3)
+    ]
+    assert found[0] > 0.02 + usual and usual < found[1] < 0.01 + usual
     finer = replace(DEFAULT, mesh=PHYSICS[Accuracy.REFERENCE].mesh, dhat_m=0.5 * DEFAULT.dhat_m)
     assert (
         expected_error(finer, BALL, np.ones(1), np.ones(1)).force_n[0]
