@@ -22,6 +22,7 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.presses.physics import Accuracy, PressPhysics
 from taccel_lab.presses.press_error import Shares, expected_error
 from taccel_lab.presses.press_outcome import PressOutcome
+from taccel_lab.presses.signal_error import known_rms
 from taccel_lab.scene import Ball, Element, TriangleMesh
 
 FINER = 2**0.5
@@ -241,7 +242,7 @@ def _measured(
     left = LEFT[physics.accuracy].of(shape) / FINER**level
     share = (STATED * doubt + left) / abs(factor) + guard
     moved = (best.height_m - best.rest_height_m) - (below.height_m - below.rest_height_m)
-    height_m = _rms(moved[best.normals[..., 2] > UPRIGHT])
+    height_m = known_rms(moved[best.normals[..., 2] > UPRIGHT])
     height_m += LEFT_OF_DEPTH / FINER**level * 1e-3 * best.path.depth_mm
     error = NumericalError(factor, share, height_m, guard, changes, level, len(pressed), asked)
     return error, change
@@ -251,9 +252,3 @@ def _compared_n(outcome: PressOutcome) -> float:
     """Solved normal force at the end, or before the way back, which ends without one [N]."""
     forces = [float(step.wrench[2]) for step in outcome.steps]
     return max(forces) if outcome.path.back else forces[-1]
-
-
-def _rms(heights_m: np.ndarray) -> float:
-    """Root of the mean square, of pixels where both presses have gel; 0 of none."""
-    known = heights_m[np.isfinite(heights_m)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

@@ -32,7 +32,7 @@ def height_error_mm(outcome: PressOutcome, depth_sigma_mm: float) -> SignalError
     """Error of the heights [mm]; ``depth_sigma_mm``: deviation of a depth that was read."""
     numerical = 1e3 * outcome.height_error_m
     moved = 1e3 * (outcome.rest_height_m - outcome.height_m)[_pressed(outcome)]
-    depth = _rms(moved) * 2 * depth_sigma_mm / outcome.path.depth_mm
+    depth = known_rms(moved) * 2 * depth_sigma_mm / outcome.path.depth_mm
     return SignalError(numerical, math.hypot(numerical, depth))
 
 
@@ -57,10 +57,10 @@ def image_error_levels(
         place_sigma_px: The same of a place, along each axis [px].
     """
     where = _pressed(outcome)
-    numerical = _rms((rgb - beside_rgb)[where])
+    numerical = known_rms((rgb - beside_rgb)[where])
     changed = rgb - background_rgb
-    depth = _rms(changed[where]) * 2 * depth_sigma_mm / outcome.path.depth_mm
-    slopes = [_rms(np.gradient(changed, axis=axis)[where]) for axis in (0, 1)]
+    depth = known_rms(changed[where]) * 2 * depth_sigma_mm / outcome.path.depth_mm
+    slopes = [known_rms(np.gradient(changed, axis=axis)[where]) for axis in (0, 1)]
     place = math.hypot(*slopes) * 2 * place_sigma_px
     psnr_db = colours.residuals.get("heldout_crop_psnr_db")
     seen = 0.0 if psnr_db is None else _WHITE * 10 ** (-psnr_db / 20)
@@ -73,6 +73,7 @@ def _pressed(outcome: PressOutcome) -> np.ndarray:
     return np.nan_to_num(np.abs(moved)) > _AROUND * 1e-3 * outcome.path.depth_mm
 
 
-def _rms(values: np.ndarray) -> float:
+def known_rms(values: np.ndarray) -> float:
+    """Root of the mean square of what is finite; 0 of nothing."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

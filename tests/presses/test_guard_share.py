@@ -65,7 +65,7 @@ def test_it_is_what_the_force_loses_without_a_guard(
     friction: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A threshold of 0.01 in place of 0.1 leaves next to nothing of the guard: the force of seven
-    pins and edges changes by 0.8 to 1.3 times what is told."""
+    pins and edges changes by 0.8 to 1.3 times the share."""
     env = deep_edge(friction)
     before, told = env.press_force[0, 2], env.guard_share()[0]
     assert 1e-3 < told < 0.01

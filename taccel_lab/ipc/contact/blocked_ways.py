@@ -64,7 +64,7 @@ class BlockedWay:
         """What is wrong with a step and what to do, in two sentences."""
         return (
             f"a step of {1e3 * self.way_m:.4g} mm cannot be taken: after {1e3 * self.free_m:.3g} "
-            f"mm {self.place()}. Let it end before that; where the target comes of a speed, take a "
+            f"mm {self.place()}. End it before that, or, where a speed sets the target, take a "
             "shorter dt or more steps"
         )
 

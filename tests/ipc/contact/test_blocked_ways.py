@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways of tools through bonded faces are told before a step is tried, and no others are."""
+"""Ways of tools through bonded faces are found before a step is tried, and no others are."""
 
 from __future__ import annotations
 
