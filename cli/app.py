@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done (a page of ``view`` or ``design --page`` ends so by Ctrl-C), 1 ``doctor``,
-``bench quick``, ``capture check`` or ``dataset check`` found something broken, ``force`` read
-images unlike its training's, a stage of ``calibrate all`` had unfit captures or no design of a
-``study`` keeps its constraints, 2 unusable input or usage, or files that cannot be read or written,
-as on a full disk, 3 a simulation that did not converge, 130 interrupted, 143 asked to end
-(SIGTERM). Anything else that goes wrong is a bug and keeps its traceback. Command modules import
-heavy libraries inside ``run()`` only, so that help is fast.
+Exit codes: 0 done, 1 ``doctor``, ``bench quick``, ``capture check`` or ``dataset check`` found
+something broken, ``force`` read images unlike its training's, a stage of ``calibrate all`` had
+unfit captures or no design of a ``study`` keeps its constraints, 2 unusable input or usage, or
+files that cannot be read or written, as on a full disk, 3 a simulation that did not converge, 130
+interrupted (pages end so), 143 asked to end (SIGTERM). Anything else that goes wrong is a bug and
+keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help is
+fast.
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -41,7 +40,7 @@ class Design:
     Sections through the sensor are drawn first, and can be looked at while the rest is built.
 
     With --page: a page in the browser with sliders of all parameters, which shows what a change
-    does and writes nothing until asked. Ctrl-C closes it, exit code 0.
+    does and writes nothing until asked. Ctrl-C closes it.
     """
 
     sensor: Positional[str]
@@ -125,7 +124,7 @@ class Design:
         def say(text: str) -> None:
             notes().print(text, soft_wrap=True)
 
-        with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, self.where, say):
+        with design_page(family, overrides, self.out, self.where, say):
             serve_until_stopped()
 
 

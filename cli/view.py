@@ -18,7 +18,7 @@ class ViewCommand:
 
     The type of SOURCE is detected: a sensor or profile, a press (--states keeps every step), a
     study, a data set, or a recorded task (taccel-lab task record --states). A task runs live.
-    Ctrl-C closes the page, exit code 0. Needs the extra view: pip install 'taccel-lab[view]'.
+    Ctrl-C closes the page. Needs the extra view: pip install 'taccel-lab[view]'.
     Example: taccel-lab view out/press
     """
 

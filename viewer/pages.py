@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.report.live_page import PageOptions, live_page, serve_until_stopped
@@ -56,12 +56,8 @@ def serve_source(
     device: str = "cpu",
     stop: threading.Event | None = None,
 ) -> None:
-    """As ``source_page``, until Ctrl-C or ``stop``."""
-    # Ctrl-C while the page is still being filled ends it as well.
-    with (
-        suppress(KeyboardInterrupt),
-        source_page(source, options, say, seed=seed, device=device),
-    ):
+    """As ``source_page``, until KeyboardInterrupt or ``stop``."""
+    with source_page(source, options, say, seed=seed, device=device):
         serve_until_stopped(stop)
 
 

@@ -82,12 +82,11 @@ def page_address(server: ViserServer) -> str:
 
 
 def serve_until_stopped(stop: threading.Event | None = None) -> None:
-    """Wait until Ctrl-C, which is how pages end and no error, or until ``stop`` is set."""
+    """Wait until ``stop`` is set; Ctrl-C leaves by KeyboardInterrupt, as everywhere."""
     stop = stop or threading.Event()
     # Waiting for an event without end would hold back Ctrl-C on some systems.
-    with contextlib.suppress(KeyboardInterrupt):
-        while not stop.wait(0.2):
-            pass
+    while not stop.wait(0.2):
+        pass
 
 
 def require_free_port(host: str, port: int) -> None:

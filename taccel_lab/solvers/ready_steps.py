@@ -58,7 +58,7 @@ class ReadySteps:
         """
         started = time.perf_counter()
         solver, state, progress = self.solver, self.state, self.solver.progress
-        with solver.at_work():
+        with solver.at_work(state):
             count = solver.model.env_count
             who = ~progress.underway if who is None else checked_mask(who, count).copy()
             if (who & progress.underway).any():
@@ -96,7 +96,7 @@ class ReadySteps:
     def drop(self, who: np.ndarray) -> None:
         """Give up the steps of the environments of ``who`` (bool, [env_count]) that are underway:
         they are where these began."""
-        with self.solver.at_work():
+        with self.solver.at_work(self.state):
             progress = self.solver.progress
             who = progress.underway & checked_mask(who, len(progress.underway))
             progress.drop(who, device_mask(who, len(who), self.solver.model.device))

@@ -122,7 +122,7 @@ class SolverIPC(SolverParts):
         figures stay on the device until they are read from the report.
         """
         started = time.perf_counter()
-        with self.at_work():
+        with self.at_work(state):
             if self.progress.underway.any():
                 raise InputError("some environments are in their own step: see ReadySteps")
             if again:
@@ -156,7 +156,7 @@ class SolverIPC(SolverParts):
         environments are ignored. They stay where they are when None. The other environments are not
         touched. A step that is underway there (``ReadySteps``) is given up.
         """
-        with self.at_work():
+        with self.at_work(state):
             check_state(state, self.model)
             chosen = device_mask(mask, self.model.env_count, self.model.device)
             if self.progress.underway.any():
@@ -175,7 +175,7 @@ class SolverIPC(SolverParts):
     def refresh_forces(self, state: State, who: np.ndarray) -> None:
         """Compute contacts and forces of a state where ``who`` (bool, [env_count]) was put
         somewhere and not stepped."""
-        with self.at_work():
+        with self.at_work(state):
             check_state(state, self.model)
             self.begin(state)
             self._evaluate_forces(checked_mask(who, self.model.env_count))
@@ -206,12 +206,13 @@ class SolverIPC(SolverParts):
     # Before and after ----------------------------------------------------------------------------
 
     @contextmanager
-    def at_work(self) -> Iterator[None]:
+    def at_work(self, state: State | None = None) -> Iterator[None]:
         """Take the turn of this thread, at a solver that no other one is using and nothing is left
-        in of a step that was interrupted.
+        in of a step that was interrupted; and ``state``, if any, until its steps are over.
 
         Raises:
-            InputError: Another thread is stepping it.
+            InputError: Another thread is stepping it, another solver steps the state, or this one
+                has steps of another state underway.
         """
         if self._thread.setdefault("at work", get_ident()) != get_ident():
             raise InputError(
@@ -219,11 +220,27 @@ class SolverIPC(SolverParts):
                 "state; models may be shared"
             )
         try:
+            if state is not None:
+                self._claim(state)
             with TURNS:
                 self.recover()
                 yield
         finally:
+            if state is not None and not self._goes_on():
+                state.release(self)
             self._thread.pop("at work", None)
+
+    def _claim(self, state: State) -> None:
+        if self._goes_on() and not state.claimed_by(self):
+            raise InputError(
+                "the solver has steps of another state underway (see ReadySteps): drop these "
+                "first, or step this state on a solver of its own"
+            )
+        state.claim(self)
+
+    def _goes_on(self) -> bool:
+        """Whether steps are underway that the next call goes on with."""
+        return not self._torn and bool(self.progress.underway.any())
 
     def recover(self) -> None:
         """Forget what a step that was interrupted has left: steps underway, pairs, rooms."""

@@ -230,9 +230,10 @@ def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         pass
 
 
-def test_ctrl_c_ends_a_page_without_an_error() -> None:
+def test_ctrl_c_ends_a_page_as_it_ends_a_command() -> None:
     class Interrupted:
         def wait(self, _: float) -> bool:
             raise KeyboardInterrupt
 
-    serve_until_stopped(Interrupted())  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt):
+        serve_until_stopped(Interrupted())  # type: ignore[arg-type]

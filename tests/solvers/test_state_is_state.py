@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import signal
 import threading
@@ -262,6 +263,75 @@ def test_threads_with_solvers_of_their_own_do_not_disturb_one_another(case: Any)
         assert not isinstance(found, Exception), found
         for one, other in zip(found, expected, strict=True):
             assert_same(one, other)
+
+
+def test_a_state_has_one_writer_at_a_time() -> None:
+    """Steps underway belong to one solver: another one neither steps nor resets their state."""
+    solver, state = make(True)
+    other = SolverIPC(solver.model, solver.config)
+    before = [array.numpy().copy() for array in state.motion()]
+    ready = ReadySteps(solver, state, 1)
+    ready.step_ready(poses([1] * ENVS))
+    assert ready.underway.any()
+    everyone = np.ones(ENVS, dtype=bool)
+    for write in (
+        lambda: other.step(state, poses([1] * ENVS)),
+        lambda: ReadySteps(other, state).step_ready(poses([1] * ENVS)),
+        lambda: other.reset(state, everyone),
+        lambda: other.refresh_forces(state, everyone),
+    ):
+        with pytest.raises(InputError, match="another solver is stepping this state"):
+            write()
+    with pytest.raises(InputError, match="steps of another state underway"):
+        ReadySteps(solver, state.copy()).step_ready(poses([1] * ENVS))
+    assert_same([array.numpy() for array in state.motion()], before)
+    ready.drop(everyone)
+    assert other.step(state, poses([1] * ENVS)).converged.all()
+    assert solver.step(state, poses([2] * ENVS)).converged.all()
+
+
+def test_a_solver_that_is_gone_or_was_interrupted_holds_no_state() -> None:
+    solver, state = make(True)
+    model, config = solver.model, solver.config
+    ready = ReadySteps(solver, state, 1)
+    ready.step_ready(poses([1] * ENVS))
+    del solver, ready
+    gc.collect()
+    solver = SolverIPC(model, config)
+    ready = ReadySteps(solver, state, 1)
+    ready.step_ready(poses([1] * ENVS))
+    with interrupted_at(20):
+        ready.step_ready(poses([1] * ENVS), np.zeros(ENVS, dtype=bool))
+    assert SolverIPC(model, config).step(state, poses([1] * ENVS)).converged.all()
+
+
+def test_two_solvers_in_two_threads_are_refused_one_state() -> None:
+    """Whichever is second is refused, and loses nothing of the first one's step."""
+    solver, state = make(True)
+    other = SolverIPC(solver.model, solver.config)
+    begun, over, said = threading.Event(), threading.Event(), []
+
+    def waits(*_: Any, **__: Any) -> Any:
+        begun.set()
+        assert over.wait(60)
+        return attempt(*_, **__)
+
+    def intrude() -> None:
+        begun.wait(60)
+        try:
+            other.step(state, poses([2] * ENVS))
+        except InputError as error:
+            said.append(str(error))
+        over.set()
+
+    attempt = solver._attempt
+    thread = threading.Thread(target=intrude)
+    thread.start()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solver, "_attempt", waits)
+        assert solver.step(state, poses([1] * ENVS)).converged.all()
+    thread.join()
+    assert said and "another solver is stepping this state" in said[0]
 
 
 def test_a_solver_in_two_threads_is_refused() -> None:

@@ -249,17 +249,19 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_ctrl_c_closes_a_page_with_exit_code_0(tmp_path: Path) -> None:
-    words = ["view", "ball-rolling", "--no-browser", "--port", "0"]
-    command = [sys.executable, "-m", "taccel_lab.cli.app", *words]
+@pytest.mark.parametrize("words", ["view ball-rolling", "design gelsight --page --out {}/made"])
+def test_ctrl_c_closes_a_page_with_exit_code_130(tmp_path: Path, words: str) -> None:
+    words = f"{words.format(tmp_path)} --no-browser --port 0"
+    command = [sys.executable, "-m", "taccel_lab.cli.app", *words.split()]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         line = process.stderr.readline()
         while line and "http://127.0.0.1:" not in line:
             line = process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
-    assert "Traceback" not in line
+        assert process.wait(60) == 130
+        assert "Traceback" not in process.stderr.read()
+    assert not list(tmp_path.iterdir())
 
 
 def test_values_of_each_led_and_camera_are_written_with_commas() -> None:
