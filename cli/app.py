@@ -202,7 +202,9 @@ def _run(words: Sequence[str]) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     from taccel_lab.cli.console import only_json
+    from taccel_lab.processes.cache_place import place_fonts
 
+    place_fonts()
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     as_json = "--json" in words and not {"-h", "--help"} & set(words)
     with warnings.catch_warnings(), only_json() if as_json else nullcontext():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where results that are slow to make are kept: ours, and the kernels that Warp compiles."""
+"""Where results that are slow to make are kept: ours, Warp's kernels, matplotlib's fonts."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ CACHE_VARIABLE = "TACCEL_LAB_CACHE"
 """Environment variable that names the cache folder."""
 _SYSTEMS_VARIABLE = "XDG_CACHE_HOME"
 _WARPS_VARIABLE = "WARP_CACHE_PATH"
+_FONTS_VARIABLE = "MPLCONFIGDIR"
 
 
 def cache_folder() -> Path:
@@ -41,6 +42,14 @@ def place_kernels() -> None:
         _users_caches()
         # Warp takes an empty one for the folder where the process happens to be.
         os.environ.pop(_SYSTEMS_VARIABLE, None)
+
+
+def place_fonts() -> None:
+    """Have matplotlib keep its list of fonts in our cache folder where $TACCEL_LAB_CACHE names one
+    and the user has no home folder: it would make a list anew, and say so, in every run."""
+    named = os.environ.get(CACHE_VARIABLE)
+    if named and not os.access(os.path.expanduser("~"), os.W_OK):
+        os.environ.setdefault(_FONTS_VARIABLE, str(Path(named).absolute() / "matplotlib"))
 
 
 def _users_caches() -> Path:

@@ -112,6 +112,22 @@ def test_kernels_and_results_lie_where_the_environment_says(
     assert {path.name for path in tmp_path.iterdir()} <= allowed
 
 
+def test_a_command_without_a_home_folder_says_nothing_of_fonts(tmp_path: Path) -> None:
+    """Matplotlib's list of fonts lies in the cache folder; drawing made it anew, and said so."""
+    variables = {"TACCEL_LAB_CACHE": str(tmp_path / "ours"), "HOME": "/proc/nowhere"}
+    kept = {name: value for name, value in os.environ.items() if name != "MPLCONFIGDIR"}
+    words = "sensors show digit --picture".split()
+    run = subprocess.run(
+        [sys.executable, "-m", "taccel_lab.cli.app", *words, str(tmp_path / "shown.png")],
+        env={**kept, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "atplotlib" not in run.stderr
+    assert list((tmp_path / "ours" / "matplotlib").glob("fontlist*"))
+
+
 # Warp ---------------------------------------------------------------------------------------------
 
 
