@@ -27,6 +27,7 @@ from functools import partial
 from typing import Any, NoReturn, Protocol
 
 from taccel_lab.errors import InputError, InputWarning, SimulationError
+from taccel_lab.printable import readable
 
 OLD_NAMES = {"import-step": "import-gel"}
 """Names that commands had, still understood."""
@@ -287,7 +288,7 @@ def _rarely_collected() -> Iterator[None]:
 
 
 def _fail(code: int, message: str) -> int:
-    sys.stderr.write(message + "\n")
+    sys.stderr.write(readable(message) + "\n")
     return code
 
 

@@ -30,19 +30,18 @@ def be_quiet(quiet: bool) -> None:
 
 
 def results() -> Console:
-    """Where a command says what it found: standard output, words as they are. Brackets are no
-    markup, here and in tables: ``[design]`` is a part of a file."""
-    from rich.console import Console
+    """Where a command says what it found: standard output, words as they are."""
+    from taccel_lab.plain_console import PlainConsole
 
-    return Console(markup=False, highlight=False)
+    return PlainConsole()
 
 
 def notes() -> Console:
     """Where a command says how far it is and what it noted: standard error, nothing when quiet;
     words as they are."""
-    from rich.console import Console
+    from taccel_lab.plain_console import PlainConsole
 
-    return Console(stderr=True, quiet=_settings["quiet"], markup=False, highlight=False)
+    return PlainConsole(stderr=True, quiet=_settings["quiet"])
 
 
 def print_json(value: Any) -> None:

@@ -115,7 +115,7 @@ class ImportGel:
         _print_result(console, result)
         for name, text in result.assumed.items():
             said = "assumed " if name in FaceSelection.model_fields else ""
-            console.print(f"{said}{name}: {text}", soft_wrap=True, markup=False)
+            console.print(f"{said}{name}: {text}", soft_wrap=True)
 
     def _show(self, console: Console, selection: FaceSelection) -> None:
         """The faces, and what would be contact, bond and window."""
@@ -136,14 +136,14 @@ class ImportGel:
         if self.json:
             print_json([vars(face) for face in faces.table])
             return
-        console.print(listing(faces.table, most=len(faces.table)), soft_wrap=True, markup=False)
+        console.print(listing(faces.table, most=len(faces.table)), soft_wrap=True)
         if labels is None:
-            console.print(f"proposed: nothing, {why}", soft_wrap=True, markup=False)
+            console.print(f"proposed: nothing, {why}", soft_wrap=True)
             return
         for name in ("contact", "bond", "window", "normal"):
             chosen = getattr(labels.selection, name)
             words = chosen if isinstance(chosen, str) else " ".join(chosen)
-            console.print(f"--{name} {words}", soft_wrap=True, markup=False)
+            console.print(f"--{name} {words}", soft_wrap=True)
 
 
 def _print_result(console: Console, result: ImportResult) -> None:

@@ -22,7 +22,11 @@ class InputError(ValueError):
 
 
 class InputWarning(UserWarning):
-    """Input that is used otherwise than it stands: the command line prints it as a note."""
+    """Input that is used otherwise than it stands: the command line prints it as a note, readable
+    as an InputError."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(readable(str(message)))
 
 
 @contextmanager

@@ -20,10 +20,14 @@ def printable(text: object) -> str:
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
+def printable_lines(text: str) -> str:
+    """Lines, each printable."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
 def readable(message: str) -> str:
     """A message of several lines, each printable, its endless words cut in the middle."""
-    lines = (printable(line) for line in message.split("\n"))
-    return _LONG_WORD.sub(_cut, "\n".join(lines))
+    return _LONG_WORD.sub(_cut, printable_lines(message))
 
 
 def _cut(found: re.Match[str]) -> str:

@@ -142,10 +142,10 @@ def bars_if_watched(progress: Progress | None) -> Iterator[Progress]:
 
 def watching_console() -> Console | None:
     """Where somebody sees how far a call of a script or a notebook is; None for nobody."""
-    from rich.console import Console
+    from taccel_lab.plain_console import PlainConsole
 
     in_notebook = "ipykernel" in sys.modules
     if in_notebook and importlib.util.find_spec("ipywidgets") is None:
         return None  # Bars that cannot be drawn again would fill the cell.
-    console = Console(stderr=not in_notebook, markup=False, highlight=False)
+    console = PlainConsole(stderr=not in_notebook)
     return console if console.is_terminal or console.is_jupyter else None

@@ -254,7 +254,7 @@ class State(Summary):
             self._writer["solver"] = ref(solver)
         elif owner is not solver:
             raise InputError(
-                "another solver is stepping this state: give each solver a state of its own "
+                "another solver is stepping this state: give each solver its own state "
                 "(state.copy()), or let one finish its steps before the other begins"
             )
 

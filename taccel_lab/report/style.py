@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ParamSpec, TypeVar
 
 from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.printable import printable_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,13 +92,17 @@ def save_drawing(path: Path, draw: Callable[..., Figure], *arguments: Any) -> No
 @in_report_style
 def save_figure_to(figure: Figure, file: Path | BinaryIO, dpi: int = _DPI) -> None:
     """Write a figure as PNG, its texts as they are."""
-    _take_no_formulas(figure)
-    figure.savefig(file, dpi=dpi, format="png", facecolor="white")
+    _take_as_text(figure)
+    with warnings.catch_warnings():
+        # Letters of other scripts, for which there is a box where the font has none.
+        warnings.filterwarnings("ignore", r"Glyph \d+ ")
+        figure.savefig(file, dpi=dpi, format="png", facecolor="white")
 
 
-def _take_no_formulas(figure: Figure) -> None:
+def _take_as_text(figure: Figure) -> None:
     """Names of images, profiles and records are anybody's: what stands in them between dollars is
-    no formula, and no error of one. Powers of ten at logarithmic axes are."""
+    no formula, and no error of one, and control characters show themselves. Powers of ten at
+    logarithmic axes are formulas."""
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter
 
@@ -108,3 +114,5 @@ def _take_no_formulas(figure: Figure) -> None:
     for text in figure.findobj(Text):
         if isinstance(text, Text) and text not in powers:
             text.set_parse_math(False)
+            if not text.get_text().isprintable():
+                text.set_text(printable_lines(text.get_text()))

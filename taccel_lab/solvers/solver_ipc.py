@@ -234,7 +234,7 @@ class SolverIPC(SolverParts):
         if self._goes_on() and not state.claimed_by(self):
             raise InputError(
                 "the solver has steps of another state underway (see ReadySteps): drop these "
-                "first, or step this state on a solver of its own"
+                "first, or step this state on another solver"
             )
         state.claim(self)
 

@@ -124,6 +124,14 @@ def test_names_between_dollars_are_no_formulas(tmp_path):
     assert powers and all(label.get_parse_math() for label in powers)
 
 
+@pytest.mark.filterwarnings("error")
+def test_names_of_any_script_and_control_characters_are_drawn_without_a_warning(tmp_path):
+    figure, axes = new_figure(3, 2)
+    axes.set(title="触觉\nsecond line", xlabel="a\x1b[31m")
+    save_figure(figure, tmp_path / "names.png")
+    assert (axes.title.get_text(), axes.get_xlabel()) == ("触觉\nsecond line", "a\\x1b[31m")
+
+
 def box(cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Surface of a pad of 20 x 20 x 4 mm with a bump: nodes [m], faces, regions."""
     import pyvista as pv
