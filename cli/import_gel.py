@@ -84,7 +84,7 @@ class ImportGel:
         from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.progress import stage_words
-        from taccel_lab.sensors.imported import import_design
+        from taccel_lab.sensors.imported import family_like, import_design
 
         start_warp()
         console = results()
@@ -92,6 +92,8 @@ class ImportGel:
         stated = FaceSelection.from_toml(self.select).model_dump(exclude_unset=True)
         flags = {name: value for name, value in given.items() if value}
         selection = FaceSelection(**(stated | flags))
+        overrides = parse_overrides(self.set)
+        family_like(self.like, overrides)
         if self.out is None:
             self._show(console, selection)
             return
@@ -104,7 +106,7 @@ class ImportGel:
                 self.out,
                 self.edge_mm,
                 like=self.like,
-                overrides=parse_overrides(self.set),
+                overrides=overrides,
                 parts=self.parts,
                 progress=lambda stage, _, __: say(_STAGES[stage]),
             )

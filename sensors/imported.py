@@ -32,6 +32,7 @@ from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
 
 if TYPE_CHECKING:
     from taccel_lab.cad.gel_import import FaceSelection, ImportedGel
+    from taccel_lab.sensors.base import SensorFamily
 
 LIKE = "flat_pad"
 """Family that an imported gel is like where nothing else is said."""
@@ -166,6 +167,15 @@ class _Meshed:
         )
 
 
+def family_like(like: str, overrides: Mapping[str, Any]) -> SensorFamily:
+    """The family that an imported gel is like; InputError for one that is not there, and for
+    parameters that it lacks or that the gel's file gives."""
+    family = sensor_family(like)
+    require_no_shape(family, overrides)
+    family.parameters_type().with_values(overrides)
+    return family
+
+
 def _meshed(
     path: Path,
     selection: FaceSelection,
@@ -180,9 +190,7 @@ def _meshed(
 
     Raises InputError also for a family, or a parameter, that an imported gel cannot take.
     """
-    family = sensor_family(like)
-    require_no_shape(family, overrides)
-    family.parameters_type().with_values(overrides)
+    family = family_like(like, overrides)
     tell("import")
     from taccel_lab.cad.gel_import import import_gel
     from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh

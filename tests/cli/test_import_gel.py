@@ -76,5 +76,8 @@ def test_bad_input_is_told_without_a_traceback(step: Path, tmp_path: Path, cli: 
     assert f"{faces}: contact.0: input should be a valid string (found 1)" in told
     assert f"{faces}: self: unknown key; allowed: body, bond" in told
     assert not (tmp_path / "out").exists()
+    # Also where nothing would be written yet.
+    assert "no sensor 'x'" in cli.refusal("import-gel", step, "--like", "x")
+    assert "name=value" in cli.refusal("import-gel", step, "--set", "x")
     with pytest.raises(SystemExit):
         parse(["import-gel", str(step), "--parts", "assembly"])

@@ -25,6 +25,8 @@ HELD_BY = (
     "file of UniVTAC, a LeRobot data set"
 )
 """What a recording may be."""
+MOST_FPS = 1e6
+"""Frames a second that somebody may state, or seconds a frame."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,8 @@ class Recording:
         Raises:
             InputError: It holds no frames, or several cameras; the message names them.
         """
-        if fps is not None and not (math.isfinite(fps) and fps > 0):
-            raise InputError(f"--fps must be above 0, got {fps:g}")
+        if fps is not None and not 1 / MOST_FPS <= fps <= MOST_FPS:
+            raise InputError(f"--fps must lie in 1e-6..1e6, got {fps:g}")
         made = partial(cls, source, fps=fps)
         if is_hdf5(source):
             chosen, count = _chosen(hdf5_cameras(source), camera, source)

@@ -130,9 +130,9 @@ def test_a_clock_that_stands_or_goes_back_tells_nothing_until_it_is_ahead_again(
     assert rated.times_from == "--fps 10"
 
 
-@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf"), 1e300, 1e-300])
 def test_a_rate_that_is_none_is_refused(fps: float, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--fps must be above 0"):
+    with pytest.raises(InputError, match="--fps must lie in"):
         Recording.of(tmp_path, fps=fps)
 
 
