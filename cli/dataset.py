@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab dataset``: make labelled data sets of simulated touches, check, cut and export."""
+"""``taccel-lab dataset``: make labelled data sets of simulated touches, check and export them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LONG_DRAW = 20_000
 """Episodes whose drawing is announced: it takes a second."""
-HELP = "Make data sets of simulated touches; check them, cut them down, export and show them."
+HELP = "Make data sets of simulated touches; check and export them."
 
 
 @dataclass(frozen=True)
@@ -187,31 +187,6 @@ class DatasetCheck:
 
 
 @dataclass(frozen=True)
-class DatasetLite:
-    """Copy whole parts of a data set until a size is reached: sensors and objects take turns."""
-
-    folders: Positional[tuple[Path, ...]]
-    """Folders of one data set."""
-    out: Path
-    """Folder to write; an earlier one is replaced when everything is done."""
-    megabytes: float = 100.0
-    """Largest size, of 1,000,000 bytes."""
-    json: bool = False
-    """Print what was written as JSON."""
-
-    def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.datasets.lite import make_lite
-
-        if not 0 < self.megabytes < 1e9:
-            raise InputError(f"megabytes must be above 0, got {self.megabytes:g}")
-        size = make_lite(_some(self.folders), self.out, int(self.megabytes * 1e6))
-        if self.json:
-            print_json({"out": self.out, "bytes": size})
-        notes().print(f"wrote {self.out}: {size / 1e6:.1f} MB")
-
-
-@dataclass(frozen=True)
 class DatasetExport:
     """Write a data set for other projects: as LeRobotDataset v3.0, or with UniVTAC's HDF5 names."""
 
@@ -243,34 +218,6 @@ class DatasetExport:
         console = notes()
         console.print(f"wrote {count} episodes to {self.out}", soft_wrap=True)
         console.print(f"not exported: {left_out}", soft_wrap=True)
-
-
-@dataclass(frozen=True)
-class DatasetPageCommand:
-    """Write one HTML page that shows a data set: sampled touches, force curves, histograms."""
-
-    folders: Positional[tuple[Path, ...]]
-    """Folders of data sets."""
-    out: Path
-    """File to write."""
-    touches: int = 12
-    """Number of touches shown, from all sensors, objects and motions in turn."""
-    json: bool = False
-    """Print what was written as JSON."""
-
-    def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.datasets.page import dataset_page
-        from taccel_lab.datasets.reading import Dataset
-        from taccel_lab.report.page import write_page_file
-
-        if not 1 <= self.touches <= 200:
-            raise InputError(f"touches must lie in 1..200, got {self.touches}")
-        page = dataset_page(Dataset(_some(self.folders)), self.touches)
-        write_page_file(page, self.out)
-        if self.json:
-            print_json({"out": self.out})
-        notes().print(f"wrote {self.out}", soft_wrap=True)
 
 
 @dataclass(frozen=True)
@@ -308,9 +255,7 @@ class DatasetChannels:
 COMMANDS = {
     "make": DatasetMake,
     "check": DatasetCheck,
-    "lite": DatasetLite,
     "export": DatasetExport,
-    "page": DatasetPageCommand,
     "channels": DatasetChannels,
 }
 

@@ -130,7 +130,7 @@ READERS = [
     "calibrate force BAD --out OUT",
     "dataset check BAD",
     "dataset BAD --check-only",
-    "dataset lite BAD --out OUT",
+    "dataset export univtac BAD --out OUT",
     "study BAD --out OUT",
     "view BAD --no-browser",
     "profile show BAD",

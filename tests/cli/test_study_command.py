@@ -187,7 +187,6 @@ def test_made_checked_shown_and_gone_on_with(spec: Path, tmp_path: Path, cli: Cl
     assert json.loads(said.out)["images_per_s"] > 0
     assert "0 images of 0 touches" in cli(*command).err
     assert "0 errors" in cli("dataset check", out).err
-    cli("dataset page", out, "--out", tmp_path / "page.html")
     assert "has no rgb" in cli.refusal("dataset export", "univtac", out, "--out", tmp_path / "u")
     next((out / "parts").rglob("steps.parquet")).write_bytes(b"half")
     assert "is not what was written" in cli("dataset check", out, code=1).err

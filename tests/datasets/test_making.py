@@ -23,14 +23,11 @@ from taccel_lab.datasets import runner
 from taccel_lab.datasets.check import check_dataset
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.lerobot import export_lerobot
-from taccel_lab.datasets.lite import make_lite
-from taccel_lab.datasets.page import dataset_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import CameraBlock, MarkersBlock, save_profile
-from taccel_lab.report.page import write_page_file
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.viewer.dataset_touches import read_touch
 from tests.signals.find_dots import distances_px, find_dots
@@ -282,11 +279,6 @@ def test_all_channels_of_a_predicted_picture_are_of_its_camera(sensor: str, tmp_
     assert np.hypot(*(deepest[:2] - [3.0, 2.0])) < 1.0
 
 
-def show(folders: list[Path], out: Path) -> None:
-    """The page of a data set as a file."""
-    write_page_file(dataset_page(Dataset(folders)), out)
-
-
 def test_lerobot(made: Path, tmp_path: Path) -> None:
     data = Dataset(made)
     info = export_lerobot([made], tmp_path / "lr", fps=5)
@@ -358,7 +350,7 @@ def test_what_a_layout_needs_is_asked_for(made: Path, tmp_path: Path) -> None:
 def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
     before = parts_of(made)
     inside = made / "parts" / "x"
-    for write in (export_lerobot, export_univtac, make_lite):
+    for write in (export_lerobot, export_univtac):
         with pytest.raises(
             InputError, match=r"lies inside the data set .* name a folder beside it"
         ):
@@ -380,20 +372,7 @@ def test_what_links_name_is_not_published(
 ) -> None:
     for kind in kinds:
         lure(copied / place, kind, tmp_path / "outside")
-        # The page, which draws what it reads until then, once.
-        writers = (make_lite, export_lerobot, export_univtac, show)
-        for write in writers if kind == kinds[0] else writers[:3]:
+        for write in (export_lerobot, export_univtac):
             with pytest.raises(InputError, match=REFUSED):
                 write([copied], tmp_path / "out")
             assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("kind", LURES)
-@pytest.mark.parametrize("place", ["profiles/0/x", "objects/x", "spec.toml"])
-def test_a_small_data_set_has_no_files_from_elsewhere(
-    tmp_path: Path, place: str, kind: str, copied: Path
-) -> None:
-    lure(copied / place, kind, tmp_path / "outside")
-    with pytest.raises(InputError, match=REFUSED):
-        make_lite([copied], tmp_path / "out")
-    assert not (tmp_path / "out").exists()

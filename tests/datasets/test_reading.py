@@ -18,12 +18,9 @@ import pytest
 
 from taccel_lab.datasets.channels import OPTIONAL
 from taccel_lab.datasets.check import check_dataset
-from taccel_lab.datasets.lite import make_lite
-from taccel_lab.datasets.page import dataset_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
-from taccel_lab.report.page import write_page_file
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.support.small_data_sets import SIZE, make
 from tests.support.strangers import Payload, lure
@@ -265,30 +262,6 @@ def test_missing_parts_are_named(made: Path, copied: Path) -> None:
     told = [str(finding) for finding in check_dataset([copied])]
     assert any("2 of 6 episodes are not made yet" in line for line in told)
     assert len(Dataset(copied).episodes) == 4
-
-
-def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
-    size = make_lite([made], tmp_path / "lite", 1_600_000)
-    assert size < 1_600_000
-    lite = Dataset(tmp_path / "lite")
-    assert {row["object"] for row in lite.episodes} == {"sphere:2", "sphere:3"}
-    assert not [f for f in check_dataset([tmp_path / "lite"]) if f.severity == "error"]
-    assert lite.about[0]["lite_of"] == 6
-    with pytest.raises(InputError, match="the smallest part takes"):
-        make_lite([made], tmp_path / "none", 1_000_100)
-
-
-def test_the_page_shows_all_motions(made: Path, tmp_path: Path) -> None:
-    write_page_file(dataset_page(Dataset(made), 4), tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text("utf-8")
-    assert "<script src" not in page and "http" not in page.replace("http-equiv", "")
-    gel = Dataset(made).profile(0).gel
-    assert page.count('class="mesh-view"') == 1 and "The untouched gel of flat_pad" in page
-    assert f"x {gel.thickness_mm:.3g} mm. Drag" in page
-    assert page.count("<figcaption>") == 1 + 4 + 1
-    for row in Dataset(made).episodes[:1]:
-        assert f"{row['motion']} of {row['object']} on flat_pad" in page
-    assert "patch_forces_n" in page.replace("<wbr>", "")
 
 
 def test_what_made_it_is_inside(made: Path) -> None:

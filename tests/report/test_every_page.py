@@ -17,8 +17,6 @@ from taccel_lab.benchmarks.results import read_result
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures, check_page
 from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.datasets.page import dataset_page
-from taccel_lab.datasets.reading import open_dataset
 from taccel_lab.report.page import write_page_file
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.studies.report import write_study_report
@@ -26,11 +24,9 @@ from taccel_lab.studies.runner import run_study
 from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.page import task_page
 from taccel_lab.tasks.result import TaskResult, TaskTrial
-from tests.learning.force.small_touches import planned, write_touches
 from tests.report.test_page_in_browser import WIDER
 from tests.support.fake_kit import study
 from tests.support.small_captures import write_captures
-from tests.support.small_data_sets import saved_profile
 from tests.viewer.browser import chromium_page
 
 pytestmark = pytest.mark.rasterised
@@ -90,15 +86,8 @@ def task(folder: Path) -> None:
     write_page_file(task_page(found, result, run, folder / "pictures"), folder / "task.html")
 
 
-def data_set(folder: Path) -> None:
-    root = write_touches(
-        planned(saved_profile(folder / "pad"), episodes=12, held_out=False), folder / "touches"
-    )
-    write_page_file(dataset_page(open_dataset([root]), 4), folder / "data_set.html")
-
-
 MAKERS: tuple[Callable[[Path], None], ...] = (
-    profile, many_columns, captures, benchmarks, task, data_set,
+    profile, many_columns, captures, benchmarks, task,
 )  # fmt: skip
 
 
