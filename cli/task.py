@@ -52,9 +52,8 @@ class TaskList:
 class TaskRun:
     """Run the baseline policy of a task on its seeds: success rate with its 95 % interval.
 
-    Writes result.json (settings, machine, a row a seed), seeds.png and the page report.html. A
-    seed whose simulation fails counts as a failure, with its cause. Ctrl-C ends the run and keeps
-    what is done.
+    Writes result.json (settings, machine, a row a seed). A seed whose simulation fails counts as a
+    failure, with its cause. Ctrl-C ends the run and keeps what is done.
     """
 
     task: Positional[str]
@@ -104,9 +103,10 @@ class TaskRun:
 
 @dataclass(frozen=True)
 class TaskRecord:
-    """Film one seed of a task: scene, gel and forces side by side, as MP4 (MPEG-4 part 2).
+    """Record one seed of a task: bodies, forces and the gel's tactile image, depth, pressure and
+    markers of every frame, for taccel-lab view.
 
-    Writes film.mp4, its last frame film.png, and trial.json.
+    Writes replay.json, replay.npz, and trial.json.
     """
 
     task: Positional[str]
@@ -115,9 +115,6 @@ class TaskRecord:
     """Folder to write; an earlier one is replaced when everything is done."""
     seed: int = 0
     """Which start."""
-    states: bool = False
-    """Keep bodies, tactile image, depth, pressure and markers of every frame in replay.npz, for
-    taccel-lab view."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
@@ -129,7 +126,7 @@ class TaskRecord:
         from taccel_lab.files.output_folder import atomic_directory
         from taccel_lab.learning.gel_colors import default_colors
         from taccel_lab.progress import stage_progress
-        from taccel_lab.tasks.film import film_seed, write_film_files
+        from taccel_lab.tasks.recording import record_seed
         from taccel_lab.tasks.replay import write_replay
 
         if not 0 <= self.seed < MOST_SEEDS:
@@ -138,12 +135,11 @@ class TaskRecord:
         console = notes()
         with atomic_directory(self.out) as folder:
             with stage_progress(console) as progress:
-                colors = default_colors(None) if self.states else None
-                film, trial = film_seed(task, self.seed, self.device, progress, colors)
-            with working(console, "writing the film"):
-                write_film_files(film, folder)
-                if self.states:
-                    write_replay(film, trial, folder)
+                recording, trial = record_seed(
+                    task, self.seed, self.device, progress, colors=default_colors(None)
+                )
+            with working(console, "writing the replay"):
+                write_replay(recording, trial, folder)
             values = {name: value for name, value in vars(trial).items() if name != "felt"}
             values = {"task": task.name, **values}
             write_json(folder / "trial.json", values)
@@ -151,7 +147,7 @@ class TaskRecord:
             print_json(values)
         done = "success" if trial.success else trial.cause
         console.print(f"seed {trial.seed}: {done}")
-        console.print(f"wrote {self.out / 'film.mp4'}", soft_wrap=True)
+        console.print(f"wrote {self.out}; look at it: taccel-lab view {self.out}", soft_wrap=True)
 
 
 def _begin(name: str, device: str, output: Path) -> Task:
@@ -171,8 +167,6 @@ def _begin(name: str, device: str, output: Path) -> Task:
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     from taccel_lab.files.atomic_file import write_json
     from taccel_lab.report.machine import describe_run
-    from taccel_lab.report.page import write_page_file
-    from taccel_lab.tasks.page import task_page
 
     table = result.table()
     rows = table.pop("per_seed")
@@ -181,8 +175,6 @@ def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     write_json(
         folder / "result.json", {**table, "settings": settings, "run": run, "per_seed": rows}
     )
-    task.made_by.draw(task.parameters, result, folder)
-    write_page_file(task_page(task, result, run, folder), folder / "report.html")
 
 
 def _print(console: Console, result: TaskResult, output: Path) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -38,7 +37,7 @@ from taccel_lab.tasks.parameters import (
 )
 from taccel_lab.tasks.parts import PARTS
 from taccel_lab.tasks.physics import contact_config
-from taccel_lab.tasks.result import TaskResult, TaskTrial
+from taccel_lab.tasks.result import TaskTrial
 
 
 class GraspStart(StrictModel):
@@ -217,18 +216,6 @@ class Classification(TaskEpisode):
                 trials[i], success=bool(right), cause="" if right else wrong, figures=figures
             )
         return concluded
-
-    @classmethod
-    def draw(cls, parameters: TaskParameters, result: TaskResult, folder: Path) -> None:
-        """``confusion.png`` besides."""
-        from taccel_lab.tasks.confusion_picture import draw_confusion
-
-        assert isinstance(parameters, ClassificationParameters)
-        super().draw(parameters, result, folder)
-        predicted = [t for t in result.trials if "predicted" in t.figures]
-        if predicted:
-            pairs = [(int(t.start["part"]), int(t.figures["predicted"])) for t in predicted]
-            draw_confusion(pairs, parameters.parts, folder / "confusion.png")
 
 
 def _drawn(parameters: ClassificationParameters, seed: int) -> dict[str, float]:

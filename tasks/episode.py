@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from taccel_lab.tasks.parameters import TaskParameters
-from taccel_lab.tasks.result import TaskResult, TaskTrial
+from taccel_lab.tasks.result import TaskTrial
 
 
 class TaskEpisode(ABC):
@@ -22,7 +21,7 @@ class TaskEpisode(ABC):
     as failures with their ``EnvStatus`` as cause; the others go on."""
 
     gel = ""
-    """Name of the soft body that films show."""
+    """Name of the soft body that recordings show."""
     direction: tuple[float, float, float] = (1.0, -1.4, 0.6)
     """Where pictures are taken from."""
 
@@ -84,7 +83,7 @@ class TaskEpisode(ABC):
 
     @abstractmethod
     def forces(self) -> dict[str, float]:
-        """Forces of environment 0 that films show, by name [N]."""
+        """Forces of environment 0 that recordings show, by name [N]."""
 
     @property
     def over(self) -> bool:
@@ -126,13 +125,6 @@ class TaskEpisode(ABC):
     ) -> list[TaskTrial]:
         """Trials of all seeds of a run, judged together where a task does so."""
         return trials
-
-    @classmethod
-    def draw(cls, parameters: TaskParameters, result: TaskResult, folder: Path) -> None:
-        """Pictures of a run, PNG files in a folder that exists."""
-        from taccel_lab.tasks.result_picture import draw_result
-
-        draw_result(result, parameters.headline, folder / "seeds.png")
 
     def force_on(self, body: str, other: str, friction: bool = True) -> np.ndarray:
         """Force of contact, and of friction, on a body by another one [N], [env, 3]."""

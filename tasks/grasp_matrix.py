@@ -8,7 +8,6 @@ stated way (``tasks.hands``); then the hand rises. Starts are the same in all ce
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -35,7 +34,6 @@ from taccel_lab.tasks.parameters import (
 )
 from taccel_lab.tasks.parts import PARTS
 from taccel_lab.tasks.physics import G, contact_config
-from taccel_lab.tasks.result import TaskResult
 
 SHAPES: dict[str, Callable[[], TriangleMesh]] = {
     **PARTS,
@@ -224,11 +222,3 @@ class GraspMatrix(TaskEpisode):
         for chosen in by_cell.values():
             found += super().groups(parameters, chosen)
         return found
-
-    @classmethod
-    def draw(cls, parameters: TaskParameters, result: TaskResult, folder: Path) -> None:
-        """``cells.png`` besides."""
-        from taccel_lab.tasks.cells_picture import draw_cells
-
-        super().draw(parameters, result, folder)
-        draw_cells(result, folder / "cells.png")

@@ -37,8 +37,6 @@ class TaskParameters(StrictModel):
     summary: str
     criterion: str
     """In words; the numbers are those of the file."""
-    headline: str
-    """The figure that pictures and tables show first."""
     seeds: Count
     """Seeds 0, 1, ... of a run that names no other number."""
     environments: Count

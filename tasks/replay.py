@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a filmed seed on disk, to be looked at from all sides."""
+"""A recorded seed on disk, to be looked at from all sides."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
-    from taccel_lab.tasks.film import Film
+    from taccel_lab.tasks.recording import TaskRecording
     from taccel_lab.tasks.result import TaskTrial
 
 REPLAY = "replay.json"
@@ -64,27 +64,21 @@ class TaskReplay:
         return f"failure: {self.cause}" if self.cause else "success"
 
 
-def write_replay(film: Film, trial: TaskTrial, folder: Path) -> None:
-    """Write ``replay.json`` and ``replay.npz`` into a folder that exists.
-
-    Raises:
-        InputError: The film has no tactile images, as it was recorded without colours.
-    """
+def write_replay(recording: TaskRecording, trial: TaskTrial, folder: Path) -> None:
+    """Write ``replay.json`` and ``replay.npz`` into a folder that exists."""
     from taccel_lab.tasks.scene_picture import surfaces
 
-    episode = film.episode
-    if film.gel[0].rgb is None:
-        raise InputError("a replay needs tactile images: give film_seed colors")
-    frames = [surfaces(episode.scene, episode.model, place) for place in film.positions_m]
+    episode = recording.episode
+    frames = [surfaces(episode.scene, episode.model, place) for place in recording.positions_m]
     arrays: dict[str, np.ndarray] = {
-        "times_s": np.array(film.times_s),
-        "depth_m": np.array([frame.depth_m for frame in film.gel]),
-        "pressure_pa": np.array([frame.pressure_pa for frame in film.gel]),
-        "markers_px": np.array([frame.markers_px for frame in film.gel]),
-        "rgb": np.array([frame.rgb for frame in film.gel]),
+        "times_s": np.array(recording.times_s),
+        "depth_m": np.array([frame.depth_m for frame in recording.gel]),
+        "pressure_pa": np.array([frame.pressure_pa for frame in recording.gel]),
+        "markers_px": np.array([frame.markers_px for frame in recording.gel]),
+        "rgb": np.array([frame.rgb for frame in recording.gel]),
     }
-    names = list(film.forces_n[0])
-    arrays["forces_n"] = np.array([[row[name] for name in names] for row in film.forces_n])
+    names = list(recording.forces_n[0])
+    arrays["forces_n"] = np.array([[row[name] for name in names] for row in recording.forces_n])
     bodies = []
     for k, (kind, _, faces) in enumerate(frames[0]):
         places = np.stack([frame[k][1] for frame in frames])
@@ -93,7 +87,7 @@ def write_replay(film: Film, trial: TaskTrial, folder: Path) -> None:
         bodies.append({"name": f"body {k}", "kind": kind.name.lower()})
     with atomic_file(folder / _ARRAYS) as staging, open(staging, "wb") as file:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
-    about = {"task": film.name, "seed": trial.seed, "cause": trial.cause}
+    about = {"task": recording.name, "seed": trial.seed, "cause": trial.cause}
     write_json(folder / REPLAY, {**about, "bodies": bodies, "forces": names})
 
 

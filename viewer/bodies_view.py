@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from viser import MeshHandle, ViserServer
 
 COLORS = {"soft": (127, 178, 217), "affine": (224, 164, 88), "kinematic": (184, 184, 184)}
-"""As in the films of tasks."""
+"""As in the pictures of benchmarks."""
 CLEAR = {"kinematic": 0.35, "soft": 0.8}
 
 

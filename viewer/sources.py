@@ -85,10 +85,8 @@ def _nothing(path: Path) -> str:
     """Why a folder cannot be shown, and what would be needed."""
     if (path / "result.json").is_file():
         return (
-            f"{path} holds the figures of a task and no states: `taccel-lab task record TASK "
-            "--states` keeps those of a seed, and `taccel-lab view TASK` runs one live"
+            f"{path} holds the figures of a task and no states: `taccel-lab task record TASK` "
+            "keeps those of a seed, and `taccel-lab view TASK` runs one live"
         )
-    if (path / "trial.json").is_file():
-        return f"{path} holds a film without states: record it again with --states"
     marks = ", ".join(f"{mark} of a {kind}" for kind, mark in _MARKS.items())
     return f"{path} is nothing that can be looked at: it has neither {marks}, nor a study's designs"

@@ -21,9 +21,6 @@ from taccel_lab.report.page import write_page_file
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import run_study
-from taccel_lab.tasks.catalogue import named
-from taccel_lab.tasks.page import task_page
-from taccel_lab.tasks.result import TaskResult, TaskTrial
 from tests.report.test_page_in_browser import WIDER
 from tests.support.fake_kit import study
 from tests.support.small_captures import write_captures
@@ -69,25 +66,8 @@ def benchmarks(folder: Path) -> None:
         write_page_file(page, folder / f"benchmark_{name}.html")
 
 
-def task(folder: Path) -> None:
-    found = named("peg-insertion")
-    trials = [
-        TaskTrial(
-            seed, seed % 3 == 0, "" if seed % 3 == 0 else f"came {0.7 * seed:.1f} mm deep", 60,
-            {"x_mm": 0.3 * seed, "y_mm": -0.1, "turn_deg": 2.5},
-            {"depth_mm": 0.7 * seed, "jam_force_n": 12.5, "slip_mm": 0.25},
-        )
-        for seed in range(9)
-    ]  # fmt: skip
-    result = TaskResult(found.name, trials, 12.0, 9)
-    (folder / "pictures").mkdir()
-    found.made_by.draw(found.parameters, result, folder / "pictures")
-    run = {"device": "CPU, one thread", "software": {"warp": "1.19", "numpy": "2.4"}}
-    write_page_file(task_page(found, result, run, folder / "pictures"), folder / "task.html")
-
-
 MAKERS: tuple[Callable[[Path], None], ...] = (
-    profile, many_columns, captures, benchmarks, task,
+    profile, many_columns, captures, benchmarks,
 )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from scipy.integrate import quad
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
-from taccel_lab.tasks.catalogue import named
-from taccel_lab.tasks.page import task_page
 from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
 from taccel_lab.tasks.torsion import Torsion, contact_radius
 
@@ -74,21 +71,6 @@ def test_cells_are_told_apart() -> None:
 
 
 SHEAR_PA, CONTACT_M, FORCE_N = 3.5e4, 2e-3, 0.15
-
-
-def test_causes_that_differ_in_a_number_are_one_and_figures_have_their_units(
-    tmp_path: Path,
-) -> None:
-    trials = [
-        TaskTrial(k, False, f"came {0.7 * k:.1f} mm deep", 3, {"x_mm": 0.1}, {"jam_force_n": 2.0})
-        for k in range(4)
-    ]
-    result = TaskResult("peg-insertion", trials, 1.0, 4)
-    page = task_page(named("peg-insertion"), result, {}, tmp_path)
-    tables = {table.title: table for table in page.tables}
-    assert tables["Why seeds failed"].rows == [("came … mm deep", 4)]
-    assert tables["Figures"].rows[0][0] == "jam force [N]"
-    assert "x [mm]" in tables["Seeds"].columns and page.summary[0].isupper()
 
 
 def torsion(friction: float, angle_rad: float) -> Torsion:

@@ -36,7 +36,6 @@ def test_three_steps_are_the_same_whatever_runs_beside_them(name: str) -> None:
     for trial in result.trials:
         assert trial.steps == 3 and not trial.success
         assert trial.cause and not trial.cause.startswith("solver")
-        assert task.parameters.headline in trial.figures
     alone, together = run_task(task, [2], "cpu", steps=3).trials[0], result.trials[1]
     assert alone.start == together.start
     assert alone.figures == pytest.approx(together.figures, rel=1e-3, abs=1e-4, nan_ok=True)

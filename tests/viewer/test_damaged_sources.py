@@ -168,7 +168,7 @@ REPLAYED = {
 
 
 def sound_replay() -> Arrays:
-    """What ``task record --states`` keeps, of four frames of two triangles."""
+    """What ``task record`` keeps, of four frames of two triangles."""
     return {
         "times_s": np.arange(4.0),
         "depth_m": np.zeros((4, 5, 6)),

@@ -25,7 +25,7 @@ from tests.support.small_captures import write_profile
     [
         (["press.json"], Kind.PRESS),
         (["dataset.json"], Kind.DATASET),
-        (["replay.json", "film.mp4"], Kind.REPLAY),
+        (["replay.json", "trial.json"], Kind.REPLAY),
         (["profile.toml"], Kind.PROFILE),
         ([".taccel_lab_study"], Kind.STUDY),
         (["designs/1/result.json"], Kind.STUDY),
@@ -54,8 +54,7 @@ def test_names_are_sensors_and_tasks() -> None:
     ("files", "words"),
     [
         ([], "nothing that can be looked at"),
-        (["result.json"], "task record TASK --states"),
-        (["trial.json", "film.mp4"], "record it again with --states"),
+        (["result.json"], "task record TASK` keeps"),
     ],
 )
 def test_other_folders_are_refused_with_what_is_needed(
@@ -162,12 +161,12 @@ def test_presses_of_studies_start_untouched(tmp_path: Path) -> None:
 def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
     from taccel_lab.learning.gel_colors import default_colors
     from taccel_lab.tasks.catalogue import named
-    from taccel_lab.tasks.film import film_seed
+    from taccel_lab.tasks.recording import record_seed
     from taccel_lab.tasks.replay import read_replay, write_replay
     from taccel_lab.tasks.scene_picture import surfaces
 
-    film, trial = film_seed(named("ball-rolling"), 0, "cpu", colors=default_colors(None))
-    write_replay(film, trial, tmp_path)
+    recording, trial = record_seed(named("ball-rolling"), 0, "cpu", colors=default_colors(None))
+    write_replay(recording, trial, tmp_path)
     replay = read_replay(tmp_path)
     assert (replay.task, replay.seed) == ("ball-rolling", 0)
     assert (replay.outcome == "success") == trial.success
@@ -179,13 +178,13 @@ def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
     change = np.abs(replay.rgb[pressed].astype(int) - replay.rgb[0]).max(axis=2)
     assert change[replay.pressure_pa[pressed] > 0].mean() > 2 * change.mean()
     assert np.abs(replay.markers_px[pressed] - replay.markers_px[0]).max() > 0.5
-    np.testing.assert_array_equal(replay.times_s, film.times_s)
-    last = surfaces(film.episode.scene, film.episode.model, film.positions_m[-1])
+    np.testing.assert_array_equal(replay.times_s, recording.times_s)
+    last = surfaces(recording.episode.scene, recording.episode.model, recording.positions_m[-1])
     for body, (kind, vertices, faces) in zip(replay.bodies, last, strict=True):
         assert body.kind == kind.name.lower()
         np.testing.assert_allclose(body.vertices_m[-1], vertices, atol=1e-8)
         np.testing.assert_array_equal(body.faces, faces)
-    for name, value in film.forces_n[-1].items():
+    for name, value in recording.forces_n[-1].items():
         assert replay.forces_n[name][-1] == value
     (tmp_path / "replay.json").write_text('{"task": "x", "bodies": [{}], "forces": []}')
     with pytest.raises(InputError, match="no replay"):
