@@ -20,7 +20,6 @@ COMMANDS = {
     "captures": "capture_sets:Captures",
     "images": "images:Images",
     "readings": "readings:Readings",
-    "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",
     "compare": "compare:Compare",
     "report": "report.pages:Report",

@@ -18,7 +18,6 @@ IDENTITY = {
         "family", "thickness_mm", "tool", "depth_mm", "poisson_ratio", "friction", "branches",
         "setting",
     ),
-    "multi_gpu": ("mode", "scaling", "gpus", "envs"),
     "stress": ("family",),
     "captures": ("set", "command", "figure"),
     "images": ("size", "sensors"),

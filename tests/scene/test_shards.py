@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,3 +190,11 @@ def test_wrong_parts_are_refused() -> None:
     for first, last in ((-1, 2), (1, 1), (2, 1), (0, 4)):
         with pytest.raises(InputError, match=r"numbered from 0"):
             cut_scene(scene, first, last)
+
+
+@pytest.mark.slow
+def test_the_example_runs_a_process_a_device() -> None:
+    script = Path(__file__).parents[2] / "docs" / "examples" / "many_gpus.py"
+    words = [sys.executable, str(script), "2", "cpu", "cpu"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "steps/s on 2 devices" in done.stdout
