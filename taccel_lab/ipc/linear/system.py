@@ -113,15 +113,6 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
 }
 
 
-def usable_methods(row_count: int, device: wp.Device) -> list[str]:
-    """Those of ``METHODS`` that are made for a device and can hold systems of so many rows."""
-    if device.is_cpu:
-        return ["ssor"]
-    from taccel_lab.ipc.linear.arrow.solver import MAX_ROWS
-
-    return ["arrow", "cg", "pipelined"] if row_count <= MAX_ROWS else ["cg", "pipelined"]
-
-
 def _method(
     pattern: BlockPattern, clusters: list[tuple[int, int]], env_count: int, device: wp.Device
 ) -> str:

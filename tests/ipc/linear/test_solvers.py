@@ -24,27 +24,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow.program import least_degree_order
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW
 from taccel_lab.ipc.linear.problem.scatter import find_block
-from taccel_lab.ipc.linear.system import METHODS, usable_methods
+from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.model.matrix_pattern import block_pattern, node_gather
 from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, random_spd, solve_batch
 
 CPU = wp.get_device("cpu")
 GPU: Any = SimpleNamespace(is_cpu=False, is_cuda=True)
-
-
-@pytest.mark.parametrize(
-    ("device", "rows", "expected"),
-    [
-        (CPU, 400, ["ssor"]),
-        (GPU, 400, ["arrow", "cg", "pipelined"]),
-        (GPU, 401, ["cg", "pipelined"]),
-    ],
-)
-def test_methods_are_offered_where_they_are_made_for(
-    device: Any, rows: int, expected: list[str]
-) -> None:
-    assert usable_methods(rows, device) == expected
-    assert set(expected) <= set(METHODS)
 
 
 def test_the_solver_of_the_cpu_is_refused_on_a_gpu() -> None:
