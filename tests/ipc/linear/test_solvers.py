@@ -28,7 +28,6 @@ from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.model.matrix_pattern import block_pattern, node_gather
 from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, random_spd, solve_batch
 
-CPU = wp.get_device("cpu")
 GPU: Any = SimpleNamespace(is_cpu=False, is_cuda=True)
 
 
