@@ -72,8 +72,6 @@ class ReadySteps:
             separate = solver.find_separate(state)
             overlapping = who & ~separate
             who &= separate
-            blocked = list(solver.find_blocked(control, state, who))
-            who[blocked] = False
             progress.roster.again.zero_()
             progress.flags.most_rounds.fill_(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
@@ -82,10 +80,11 @@ class ReadySteps:
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)
             status[progress.again] = EnvStatus.RUNNING
+            failed = progress.underway & ~np.isin(status, (EnvStatus.RUNNING, EnvStatus.CONVERGED))
+            status[list(solver.find_blocked(state, failed))] = EnvStatus.BLOCKED
             progress.underway &= status == EnvStatus.RUNNING
             solver.end(state)
         status[overlapping] = EnvStatus.OVERLAP
-        status[blocked] = EnvStatus.BLOCKED
         return replace(
             report,
             status=status,

@@ -115,7 +115,8 @@ class SolverIPC(SolverParts):
         times and ``max_step_iterations`` Newton iterations; one that fails even so is rolled back
         to the start of the whole step and flagged.
         Environments whose bodies overlap before their first step are flagged and not stepped
-        (``ipc.start_checks.check_start`` says what is wrong), nor are those that ``find_blocked``.
+        (``ipc.start_checks.check_start`` says what is wrong). Those that fail are not tried in
+        parts where ``find_blocked`` names what is held in their way.
 
         The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
         anything is taken again. After resets it also reads which environments overlap. All other
@@ -135,10 +136,9 @@ class SolverIPC(SolverParts):
             self.progress.roster.again.fill_(int(again))
             # The same array as in the step before where all go on: nothing to compare.
             able = separate if who is self._everyone else separate & who
-            blocked = self.find_blocked(control, state, able)
-            if blocked:
-                able = able & ~np.isin(np.arange(len(able)), list(blocked))
-            report = refused(self._attempt(able, dt, whole=True), ~separate & who, blocked)
+            report = self._attempt(able, dt, whole=True)
+            blocked = self.find_blocked(state, able & ~report.converged)
+            report = refused(report, ~separate & who, blocked)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
                 report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
             if not report.converged[who].all():
@@ -300,12 +300,14 @@ class SolverIPC(SolverParts):
             separate = state.separate = state.unsearched.numpy() == 0
         return separate
 
-    def find_blocked(
-        self, control: Control | Any, state: State, who: np.ndarray
-    ) -> dict[int, BlockedWay]:
-        """Find what is held in the way to targets of the host, by environment of ``who``."""
-        poses = control.target_poses if isinstance(control, Control) else control
-        return self.ways.to_targets(state, poses, who)
+    def find_blocked(self, state: State, failed: np.ndarray) -> dict[int, BlockedWay]:
+        """Find what is held in the way from a state to the targets of the latest step, in the
+        environments where that has ``failed`` (bool, [env_count]): no other pays for it."""
+        if not (failed.any() and self.ways):
+            return {}
+        start, end = (poses.numpy() for poses in (state.poses, self.end_poses))
+        shape = (self.model.env_count, -1, 7)
+        return self.ways.find(start.reshape(shape), end.reshape(shape), failed)
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the

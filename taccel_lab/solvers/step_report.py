@@ -43,8 +43,8 @@ class EnvStatus(IntEnum):
     STALLED = 13
     """Neither residual nor energy has fallen in ``env_phase.STALL_AFTER`` iterations."""
     BLOCKED = 14
-    """The way to the target leads a kinematic body through bonded faces of a gel, see
-    ``SolverIPC.find_blocked``; nothing was tried."""
+    """The step failed, and its way leads a kinematic body through bonded faces of a gel, see
+    ``SolverIPC.find_blocked``; it is not tried in parts."""
 
 
 _INTS = ("status", "newton_iterations", "cg_iterations", "friction_lags") + (
@@ -282,8 +282,8 @@ class StepReport:
 
 
 def refused(report: StepReport, overlapping: np.ndarray, blocked: Iterable[int]) -> StepReport:
-    """Flag environments that were asked for and not stepped: those of ``overlapping`` (bool,
-    [env_count]), and ``blocked`` ones by number."""
+    """Flag environments that were not stepped, ``overlapping`` (bool, [env_count]), and those that
+    failed as they are ``blocked``, by number."""
     blocked = list(blocked)
     if not (overlapping.any() or blocked):
         return report

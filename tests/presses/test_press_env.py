@@ -271,7 +271,7 @@ def test_a_shear_into_a_bonded_wall_is_refused_before_the_press() -> None:
             env.follow(path)
         assert np.array_equal(env.poses, start)
         report = env.try_to(0.5, shear)
-        assert report.status[0] == EnvStatus.BLOCKED and report.newton_iterations[0] == 0
+        assert report.status[0] == EnvStatus.BLOCKED and report.substeps[0] <= 1
         assert "the way leads through what holds the gel" in env.failure(0, report, 0.5)
 
 

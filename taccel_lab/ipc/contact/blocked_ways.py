@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import rotate
 from taccel_lab.model.kinematics import interpolate_poses
-from taccel_lab.state import State
 
 _LEAST_PART = 0.02
 """Smallest extent of a body over its largest by which poses along its way are spaced."""
@@ -117,14 +115,6 @@ class BlockedWays:
 
     def __bool__(self) -> bool:
         return bool(self._held)
-
-    def to_targets(self, state: State, poses: Any, who: np.ndarray) -> dict[int, BlockedWay]:
-        """Find the ways of a step from a state to target poses; none where these are no arrays of
-        numpy, as reading a device would wait for it."""
-        if not self or not isinstance(poses, np.ndarray):
-            return {}
-        shape = (self._model.env_count, -1, 7)
-        return self.find(state.poses.numpy().reshape(shape), poses.reshape(shape), who)
 
     def find(self, start: np.ndarray, end: np.ndarray, who: np.ndarray) -> dict[int, BlockedWay]:
         """Ways from ``start`` to ``end`` (poses, [env_count, kinematic_count, 7]) that are blocked,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways of tools through bonded faces are found before a step is tried, and no others are."""
+"""Ways of tools through bonded faces are found where a step fails, and no others are."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from taccel_lab.scene import (
     box_mesh,
     cylinder_mesh,
 )
-from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverIPC
+from taccel_lab.solvers import EnvStatus, ReadySteps, SolverIPC
 from taccel_lab.state import initial_state
 
 THICKNESS_M = 4e-3
@@ -83,7 +83,7 @@ def test_only_ways_through_what_is_held_are_blocked(
     assert list(found) == ([0] if blocked else [])
 
 
-def test_a_step_is_refused_at_once_and_the_others_go_on() -> None:
+def test_a_step_is_refused_and_the_others_go_on() -> None:
     """Took 102 iterations a part and up to 2,000 in all, and ended at 6e9 N."""
     made = model(Ball(2e-3), 3)
     solver, start = SolverIPC(made), np.tile(pose(0, 0, 2.1), (3, 1, 1))
@@ -93,12 +93,11 @@ def test_a_step_is_refused_at_once_and_the_others_go_on() -> None:
     report = solver.step(state, target)
     good, bad = EnvStatus.CONVERGED, EnvStatus.BLOCKED
     assert report.status.tolist() == [good, bad, good]
-    assert report.newton_iterations[1] == 0 and report.substeps[1] == 0
+    assert report.newton_iterations[1] < 300 and report.substeps[1] == 0
     after = state.positions.numpy()
     assert np.array_equal(after[1], before[1]) and not np.array_equal(after[0], before[0])
     assert report.failures() == {"BLOCKED": [1]}
-    everyone = np.ones(3, dtype=bool)
-    words = solver.find_blocked(np.tile(pose(0, 0, -500), (3, 1, 1)), state, everyone)[1].words()
+    words = solver.find_blocked(state, ~report.converged)[1].words()
     for part in ("a step of 502.1 mm", "'tool'", "'gel', 4 mm thick", "held", "shorter dt"):
         assert part in words
     # The next step is one like any other.
@@ -109,7 +108,7 @@ def test_steps_at_their_own_pace_refuse_it_too() -> None:
     made = model(Ball(2e-3), 2)
     solver = SolverIPC(made)
     state = initial_state(made, np.tile(pose(0, 0, 2.1), (2, 1, 1)))
-    steps = ReadySteps(solver, state, iterations=50)
+    steps = ReadySteps(solver, state, iterations=500)
     report = steps.step_ready(np.concatenate([pose(0, 0, -9), pose(0, 0, 1.9)]))
     assert report.status.tolist() == [EnvStatus.BLOCKED, EnvStatus.CONVERGED]
     assert not steps.underway.any()
@@ -143,13 +142,16 @@ def test_a_scene_without_held_gels_has_nothing_to_look_at() -> None:
     assert not BlockedWays(Scene(SoftBody(MESH, Material(1e5, 0.45))).finalize("cpu"))
 
 
-def test_targets_on_a_device_are_not_read() -> None:
+def test_steps_that_converge_look_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looking took 1.1 ms of a step of 2.1 on a GPU, which was read and waited for."""
     made = model(Ball(2e-3))
-    solver, one = SolverIPC(made), np.ones(1, dtype=bool)
+    solver = SolverIPC(made)
     state = initial_state(made, pose(0, 0, 2.1))
-    through = pose(0, 0, -9)
-    assert list(solver.find_blocked(through, state, one)) == [0]
-    assert list(solver.find_blocked(Control(through), state, one)) == [0]
-    there = wp.array(through.reshape(1, 1, 7), dtype=wp.transformd, device="cpu")
-    assert not solver.find_blocked(there, state, one)
-    assert not solver.find_blocked(None, state, one)
+    with monkeypatch.context() as patch:
+        patch.setattr(BlockedWays, "find", None)
+        assert solver.step(state, pose(0, 0, 1.9)).converged.all()
+        steps = ReadySteps(solver, state, iterations=50)
+        assert steps.step_ready(pose(0, 0, 1.8)).converged.all()
+    # Targets on a device count as those of the host.
+    there = wp.array(pose(0, 0, -9).reshape(1, 1, 7), dtype=wp.transformd, device="cpu")
+    assert solver.step(state, there).status.tolist() == [EnvStatus.BLOCKED]
