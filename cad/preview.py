@@ -12,6 +12,7 @@ import numpy as np
 from taccel_lab.cad.gel_import.faces import PartFaces
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.region_colors import REGION_COLORS
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import Region, TetMesh
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def write_preview(mesh: TetMesh, path: Path, *, title: str = "") -> None:
     for k, (name, elevation, azimuth) in enumerate(_VIEWS):
         axes = _axes(figure, k, surface.vertices_mm, name, elevation, azimuth)
         _add_faces(axes, surface, elevation, edgecolors="0.15", linewidths=0.25)
-    figure.savefig(path, format="png")
+    write_by(path, lambda file: figure.savefig(file, format="png"))
 
 
 def write_faces(
@@ -76,7 +77,7 @@ def write_faces(
                 *place, str(info.index), fontsize=8, ha="center", va="center", zorder=20,
                 bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "0.4", "lw": 0.5},
             )  # fmt: skip
-    figure.savefig(path, format="png")
+    write_by(path, lambda file: figure.savefig(file, format="png"))
 
 
 def _borders(triangles: np.ndarray, face_of: np.ndarray) -> np.ndarray:

@@ -241,7 +241,9 @@ def _exit_code(error: BaseException) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     if isinstance(error, OSError) and error.errno is not None:
-        named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        # Of a copy the second name is that of what is written.
+        name = error.filename if error.filename2 is None else error.filename2
+        named = "" if name is None else f"{os.fsdecode(name)}: "
         return _fail(2, f"error: {named}{error.strerror}")
     raise error
 

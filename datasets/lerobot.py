@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.inner_path import require_outside
 from taccel_lab.files.output_folder import atomic_directory
 
@@ -217,10 +217,9 @@ class _Writer:
         # As the library ``datasets`` writes it, which tells images from structures by it.
         note = {"huggingface": json.dumps({"info": {"features": described}})}
         schema = pa.schema(fields, metadata=note)
-        path.parent.mkdir(parents=True, exist_ok=True)
         table = pa.table({name: pa.array(frames[name], schema.field(name).type)
                           for name in schema.names}, schema=schema)  # fmt: skip
-        pq.write_table(table, path, compression="snappy")
+        write_by(path, lambda file: pq.write_table(table, file, compression="snappy"))
 
     def _write_meta(
         self, episodes: list[dict[str, Any]], parts: list[dict[str, Any]], frames: int
@@ -230,8 +229,8 @@ class _Writer:
 
         meta = self._root / "meta"
         path = meta / "episodes" / "chunk-000" / "file-000.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.Table.from_pylist(episodes), path, compression="snappy")
+        listed = pa.Table.from_pylist(episodes)
+        write_by(path, lambda file: pq.write_table(listed, file, compression="snappy"))
         # Read by pandas with the task as its index.
         tasks = pa.table({"task_index": list(range(len(self._tasks))), "task": self._tasks})
         described = [
@@ -240,7 +239,7 @@ class _Writer:
         ]
         note = {"index_columns": ["task"], "column_indexes": [], "columns": described}
         tasks = tasks.replace_schema_metadata({"pandas": json.dumps(note)})
-        pq.write_table(tasks, meta / "tasks.parquet")
+        write_by(meta / "tasks.parquet", lambda file: pq.write_table(tasks, file))
         write_json(meta / "stats.json", {name: _gathered([p[name] for p in parts])
                                          for name in parts[0]})  # fmt: skip
 

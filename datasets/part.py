@@ -23,7 +23,7 @@ import numpy as np
 from taccel_lab.datasets.channels import ALWAYS, Channel
 from taccel_lab.datasets.simulate import joined
 from taccel_lab.datasets.touch import TouchRecord
-from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable, write_by
 from taccel_lab.files.output_folder import atomic_directory
 
 if TYPE_CHECKING:
@@ -219,4 +219,5 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.table(dict(columns)), path, compression="zstd")
+    table = pa.table(dict(columns))
+    write_by(path, lambda file: pq.write_table(table, file, compression="zstd"))

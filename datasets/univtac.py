@@ -10,6 +10,8 @@ handed to the encoder as they are).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.inner_path import require_outside
 from taccel_lab.files.output_folder import atomic_directory
 
@@ -45,7 +47,7 @@ def export_univtac(folders: Sequence[Path | str], out: Path | str) -> int:
             if not row["rows"]:
                 continue
             name = str(len(described))
-            _write_episode(data, number, staging / "hdf5" / f"{name}.hdf5")
+            write_by(staging / "hdf5" / f"{name}.hdf5", partial(_write_episode, data, number))
             described[name] = row
         if not described:
             raise InputError("the data set has no step")
@@ -53,13 +55,13 @@ def export_univtac(folders: Sequence[Path | str], out: Path | str) -> int:
     return len(described)
 
 
-def _write_episode(data: Dataset, number: int, path: Path) -> None:
+def _write_episode(data: Dataset, number: int, stream: BytesIO) -> None:
     import h5py
 
     row = data.episodes[number]
     steps = data.rows_of(number)
     base_mm = _camera_distance_mm(data, number)
-    with h5py.File(path, "w") as file:
+    with h5py.File(stream, "w") as file:
         gel = file.create_group("tactile").create_group(GEL)
         _put_images(gel, "rgb", data.read("rgb", steps))
         depth = gel.create_dataset(

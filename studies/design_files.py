@@ -70,8 +70,5 @@ def _write_mesh(pad: Pad, path: Path, family: str) -> None:
 def _write_step(pad: Pad, path: Path, family: str) -> None:
     from taccel_lab.cad.export import write_step
     from taccel_lab.cad.parts.pad_solid import labelled_solid
-    from taccel_lab.files.atomic_file import atomic_file
 
-    with atomic_file(path) as staging:
-        write_step(labelled_solid(pad), staging, name=f"{family}_gel_pad")
-        staging.chmod(0o644)
+    write_step(labelled_solid(pad), path, name=f"{family}_gel_pad")

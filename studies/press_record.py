@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.signals import ContactFaceMesh
@@ -120,24 +120,23 @@ class PressRecord:
     def save(self, path: Path) -> None:
         """Write the contact face's nodes and the steps as a compressed npz."""
         idx = self.surface.node_idx
-        with atomic_file(path) as staging:
-            np.savez_compressed(
-                staging,
-                indenter=self.indenter,
-                place=np.array(self.place),
-                gel_from_press=self.gel_from_press,
-                thickness_mm=self.thickness_mm,
-                depth_mm=self.depth_mm,
-                shear_mm=self.shear_mm,
-                twist_deg=self.twist_deg,
-                force_n=self.force_n,
-                torque_nm=self.torque_nm,
-                indenter_poses=self.indenter_poses,
-                bond_peak_pa=self.bond_peak_pa,
-                residual_n=self.residual_n,
-                contact_rest_m=self.rest_m[idx],
-                contact_moved_m=self.moved_m[:, idx],
-                contact_faces=self.surface.faces,
-                cause=self.cause,
-            )
-            staging.chmod(0o644)
+        save = partial(
+            np.savez_compressed,
+            indenter=self.indenter,
+            place=np.array(self.place),
+            gel_from_press=self.gel_from_press,
+            thickness_mm=self.thickness_mm,
+            depth_mm=self.depth_mm,
+            shear_mm=self.shear_mm,
+            twist_deg=self.twist_deg,
+            force_n=self.force_n,
+            torque_nm=self.torque_nm,
+            indenter_poses=self.indenter_poses,
+            bond_peak_pa=self.bond_peak_pa,
+            residual_n=self.residual_n,
+            contact_rest_m=self.rest_m[idx],
+            contact_moved_m=self.moved_m[:, idx],
+            contact_faces=self.surface.faces,
+            cause=self.cause,
+        )
+        write_by(path, save)

@@ -143,9 +143,7 @@ def preview_design(
 
 def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     """Write pictures and figures into a folder; names by kind."""
-    from PIL import Image
-
-    from taccel_lab.files.atomic_file import write_json
+    from taccel_lab.files.atomic_file import write_image, write_json
 
     files = {"figures": folder / "preview.json", "overview": folder / "overview.png"}
     write_json(files["figures"], preview.to_json())
@@ -154,7 +152,7 @@ def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     for name, image in images.items():
         if image is not None:
             files[name] = folder / f"{name}.png"
-            Image.fromarray(image.rgb).save(files[name])
+            write_image(files[name], image.rgb[..., ::-1])
     return files
 
 

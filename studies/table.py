@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import atomic_file, write_by
 
 if TYPE_CHECKING:
     from taccel_lab.studies.design_row import DesignRow
@@ -86,9 +86,7 @@ def _write_parquet(path: Path, rows: list[dict[str, Any]], names: list[str]) -> 
                 "is damaged"
             ) from None
     table = pyarrow.table(columns)
-    with atomic_file(path) as staging:
-        pyarrow.parquet.write_table(table, staging)
-        staging.chmod(0o644)
+    write_by(path, lambda file: pyarrow.parquet.write_table(table, file))
 
 
 def _cell(value: Any) -> Any:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import read_npz
-from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
 
@@ -85,8 +86,7 @@ def write_replay(recording: TaskRecording, trial: TaskTrial, folder: Path) -> No
         arrays[f"vertices_m_{k}"] = places.astype(np.float32)
         arrays[f"faces_{k}"] = np.asarray(faces, dtype=np.int32)
         bodies.append({"name": f"body {k}", "kind": kind.name.lower()})
-    with atomic_file(folder / _ARRAYS) as staging, open(staging, "wb") as file:
-        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+    write_by(folder / _ARRAYS, partial(np.savez_compressed, **arrays))
     about = {"task": recording.name, "seed": trial.seed, "cause": trial.cause}
     write_json(folder / REPLAY, {**about, "bodies": bodies, "forces": names})
 

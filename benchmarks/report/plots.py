@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taccel_lab.benchmarks.peers import read_field
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.studies.report.figures import plain_log_ticks
 
 Results = dict[str, list[dict[str, Any]]]
@@ -31,8 +31,7 @@ def draw_all(results: Results, folder: Path) -> list[Path]:
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a picture, whole or not at all."""
-    with atomic_file(path) as target:
-        figure.savefig(target, dpi=110)
+    write_by(path, lambda file: figure.savefig(file, dpi=110))
     plt.close(figure)
     return path
 

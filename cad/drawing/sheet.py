@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Curve
+
+from taccel_lab.files.atomic_file import write_by
 
 Xy = tuple[float, float]
 
@@ -180,5 +183,6 @@ class DrawingSheet:
         for path in paths:
             suffix = path.suffix.lstrip(".")
             metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[suffix]
+            draw = partial(self._figure.savefig, format=suffix, dpi=110, metadata=metadata)
             with mpl.rc_context(_SETTINGS):
-                self._figure.savefig(path, format=suffix, dpi=110, metadata=metadata)
+                write_by(path, draw)

@@ -24,6 +24,7 @@ from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.solids import section_faces
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import Region
 
 SECTION_GAP_MM = 10.0
@@ -57,7 +58,7 @@ def write_dxf(gel: LabelledSolid, path: Path, *, others: Sequence[Part] = ()) ->
     for solid in (gel.solid, *(part.solid for part in others if not part.placeholder)):
         for edge in _section_edges(solid, drop):
             dxf.add_shape(edge, layer="section")
-    dxf.write(str(path))
+    write_by(path, dxf.write)
 
 
 def _flat(shape: Edge | Wire) -> Shape:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.part import Part, Rgb, gel_part
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_by
 
 
 def write_step(part: LabelledSolid, path: Path, *, name: str = "gel_pad") -> None:
@@ -95,5 +97,9 @@ class _Document:
         writer.SetNameMode(True)
         writer.SetColorMode(True)
         writer.Transfer(self._document)
-        if writer.Write(str(path)) != IFSelect_ReturnStatus.IFSelect_RetDone:
-            raise InputError(f"the CAD kernel could not write {path}")
+
+        def write(file: BytesIO) -> None:
+            if writer.WriteStream(file) != IFSelect_ReturnStatus.IFSelect_RetDone:
+                raise InputError(f"the CAD kernel makes no STEP file of {path.stem}")
+
+        write_by(path, write)

@@ -5,26 +5,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.part import Part
-from taccel_lab.geometry import Region
+from taccel_lab.geometry import Region, stl
 
 
 def write_stl(surface: LabelledSurface, path: Path, *, name: str = "gel pad") -> None:
     """Write a closed surface as binary STL in mm; STL itself names no unit."""
-    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    triangles = np.zeros(len(surface.triangles), dtype=record)
-    triangles["normal"] = surface.normals()
-    triangles["corners"] = surface.vertices_mm[surface.triangles]
-    with path.open("wb") as file:
-        header = f"taccel_lab {name}, millimetres".encode("ascii", "replace")
-        file.write(header[:80].ljust(80, b"\0"))
-        file.write(np.array(len(triangles), dtype="<u4").tobytes())
-        file.write(triangles.tobytes())
+    corners = surface.vertices_mm[surface.triangles]
+    stl.write_stl(path, corners, f"taccel_lab {name}, millimetres")
 
 
 def write_part_stl(part: Part, path: Path) -> None:

@@ -12,6 +12,7 @@ from build123d import Color, Mesher, Unit
 
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_by
 
 DEVIATION_MM, ANGLE_RAD = 0.005, 0.06
 
@@ -34,4 +35,4 @@ def write_3mf(parts: Sequence[Part], path: Path) -> None:
                 raise InputError(
                     f"{part.name}: the CAD kernel gives no closed triangles for 3MF ({error})"
                 ) from error
-    mesher.write(str(path))
+    write_by(path, lambda file: mesher.write_stream(file, "3mf"))

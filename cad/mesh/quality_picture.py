@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.mesh.quality_measures import TET_FACES
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import TetMesh
 
 _BAD, _PLACE = "#d4301f", "#1f5fd4"
@@ -73,6 +73,5 @@ def write_bad_mesh(
     figure.suptitle("\n".join(lines), fontsize=9, y=0.99, va="top")
     figure.subplots_adjust(0.01, 0.09, 0.95, 0.97 - 0.025 * len(lines), wspace=0.08)
     path = Path(folder) / "bad_mesh.png"
-    with atomic_file(path) as staging:
-        figure.savefig(staging, format="png")
+    write_by(path, lambda file: figure.savefig(file, format="png"))
     return path

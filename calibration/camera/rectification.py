@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.arrays import finite_numbers, read_npz
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import PixelGrid
 
 _CHUNK_PX = 100_000
@@ -121,14 +122,8 @@ class RectificationMaps:
         if self.grid is not None:
             about["mm_per_px"] = np.array([self.grid.mm_per_px_x, self.grid.mm_per_px_y])
             about["center_px"] = np.array([self.grid.center_u_px, self.grid.center_v_px])
-        with atomic_file(path) as staging, staging.open("wb") as stream:
-            np.savez_compressed(
-                stream,
-                map_u_px=self.map_u_px,
-                map_v_px=self.map_v_px,
-                measured=self.measured,
-                **about,
-            )
+        about |= {"map_u_px": self.map_u_px, "map_v_px": self.map_v_px, "measured": self.measured}
+        write_by(path, partial(np.savez_compressed, **about))
 
 
 def gel_maps(on_gel: OnGel) -> RectificationMaps:

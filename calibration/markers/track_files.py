@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import atomic_file, write_by
 
 SUFFIXES = (".npz", ".csv")
 
@@ -40,8 +41,7 @@ def write_tracks(
             arrays[prefix + "name"] = np.array(name)
             for key, value in _arrays(track, flows[name]).items():
                 arrays[prefix + key] = value
-        with atomic_file(path) as staging, staging.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)
+        write_by(path, partial(np.savez_compressed, **arrays))
     else:
         with (
             atomic_file(path) as staging,

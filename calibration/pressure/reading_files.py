@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from taccel_lab.calibration.pressure.figures import draw_reading
 from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.images import read_grey
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import (
@@ -64,7 +65,7 @@ def write_reading(
             stored[key] = value if value.dtype == bool else value.astype(np.float32)
     if found.press is not None:
         stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
-    np.savez_compressed(folder / f"{stem}.npz", **stored)
+    write_by(folder / f"{stem}.npz", partial(np.savez_compressed, **stored))
     picture = draw_reading(image, found, found.press, found.grid, stem)
     save_figure(picture, folder / f"{stem}.png")
     figures = {"image": str(source), **found.figures()}

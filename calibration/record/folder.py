@@ -74,7 +74,7 @@ class RecordFolder:
 
     def set_background(self, image: np.ndarray, facts: RecordFacts) -> None:
         """Begin: the untouched gel, and all that is stated of the session."""
-        self._write_image("background.png", image)
+        write_png(self.path / "background.png", image)
         self.manifest |= facts.manifest(image.shape[1], image.shape[0])
         self.manifest["background"] = "background.png"
         self._write_manifest()
@@ -83,7 +83,7 @@ class RecordFolder:
         """The untouched gel at another time; returns the file's name."""
         names = self.manifest.setdefault("untouched", [])
         name = f"untouched_{len(names) + 1}.png"
-        self._write_image(name, image)
+        write_png(self.path / name, image)
         names.append(name)
         self._write_manifest()
         return name
@@ -92,7 +92,7 @@ class RecordFolder:
         """A press; returns the file's name."""
         numbers = [int(found[1]) for name in self.presses if (found := _PRESS.fullmatch(name))]
         name = f"press_{max(numbers, default=-1) + 1:03d}.png"
-        self._write_image(name, image)
+        write_png(self.path / name, image)
         self.manifest.setdefault("presses", []).append({"image": name})
         self._write_manifest()
         return name
@@ -116,10 +116,6 @@ class RecordFolder:
             staging.write_text(self._text(), encoding="utf-8")
             freeze_split(load_capture_folder(self.path), staging)
         self.manifest = _read(self.path)
-
-    def _write_image(self, name: str, image: np.ndarray) -> None:
-        with atomic_file(self.path / name) as staging:
-            write_png(staging, image)
 
     def _write_manifest(self) -> None:
         with atomic_file(self.path / MANIFEST_NAME) as staging:

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import pickle
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.learning.force.options import ForceOptions
@@ -89,11 +89,8 @@ class TrainingFile:
     def save(self, key: str, step: int, state: Mapping[str, Any]) -> None:
         """Put a state in the place of the last one."""
         seconds = self.earlier_s + time.monotonic() - self._begun
-        # By way of memory: torch's own writer hides that a disk is full.
-        buffer = io.BytesIO()
-        torch.save({**state, "key": key, "step": step, "seconds": seconds}, buffer)
-        with atomic_file(self.path) as staging:
-            staging.write_bytes(buffer.getbuffer())
+        kept = {**state, "key": key, "step": step, "seconds": seconds}
+        write_by(self.path, partial(torch.save, kept))
         self.step, self._saved = step, time.monotonic()
 
     def remove(self) -> None:

@@ -9,6 +9,7 @@ The network gets blue, green, red and the pixel's place, all from 0 to 1, and gi
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ import numpy as np
 from taccel_lab.exporters.image_files import write_rgb
 from taccel_lab.exporters.press_samples import ColorSource, PressPixels
 from taccel_lab.exporters.record import ExportRecord, required
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import deg_from_rad
 from taccel_lab.signals.normals import normals_from_slopes
@@ -66,7 +68,7 @@ def export_gs_sdk(
     errors = _errors(weights, *_examples(source, background, stretch, noise, rng, CHECKED))
 
     state = {name: torch.from_numpy(value.copy()) for name, value in weights.items()}
-    torch.save(state, folder / "nnmodel.pth")
+    write_by(folder / "nnmodel.pth", partial(torch.save, state))
     write_rgb(folder / "background.png", background)
     raw = (0, 0) if profile.optics is None else _raw_size(profile)
     device = {

@@ -8,6 +8,7 @@ axes (isaaclab_contrib/sensors/tacsl_sensor of Isaac Lab 2.3 and later).
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from taccel_lab.exporters.frames import LINK_FROM_GEL
 from taccel_lab.exporters.image_files import eight_bit, write_rgb
 from taccel_lab.exporters.record import ExportRecord, required
 from taccel_lab.exporters.taxim_distil import distil_table
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import m_from_mm
@@ -41,8 +42,9 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
     made = distil_table(profile, BINS, "gradient")
     data = folder / _data_name(profile)
     data.mkdir()
-    np.savez(data / "polycalib.npz", **made.table.arrays("rgb"))  # type: ignore[arg-type]
-    np.save(data / "real_bg.npy", np.asarray(background, dtype=np.float32))
+    write_by(data / "polycalib.npz", partial(np.savez, **made.table.arrays("rgb")))
+    levels = np.asarray(background, dtype=np.float32)
+    write_by(data / "real_bg.npy", lambda file: np.save(file, levels))
     write_rgb(
         data / "bg.jpg",
         background,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry import TetMesh, stl
 from taccel_lab.geometry.connectivity import compacted
 from taccel_lab.profile import HousingBlock
 from taccel_lab.profile.units import m_from_mm
@@ -41,9 +41,7 @@ def housing_box(housing: HousingBlock) -> tuple[np.ndarray, np.ndarray]:
 
 def write_stl(path: Path, points_m: np.ndarray, faces: np.ndarray) -> None:
     """Write triangles as binary STL; the unit of the numbers is the metre."""
-    import pyvista
-
-    pyvista.PolyData.from_regular_faces(points_m, np.asarray(faces)).save(str(path))
+    stl.write_stl(path, points_m[np.asarray(faces)], f"taccel_lab {path.stem}, metres")
 
 
 def tet_grid(points_m: np.ndarray, tets: np.ndarray) -> pyvista.UnstructuredGrid:
@@ -52,3 +50,17 @@ def tet_grid(points_m: np.ndarray, tets: np.ndarray) -> pyvista.UnstructuredGrid
 
     return pyvista.UnstructuredGrid({pyvista.CellType.TETRA: np.asarray(tets, dtype=np.int64)},
                                     np.asarray(points_m, dtype=np.float64))  # fmt: skip
+
+
+def write_vtk(path: Path, grid: pyvista.UnstructuredGrid) -> None:
+    """Write a grid as VTK's legacy file, binary."""
+    from vtkmodules.vtkIOLegacy import vtkUnstructuredGridWriter
+
+    writer = vtkUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetFileTypeToBinary()
+    # VTK deletes or cuts short what a disk has no room for.
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    text = writer.GetOutputStdString()  # Bytes, unless they happen to be UTF-8.
+    path.write_bytes(text.encode() if isinstance(text, str) else text)

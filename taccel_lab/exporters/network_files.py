@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.record import MAKERS, ExportRecord
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.profile import ColorBlock, ForceBlock, NormalsBlock, SensorProfile
 from taccel_lab.signals.color_model import ColorModel
 
@@ -72,7 +73,7 @@ def networks(profile: SensorProfile) -> dict[str, Network]:
 
 def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
     """Write the networks' safetensors files and ``models.json``."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     record = ExportRecord(
         notes=[
@@ -89,7 +90,7 @@ def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
             "architecture": json.dumps(settings, sort_keys=True),
         }
         tensors = {item: np.ascontiguousarray(weights[item]) for item in sorted(weights)}
-        save_file(tensors, str(folder / name), metadata=metadata)
+        (folder / name).write_bytes(save(tensors, metadata=metadata))
         described[key] = {
             "file": name,
             "architecture": settings,
@@ -103,6 +104,7 @@ def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
     write_json(folder / "models.json", described)
     record.leave_out_missing(profile, "color", "normals", "force")
     if profile.background_rgb is not None:
-        np.savez_compressed(folder / "background.npz", rgb=profile.background_rgb)
+        background = {"rgb": profile.background_rgb}
+        write_by(folder / "background.npz", partial(np.savez_compressed, **background))
         record.carries["background"] = "as background.npz, unchanged"
     return record

@@ -9,6 +9,7 @@ not read from the list: they are fields of ``VBTSConfig``, written beside it.
 from __future__ import annotations
 
 import pickle
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +17,15 @@ import numpy as np
 
 from taccel_lab.exporters.effective_camera import effective_camera, image_center_mm
 from taccel_lab.exporters.frames import TACCEL_FROM_GEL, turn
-from taccel_lab.exporters.mesh_files import gel_surface, housing_box, tet_grid, write_stl
+from taccel_lab.exporters.mesh_files import (
+    gel_surface,
+    housing_box,
+    tet_grid,
+    write_stl,
+    write_vtk,
+)
 from taccel_lab.exporters.record import ExportRecord
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.profile import SensorProfile
@@ -43,14 +50,13 @@ def export_taccel(profile: SensorProfile, folder: Path) -> ExportRecord:
     origin_m = np.append(m_from_mm(image_center_mm(profile)), 0.0)
     mesh = profile.mesh
     grid = tet_grid(turn(TACCEL_FROM_GEL, mesh.nodes_m - origin_m), mesh.tets)
-    grid.save(str(meshes / f"{STEM}.vtk"))
+    write_vtk(meshes / f"{STEM}.vtk", grid)
     points, faces = gel_surface(mesh)
     write_stl(meshes / "pad.stl", turn(TACCEL_FROM_GEL, points - origin_m), faces)
 
     metadata = masks(profile, grid)
-    with (meshes / f"{STEM}.pkl").open("wb") as file:
-        pickle.dump(metadata, file, protocol=4)
-    np.savez_compressed(meshes / f"{STEM}.npz", **metadata)  # type: ignore[arg-type]
+    (meshes / f"{STEM}.pkl").write_bytes(pickle.dumps(metadata, protocol=4))
+    write_by(meshes / f"{STEM}.npz", partial(np.savez_compressed, **metadata))
     entry: dict[str, object] = {
         "link_name": "sensor",
         "sensor_name": profile.sensor.name,

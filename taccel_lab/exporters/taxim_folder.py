@@ -7,6 +7,7 @@ the gel in pixels), ``shadowTable.npz`` and ``params.json``, as taxim 1.4.1 load
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from taccel_lab.exporters.record import ExportRecord, required
 from taccel_lab.exporters.taxim_distil import DistilledTable, distil_table
 from taccel_lab.exporters.taxim_table import one_scale
 from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, for_one_scale, read_table
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.rest_surface import rest_surface
 
@@ -69,11 +70,13 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
     grid = profile.grid()
     thickness_px = profile.gel.thickness_mm / made.mm_per_px
 
-    np.savez(folder / TABLE_FILE, **made.table.arrays("bgr"))  # type: ignore[arg-type]
+    write_by(folder / TABLE_FILE, partial(np.savez, **made.table.arrays("bgr")))
     shape = (grid.height_px, grid.width_px)
-    np.save(folder / "gelmap.npy", np.full(shape, thickness_px, dtype=np.float64))
+    flat = np.full(shape, thickness_px, dtype=np.float64)
+    write_by(folder / "gelmap.npy", lambda file: np.save(file, flat))
     bgr = eight_bit(background)[..., ::-1]
-    np.savez_compressed(folder / "dataPack.npz", f0=bgr, img_size=np.array(bgr.shape))
+    pack = {"f0": bgr, "img_size": np.array(bgr.shape)}
+    write_by(folder / "dataPack.npz", partial(np.savez_compressed, **pack))
     _write_shadows(folder / "shadowTable.npz")
     write_json(folder / "params.json", _params(profile, made.mm_per_px, bins))
 
@@ -142,7 +145,8 @@ def _write_shadows(path: Path) -> None:
     for index in np.ndindex(table.shape):
         table[index] = list(_NO_SHADOW)
     # The format is an array of lists, which numpy can only pickle.
-    np.savez(path, shadowDirections=directions, shadowTable=table)
+    shadows = {"shadowDirections": directions, "shadowTable": table}
+    write_by(path, partial(np.savez, **shadows))
 
 
 def _params(profile: SensorProfile, mm_per_px: float, bins: int) -> dict[str, dict[str, object]]:

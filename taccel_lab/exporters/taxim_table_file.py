@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from taccel_lab.errors import InputError, naming
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices, bin_middles
 from taccel_lab.files.arrays import read_npz
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.signals.normals import normals_from_slopes
 
 TABLE_FILE = "polycalib.npz"
@@ -41,7 +43,7 @@ def write_table(file: TableFile, path: Path) -> None:
     if file.image_size_px is not None:
         arrays[_SIZE] = np.array(file.image_size_px)
     arrays |= {_FIGURE + name: np.array(value) for name, value in file.figures.items()}
-    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+    write_by(path, partial(np.savez_compressed, **arrays))
 
 
 def read_table(path: Path) -> TableFile:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import math
 import os
-import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,45 +24,71 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
     target = Path(target)
     if target.is_dir():
         raise OSError(errno.EISDIR, "is a folder; name a file", str(target))
+    with parents_made(target):
+        try:
+            fd, name = tempfile.mkstemp(
+                prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
+            )
+        except OSError as error:
+            # By the name that somebody gave, not by the hidden one.
+            raise OSError(error.errno, error.strerror, str(target)) from error
+        os.close(fd)
+        staging = Path(name)
+        try:
+            yield staging
+            # Temporary files are their owner's alone; results are for the group, too.
+            staging.chmod(0o644)
+            os.replace(staging, target)
+        except OSError as error:
+            raise named_error(error, staging, target) from None
+        finally:
+            staging.unlink(missing_ok=True)
+
+
+@contextmanager
+def parents_made(target: Path) -> Iterator[None]:
+    """Make the folders above ``target``; those that are new go again where the block fails."""
+    new = [path for path in target.parents if not os.path.exists(path)]
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        fd, name = tempfile.mkstemp(
-            prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
-        )
-    except (FileExistsError, NotADirectoryError) as error:
-        raise OSError(errno.ENOTDIR, "part of this path is a file", str(target)) from error
-    except OSError as error:
-        # By the name that somebody gave, not by the hidden one.
-        raise OSError(error.errno, error.strerror, str(target)) from error
-    os.close(fd)
-    staging = Path(name)
-    try:
-        yield staging
-        # Temporary files are their owner's alone; results are for the group, too.
-        staging.chmod(0o644)
-        os.replace(staging, target)
-    except OSError as error:
-        raise named_error(error, target) from None
-    finally:
-        staging.unlink(missing_ok=True)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise OSError(errno.ENOTDIR, "part of this path is a file", str(target)) from error
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(target)) from error
+        yield
+    except BaseException:
+        for path in new:
+            with suppress(OSError):
+                path.rmdir()
+        raise
 
 
-def named_error(error: OSError, target: Path) -> OSError:
-    """``error`` by the name that somebody gave where it has none, and that of a full disk always.
-
-    Python and pyarrow name no file or a hidden one, and numpy says only that it wrote too little.
-    """
-    number = error.errno
-    with suppress(OSError):
-        if number is None and shutil.disk_usage(target.parent).free == 0:
-            number = errno.ENOSPC
-    if number is None or (error.filename is not None and number != errno.ENOSPC):
+def named_error(error: OSError, staging: Path, target: Path) -> OSError:
+    """``error`` by the name that somebody gave where it has none, or one at or below ``staging``:
+    Python tells of a full disk without a name, and copying by those of both files."""
+    names = [name for name in (error.filename, error.filename2) if name is not None]
+    places = [Path(os.fsdecode(name)) for name in names]
+    elsewhere = not any(staging in (place, *place.parents) for place in places)
+    if error.errno is None or (places and elsewhere):
         return error
-    return OSError(number, os.strerror(number), str(target))
+    return OSError(error.errno, error.strerror, str(target))
+
+
+def write_by(path: Path | str, write: Callable[[io.BytesIO], object]) -> None:
+    """Write a file whole or not at all that a library makes: ``write`` gets a stream in memory.
+
+    Libraries tell of a full disk by errors without its number, by lines on stderr, or by a file
+    that is cut short. What Python writes ends in an OSError with number and name.
+    """
+    memory = io.BytesIO()
+    write(memory)
+    with atomic_file(path) as staging:
+        staging.write_bytes(memory.getbuffer())
 
 
 def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:
-    """Write an image; the suffix says the format, ``parameters`` are OpenCV's.
+    """Write an image, whole or not at all; the suffix says the format, ``parameters`` are OpenCV's.
 
     OpenCV's own writer ends the process at a path that is not UTF-8.
     """
@@ -70,8 +96,9 @@ def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> 
 
     done, data = cv2.imencode(path.suffix, bgr, list(parameters))
     if not done:
-        raise OSError(f"{path} could not be written")
-    path.write_bytes(data.tobytes())
+        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {bgr.shape}")
+    with atomic_file(path) as staging:
+        staging.write_bytes(data.data)
 
 
 def to_jsonable(value: Any) -> Any:

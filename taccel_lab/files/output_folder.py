@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import named_error
+from taccel_lab.files.atomic_file import named_error, parents_made
 from taccel_lab.files.exchange import exchange
 from taccel_lab.files.inner_path import (
     real_path,
@@ -90,22 +90,14 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
     _recover(target)
     may_replace = check or _require_own
     may_replace(target)
-    new_parents = [path for path in target.parents if not path.exists()]
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with _staging(target) as staging:
-            try:
-                yield staging
-                if check is None:
-                    write_marker(staging)
-                _put(staging, target, may_replace)
-            except OSError as error:
-                raise named_error(error, target) from None
-    except BaseException:
-        for path in new_parents:
-            with suppress(OSError):
-                path.rmdir()
-        raise
+    with parents_made(target), _staging(target) as staging:
+        try:
+            yield staging
+            if check is None:
+                write_marker(staging)
+            _put(staging, target, may_replace)
+        except OSError as error:
+            raise named_error(error, staging, target) from None
 
 
 def _folder_path(target: Path | str) -> Path:
@@ -239,7 +231,10 @@ def _prefix(target: Path) -> str:
 def _staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, locked until it is gone or has become the target."""
     for _ in range(_TRIES):
-        staging = Path(tempfile.mkdtemp(prefix=_prefix(target) + "new-", dir=target.parent))
+        try:
+            staging = Path(tempfile.mkdtemp(prefix=_prefix(target) + "new-", dir=target.parent))
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(target)) from None
         with _lock(staging) as locked:
             # Somebody who swept up between the two lines took it for a dead one.
             if locked is None or not staging.exists():

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.exporters.image_files import eight_bit, write_rgb
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses.press_image import PREDICTED_PX, predicted_images
@@ -133,7 +133,7 @@ def write_seen(
     if markers is not None:
         arrays |= markers.arrays()
     # Before the light is followed: another process compresses meanwhile.
-    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
+    call(write_by, folder / "signals.npz", partial(np.savez_compressed, **arrays))
     if rgb is not None:
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
         call(write_rgb, folder / "image_raw.png", rgb)

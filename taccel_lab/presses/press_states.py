@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses.press_markers import PressMarkers
@@ -118,8 +119,7 @@ def write_states(
     markers = PressMarkers.of(profile, mesh, positions)
     if markers is not None:
         arrays["markers_px"], arrays["image_px"] = markers.places_px, np.array(markers.image_px)
-    with atomic_file(path) as staging, open(staging, "wb") as file:
-        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+    write_by(path, partial(np.savez_compressed, **arrays))
 
 
 def tool_surface(indenter: Indenter) -> tuple[np.ndarray, np.ndarray]:

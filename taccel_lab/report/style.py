@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ParamSpec, TypeVar
 
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.printable import printable_lines
 
 if TYPE_CHECKING:
@@ -80,8 +80,7 @@ def new_figure(
 @in_report_style
 def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
     """Write a figure as PNG, whole or not at all, its texts as they are."""
-    with atomic_file(path) as staging:
-        save_figure_to(figure, staging, dpi)
+    write_by(path, lambda file: save_figure_to(figure, file, dpi))
 
 
 def save_drawing(path: Path, draw: Callable[..., Figure], *arguments: Any) -> None:
@@ -90,7 +89,7 @@ def save_drawing(path: Path, draw: Callable[..., Figure], *arguments: Any) -> No
 
 
 @in_report_style
-def save_figure_to(figure: Figure, file: Path | BinaryIO, dpi: int = _DPI) -> None:
+def save_figure_to(figure: Figure, file: BinaryIO, dpi: int = _DPI) -> None:
     """Write a figure as PNG, its texts as they are."""
     _take_as_text(figure)
     with warnings.catch_warnings():
