@@ -10,7 +10,13 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Protocol
 
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import (
+    InputError,
+    SimulationError,
+    file_sentence,
+    is_of_a_file,
+    kept_notes,
+)
 
 COMMANDS = {
     "speed": "speed:Speed",
@@ -72,12 +78,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parse(arguments).run()
     except InputError as error:
         return _fail(2, f"error: {error}")
-    except (PermissionError, NotADirectoryError, IsADirectoryError) as error:
-        return _fail(2, f"error: {error.filename}: {error.strerror}")
+    except OSError as error:
+        if not is_of_a_file(error):
+            raise
+        return _fail(2, f"error: {file_sentence(error)}; {kept_notes(error)}".removesuffix("; "))
     except SimulationError as error:
         return _fail(3, f"simulation failed: {error}")
-    except KeyboardInterrupt:
-        return 130
+    except KeyboardInterrupt as error:
+        return _fail(130, f"interrupted; {kept_notes(error) or 'nothing is kept'}")
     return 0
 
 

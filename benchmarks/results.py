@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.benchmarks.page import benchmark_page, flat
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import require_growable
 from taccel_lab.report.html import format_number
@@ -101,15 +101,11 @@ class ResultFile:
 
     @contextmanager
     def finishing(self) -> Iterator[ResultFile]:
-        """Mark the file complete at the end, unless the budget ended it; on Ctrl-C say what is
-        kept."""
-        try:
+        """Mark the file complete at the end, unless the budget ended it; what ends it before is
+        told what is kept."""
+        what = "{} finished rows stay in {}".format
+        with keeping(lambda: what(len(self.rows), self.path) if self.rows else ""):
             yield self
-        except KeyboardInterrupt:
-            if self.rows:
-                self.write()
-            note(f"interrupted; {len(self.rows)} finished rows are in {self.path}")
-            raise
         self._document["complete"] = not self.deadline.stopped
         self.write()
         page = self.path.with_suffix(".html")

@@ -24,9 +24,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
-from taccel_lab.errors import InputError, InputWarning, SimulationError
+from taccel_lab.errors import (
+    InputError,
+    InputWarning,
+    SimulationError,
+    causes,
+    file_sentence,
+    is_of_a_file,
+    kept_notes,
+)
 from taccel_lab.printable import readable
 
 OLD_NAMES = {"import-step": "import-gel"}
@@ -184,11 +192,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python looks for garbage in circles once more when the process ends, which takes half a
         # second of all that a press has loaded: memory goes back whole.
         atexit.register(gc.freeze)
-    try:
-        with _terminable(), _rarely_collected():
-            _run(sys.argv[1:] if arguments is None else arguments)
-    except BaseException as error:
-        return _exit_code(error)
+    with _interruptible(last=arguments is None):
+        try:
+            with _rarely_collected():
+                _run(sys.argv[1:] if arguments is None else arguments)
+        except BaseException as error:
+            return _exit_code(error)
     return 0
 
 
@@ -227,11 +236,11 @@ def _exit_code(error: BaseException) -> int:
         if isinstance(error.__context__, BrokenPipeError):  # rich says 1 for it.
             return 141
         raise error
-    chain = list(_chain(error))
-    if any(isinstance(one, _Terminated) for one in chain):
-        return _fail(143, "terminated; partial output removed")
-    if any(isinstance(one, KeyboardInterrupt) for one in chain):
-        return _fail(130, "interrupted; partial output removed")
+    notes = kept_notes(error)
+    if _is_one_of(_Terminated, error):
+        return _fail(143, f"terminated; {notes or 'partial output removed'}")
+    if _is_one_of(KeyboardInterrupt, error):
+        return _fail(130, f"interrupted; {notes or 'partial output removed'}")
     if isinstance(error, InputError):
         return _fail(2, f"error: {error}")
     if isinstance(error, SimulationError):
@@ -240,41 +249,52 @@ def _exit_code(error: BaseException) -> int:
         # Whoever read the output, such as `head`, has enough of it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    if isinstance(error, OSError) and error.errno is not None:
-        # Of a copy the second name is that of what is written.
-        name = error.filename if error.filename2 is None else error.filename2
-        named = "" if name is None else f"{os.fsdecode(name)}: "
-        return _fail(2, f"error: {named}{error.strerror}")
+    if is_of_a_file(error):
+        return _fail(2, f"error: {file_sentence(error)}{notes and f'; {notes}'}")
     raise error
 
 
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """An exception and those that it came of: what interrupts the load of a library, such as the
-    CAD kernel, comes out as ImportError or RuntimeError."""
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
+def _is_one_of(kind: type[BaseException], error: BaseException | None) -> bool:
+    """Whether an exception is of a kind, or came of one."""
+    return any(isinstance(one, kind) for one in causes(error))
 
 
 class _Terminated(BaseException):
     """SIGTERM, as a batch system sends it before it kills: what is unfinished is cleared away."""
 
 
+_UNWINDING: dict[int, type[BaseException]] = {
+    signal.SIGINT: KeyboardInterrupt,
+    signal.SIGTERM: _Terminated,
+}
+
+
+def _unwind(number: int, _: object) -> None:
+    """Unwind the command, once: while that clears up, further signals change nothing."""
+    if not any(_is_one_of(kind, sys.exception()) for kind in _UNWINDING.values()):
+        raise _UNWINDING[number]
+
+
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM unwind the command as Ctrl-C does; only the main thread may."""
+def _interruptible(last: bool) -> Iterator[None]:
+    """Let SIGTERM unwind the command as Ctrl-C does; only the main thread may.
 
-    def unwind(*_: object) -> NoReturn:
-        raise _Terminated
-
+    ``last``: whether the process ends with the command, so that no signal disturbs its end.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    earlier = signal.signal(signal.SIGTERM, unwind)
+    earlier = {
+        number: signal.signal(number, _unwind)
+        for number in _UNWINDING
+        # One that a shell has a command in the background ignore stays so.
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, earlier)
+        for number, handler in earlier.items():
+            signal.signal(number, signal.SIG_IGN if last else handler)
 
 
 @contextmanager

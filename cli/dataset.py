@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError, SimulationError, naming
+from taccel_lab.errors import InputError, SimulationError, keeping, naming
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,6 +59,7 @@ class DatasetMake:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, working
+        from taccel_lab.datasets.folder import ABOUT
         from taccel_lab.datasets.plan import DatasetPlan
         from taccel_lab.datasets.spec import load_spec
         from taccel_lab.files.inner_path import real_path
@@ -87,14 +88,13 @@ class DatasetMake:
         if self.check_only:
             return
         root = self.out or Path("out") / self.spec.stem
-        try:
+
+        def what() -> str:
+            kept = f"what is finished stays in {root}; go on with: {self._again(root)}"
+            return kept if self.write and (root / ABOUT).is_file() else ""
+
+        with keeping(what):
             outcome = self._make(plan, root if self.write else None, shard, console)
-        except KeyboardInterrupt:
-            console.print(
-                f"interrupted; finished parts are kept. Go on with:\n  {self._again(root)}",
-                soft_wrap=True,
-            )
-            raise SystemExit(130) from None
         self._conclude(console, outcome, root)
 
     def _make(

@@ -55,7 +55,7 @@ class Demo:
         options = PressOptions(self.depth_mm, indenter=DEMO_INDENTER, at_mm=DEMO_AT_MM)
         # What can be rejected is rejected before minutes of work.
         PressPlan.of(base_profile(None, folder), options)
-        with kept_blocks(console, self.out) as unfinished, atomic_directory(self.out) as staging:
+        with kept_blocks(self.out) as unfinished, atomic_directory(self.out) as staging:
             with stage_progress(console) as progress:
                 found = calibrate(folder, only=self.only, progress=progress, unfinished=unfinished)
             with working(console, "writing the reports"):

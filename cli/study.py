@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError, SimulationError, keeping
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -112,11 +112,17 @@ class StudyCommand:
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
+        from taccel_lab.studies.study_folder import StudyFolder
 
         console = notes()
         study = plan_study(file, self.accuracy)
         root = self.out or Path("out") / file.stem
-        try:
+
+        def what() -> str:
+            kept = f"what is finished stays in {root}; go on with: {self._again(file, root)}"
+            return kept if StudyFolder(root).is_study() else ""
+
+        with keeping(what):
             if self.report_only:
                 outcome = read_outcome(study, root)
             else:
@@ -133,12 +139,6 @@ class StudyCommand:
                 return
             with working(console, "writing the report"):
                 values = write_study_report(outcome)
-        except KeyboardInterrupt:
-            console.print(
-                f"interrupted; finished designs are kept. Go on with:\n  {self._again(file, root)}",
-                soft_wrap=True,
-            )
-            raise SystemExit(130) from None
         self._conclude(console, outcome, values, root, self._again(file, root))
 
     def _again(self, file: Path, root: Path) -> str:

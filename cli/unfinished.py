@@ -7,20 +7,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from taccel_lab.errors import keeping
 
 
 @contextmanager
-def kept_blocks(console: Console, folder: Path) -> Iterator[Path]:
-    """The place beside ``folder``; whoever interrupts learns what is kept there."""
+def kept_blocks(folder: Path) -> Iterator[Path]:
+    """The place beside ``folder``; what ends the command early is told what is kept there."""
     beside = Path(os.path.abspath(folder))  # "." has no name.
     unfinished = beside.with_name(f"{beside.name}_unfinished")
-    try:
+
+    def what() -> str:
+        kept = f"finished blocks stay in {unfinished}, where the same command continues"
+        return kept if unfinished.exists() else ""
+
+    with keeping(what):
         yield unfinished
-    except KeyboardInterrupt:
-        if unfinished.exists():
-            console.print(f"finished blocks are kept: the same command continues in {unfinished}")
-        raise

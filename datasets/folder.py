@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.file_lock import hold
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.json_file import read_json
@@ -175,8 +175,7 @@ class DatasetFolder:
         for name in (EPISODES, STEPS):
             table = self.gathered(name)
             if table is not None:
-                with atomic_file(self.root / name) as staging:
-                    staging.write_bytes(_index_bytes(table))
+                write_bytes(self.root / name, _index_bytes(table))
 
     def gathered(self, name: str) -> Any:
         """A table of all parts that are there as one, None without parts; InputError for a damaged

@@ -275,8 +275,6 @@ def _run(
         lost = []
         for event in pool.run(groups):
             if isinstance(event, Finished):
-                if isinstance(event.result, OSError):
-                    raise event.result
                 yield from map(counted, event.result)
             elif isinstance(event, Died):
                 lost.append(event)
@@ -327,15 +325,12 @@ def _in_process(
     device: str,
     parts: tuple[DatasetPart, ...],
     progress: Progress,
-) -> list[Done] | OSError:
-    """Make parts in a process of a pool. An error of the disk is handed back, for the caller."""
+) -> list[Done]:
+    """Make parts in a process of a pool."""
     key = f"{base}\n{spec.model_dump_json()}"
     if key not in _plans:
         _plans[key] = DatasetPlan(spec, base, physics)
     plan = _plans[key]
     folder = None if root is None else DatasetFolder(root)
     made = simulate_parts(plan, parts, device, progress)
-    try:
-        return [_finish(plan, data, folder) for data in made]
-    except OSError as error:
-        return error
+    return [_finish(plan, data, folder) for data in made]

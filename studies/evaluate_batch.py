@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError, SimulationError, is_of_a_file
 from taccel_lab.progress import Progress, silent
 from taccel_lab.studies.design_batch import DesignBatch
 from taccel_lab.studies.design_files import write_design_files
@@ -26,7 +26,7 @@ def evaluate_batch(
 
     When a batch raises, its designs go one by one, so that only the one to blame is lost: an
     ``InputError`` or ``SimulationError`` makes a failed row, any other error a broken one with its
-    traceback beside it.
+    traceback beside it. A full disk and the like are no design's fault: they are raised.
     """
     folder = StudyFolder(root)
     for design in batch.designs:
@@ -45,6 +45,8 @@ def evaluate_batch(
         if missing := [design.id for design in batch.designs if design.id not in found]:
             raise RuntimeError(f"the evaluation left out {', '.join(missing)}")
     except Exception as error:
+        if is_of_a_file(error):
+            raise
         if len(batch.designs) > 1:
             for single in batch.one_by_one():
                 evaluate_batch(study, root, device, single, progress)
@@ -69,6 +71,8 @@ def _row(folder: StudyFolder, study: Study, batch: DesignBatch, result: DesignFi
         name = study.name_of(row.parameters)
         files, causes = write_design_files(folder, result, study.spec.output, name)
     except Exception as error:
+        if is_of_a_file(error):
+            raise
         files, causes = {}, {"files": _note(folder, row.id, error)}
     return replace(row, files=files, causes={**row.causes, **causes})
 

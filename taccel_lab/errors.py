@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeGuard
 
 from taccel_lab.printable import readable
 
@@ -38,6 +40,43 @@ def naming(source: object) -> Iterator[None]:
         if readable(str(source)) in str(error):
             raise
         raise InputError(f"{source}: {error}") from None
+
+
+@contextmanager
+def keeping(what: Callable[[], str]) -> Iterator[None]:
+    """Note ``what`` stays for the same command to go on with, unless it is empty, on whatever ends
+    the block early: the command line says it of interrupts and of files that cannot be written."""
+    try:
+        yield
+    except BaseException as error:
+        if words := what():
+            error.add_note(words)
+        raise
+
+
+def kept_notes(error: BaseException) -> str:
+    """What was noted of state that stays, see ``keeping``; by what the error came of, too."""
+    found = [note for one in causes(error) for note in getattr(one, "__notes__", ())]
+    return "; ".join(dict.fromkeys(found))
+
+
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """An exception and those that it came of: what interrupts the load of a library, such as the
+    CAD kernel, comes out as ImportError or RuntimeError."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def is_of_a_file(error: BaseException | None) -> TypeGuard[OSError]:
+    """Whether the system says why a file cannot be read or written, as on a full disk."""
+    return isinstance(error, OSError) and error.errno is not None
+
+
+def file_sentence(error: OSError) -> str:
+    """Which file, and what the system says of it; of a copy, that which is written."""
+    name = error.filename if error.filename2 is None else error.filename2
+    return f"{error.strerror}" if name is None else f"{os.fsdecode(name)}: {error.strerror}"
 
 
 class SimulationError(RuntimeError):

@@ -16,8 +16,14 @@ import numpy as np
 
 from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
-from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import content_id, write_json
+from taccel_lab.errors import InputError, keeping
+from taccel_lab.files.atomic_file import (
+    content_id,
+    errors_named,
+    parents_made,
+    write_bytes,
+    write_json,
+)
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.progress import Progress, silent
@@ -82,8 +88,36 @@ def read_recorded(
     kept_path = out.parent / f".{out.name}.readings.jsonl"
     key = content_id(recipe)
     rows = _kept(kept_path, key)
+
+    def what() -> str:
+        if not rows:
+            kept_path.unlink(missing_ok=True)
+            return ""
+        of = f"{len(rows)} of {recording.count()} frames"
+        return f"rows of {of} stay in {kept_path}, and the same command goes on with them"
+
+    with parents_made(out), keeping(what):
+        with errors_named(kept_path, out):
+            _read_further(recording, reader, rows, kept_path, key, progress)
+        if all(row["refused"] for row in rows):
+            kept_path.unlink()
+            raise InputError(f"no frame of {recording.source} can be read: {rows[0]['refused']}")
+        _write(recording, rows, out)
+    kept_path.unlink()
+    return rows
+
+
+def _read_further(
+    recording: Recording,
+    reader: LiveReader,
+    rows: list[dict[str, Any]],
+    kept_path: Path,
+    key: str,
+    progress: Progress,
+) -> None:
+    """Read the frames behind ``rows``: each one's row goes to the file that keeps them, then to
+    ``rows``."""
     before, total = len(rows), recording.count()
-    out.parent.mkdir(parents=True, exist_ok=True)
     with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
         if not before:
             kept.write(json.dumps({"key": key}) + "\n")
@@ -96,13 +130,13 @@ def read_recorded(
                 continue
             row = {"frame": number, "name": frame.name, "time_s": frame.time_s}
             row |= _row(reader, frame)
-            rows.append(row)
             kept.write(json.dumps(row) + "\n")
             kept.flush()
+            rows.append(row)
             progress("reading frames", number + 1, total)
-    if all(row["refused"] for row in rows):
-        kept_path.unlink()
-        raise InputError(f"no frame of {recording.source} can be read: {rows[0]['refused']}")
+
+
+def _write(recording: Recording, rows: list[dict[str, Any]], out: Path) -> None:
     with atomic_directory(out) as folder:
         (folder / "readings.csv").write_text(_table(rows), encoding="utf-8")
         write_json(
@@ -115,8 +149,6 @@ def read_recorded(
             },
         )
         save_figure(draw_recorded(rows), folder / "readings.png")
-    kept_path.unlink()
-    return rows
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
@@ -138,7 +170,8 @@ def _kept(path: Path, key: str) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     if not path.is_file():
         return rows
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+    text = path.read_text(encoding="utf-8", errors="replace")
+    lines = text.splitlines(keepends=True)
     try:
         if json.loads(lines[0]) != {"key": key}:
             return []
@@ -150,7 +183,9 @@ def _kept(path: Path, key: str) -> list[dict[str, Any]]:
     except (ValueError, IndexError, KeyError, TypeError):
         pass
     whole = [json.dumps({"key": key}), *map(json.dumps, rows)]
-    path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
+    sound = "".join(f"{line}\n" for line in whole)
+    if sound != text:
+        write_bytes(path, sound.encode())
     return rows
 
 

@@ -41,23 +41,24 @@ class CalibrateAll(CalibrationFiles):
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.cli.console import notes, print_json, results, working
         from taccel_lab.cli.unfinished import kept_blocks
+        from taccel_lab.profile.io import profile_saved
         from taccel_lab.progress import stage_progress
 
         console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        with kept_blocks(console, report) as unfinished, stage_progress(console) as progress:
-            found = calibrate(
-                self.captures,
-                self.base,
-                self.only,
-                self._options(),
-                progress=progress,
-                unfinished=unfinished,
-            )
-        with working(console, "writing the reports"):
-            found.write_report(report)
-        found.save(self.out)
+        with kept_blocks(report) as unfinished:
+            with stage_progress(console) as progress:
+                found = calibrate(
+                    self.captures,
+                    self.base,
+                    self.only,
+                    self._options(),
+                    progress=progress,
+                    unfinished=unfinished,
+                )
+            with working(console, "writing the reports"), profile_saved(found.profile, self.out):
+                found.write_report(report)
         if found.unfinished is not None:
             found.unfinished.remove()
         _print_remarks(console, found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -139,15 +140,21 @@ def write_results(
     """Save the extended profile and the report, say the verdict with its remarks, and give the
     figures on standard output: as JSON, or the page's summary and first table."""
     from taccel_lab.cli.console import print_json, results
-    from taccel_lab.profile import save_profile
+    from taccel_lab.files.atomic_file import atomic_file
+    from taccel_lab.profile.io import profile_saved
     from taccel_lab.report.page import write_page
     from taccel_lab.report.remark import judge
 
     files = files or {}
-    save_profile(profile, out)
-    write_page(page, report)
-    for path, write in files.items():
-        write(path)
+    # All of it is on disk before anything of it takes the place of an earlier one.
+    with ExitStack() as stack:
+        stack.enter_context(profile_saved(profile, out))
+        beside = {path: write for path, write in files.items() if report not in path.parents}
+        for path, write in beside.items():
+            write(stack.enter_context(atomic_file(path)))
+        write_page(page, report)
+        for path in files.keys() - beside.keys():
+            files[path](path)
     for remark in result.remarks:
         say.notes.print(str(remark))
     say.notes.print(f"verdict: {judge(result.remarks)}")

@@ -38,7 +38,7 @@ class CalibrateForce(ForceOptions):
     def run(self) -> None:
         from taccel_lab.cli.console import notes
         from taccel_lab.datasets.reading import Dataset
-        from taccel_lab.errors import InputError
+        from taccel_lab.errors import InputError, keeping
         from taccel_lab.learning.force.fit import calibrate_force
         from taccel_lab.learning.force.force_page import force_page
         from taccel_lab.learning.force.training_file import TrainingFile
@@ -62,15 +62,9 @@ class CalibrateForce(ForceOptions):
             console.print(words, soft_wrap=True)
 
         kept = TrainingFile.beside(self.out, say)
-        try:
+        with keeping(kept.what_stays):
             with stage_progress(console) as progress:
                 result = calibrate_force(self.datasets, base, self, progress, kept)
-        except KeyboardInterrupt:
-            if kept.step is None:
-                say("interrupted before anything of the training was kept")
-            else:
-                say(f"interrupted; the same command continues after step {kept.step:,}")
-            raise SystemExit(130) from None
-        profile, say_it = result.apply_to(base), Sayings("force", console, self.json)
-        write_results(result, force_page(result), profile, self.out, report, say_it)
+            profile, say_it = result.apply_to(base), Sayings("force", console, self.json)
+            write_results(result, force_page(result), profile, self.out, report, say_it)
         kept.remove()

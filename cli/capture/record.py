@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from taccel_lab.cli.camera_options import CameraFlags
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, keeping
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,6 +76,15 @@ class _Session(CameraFlags):
         console = notes()
 
         with ExitStack() as stack, open_record(self.out, facts, made) as folder:
+
+            def what() -> str:
+                kept = (
+                    f"{self.out} stays with {len(folder.presses)} of {wanted} presses, and the "
+                    "same command continues it"
+                )
+                return "" if folder.background is None else kept
+
+            stack.enter_context(keeping(what))
             recorder = Recorder(folder, facts, wanted)
             watchers: list[Watcher] = [_Lines(console)]
             if quick:
@@ -97,16 +106,6 @@ class _Session(CameraFlags):
                 )
             except CameraLostError as error:
                 raise InputError(str(error)) from None
-            except BaseException as error:
-                # Whatever ends it, what was taken stays.
-                if folder.background is not None:
-                    console.print(
-                        f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is "
-                        "whole, and the same command continues it",
-                    )
-                if isinstance(error, KeyboardInterrupt):
-                    raise SystemExit(130) from None
-                raise
         self._report(status, quick, folder.out_of_step)
 
     def _facts(self, quick: bool) -> RecordFacts:

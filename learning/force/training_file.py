@@ -93,6 +93,12 @@ class TrainingFile:
         write_by(self.path, partial(torch.save, kept))
         self.step, self._saved = step, time.monotonic()
 
+    def what_stays(self) -> str:
+        """Words for what an interrupt leaves; empty where nothing is kept."""
+        if self.step is None:
+            return ""
+        return f"{self.path} stays, and the same command continues after step {self.step:,}"
+
     def remove(self) -> None:
         """Drop the state, when what was trained is written."""
         self.path.unlink(missing_ok=True)

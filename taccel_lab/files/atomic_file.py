@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.errors import is_of_a_file
+
 
 @contextmanager
 def atomic_file(target: Path | str) -> Iterator[Path]:
@@ -35,12 +37,11 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         os.close(fd)
         staging = Path(name)
         try:
-            yield staging
-            # Temporary files are their owner's alone; results are for the group, too.
-            staging.chmod(0o644)
-            os.replace(staging, target)
-        except OSError as error:
-            raise named_error(error, staging, target) from None
+            with errors_named(staging, target):
+                yield staging
+                # Temporary files are their owner's alone; results are for the group, too.
+                staging.chmod(0o644)
+                os.replace(staging, target)
         finally:
             staging.unlink(missing_ok=True)
 
@@ -64,15 +65,23 @@ def parents_made(target: Path) -> Iterator[None]:
         raise
 
 
-def named_error(error: OSError, staging: Path, target: Path) -> OSError:
-    """``error`` by the name that somebody gave where it has none, or one at or below ``staging``:
-    Python tells of a full disk without a name, and copying by those of both files."""
-    names = [name for name in (error.filename, error.filename2) if name is not None]
-    places = [Path(os.fsdecode(name)) for name in names]
-    elsewhere = not any(staging in (place, *place.parents) for place in places)
-    if error.errno is None or (places and elsewhere):
-        return error
-    return OSError(error.errno, error.strerror, str(target))
+@contextmanager
+def errors_named(staging: Path, target: Path) -> Iterator[None]:
+    """Tell errors of files by the name that somebody gave, ``target``, where they have none, or one
+    at or below ``staging``: Python tells of a full disk without a name, and copying by those of
+    both files."""
+    try:
+        yield
+    except OSError as error:
+        names = [name for name in (error.filename, error.filename2) if name is not None]
+        places = [Path(os.fsdecode(name)) for name in names]
+        inside = any(staging in (place, *place.parents) for place in places)
+        if not is_of_a_file(error) or (places and not inside):
+            raise
+        named = OSError(error.errno, error.strerror, str(target))
+        for note in getattr(error, "__notes__", ()):
+            named.add_note(note)
+        raise named from None
 
 
 def write_by(path: Path | str, write: Callable[[io.BytesIO], object]) -> None:
@@ -83,8 +92,13 @@ def write_by(path: Path | str, write: Callable[[io.BytesIO], object]) -> None:
     """
     memory = io.BytesIO()
     write(memory)
+    write_bytes(path, memory.getbuffer())
+
+
+def write_bytes(path: Path | str, data: bytes | memoryview) -> None:
+    """Write a file whole or not at all."""
     with atomic_file(path) as staging:
-        staging.write_bytes(memory.getbuffer())
+        staging.write_bytes(data)
 
 
 def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:
@@ -97,8 +111,7 @@ def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> 
     done, data = cv2.imencode(path.suffix, bgr, list(parameters))
     if not done:
         raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {bgr.shape}")
-    with atomic_file(path) as staging:
-        staging.write_bytes(data.data)
+    write_bytes(path, data.data)
 
 
 def to_jsonable(value: Any) -> Any:

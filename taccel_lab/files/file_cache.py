@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, Generic, TypeVar
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable, write_bytes
 from taccel_lab.processes.cache_place import CACHE_VARIABLE, cache_folder
 
 LARGEST_BYTES = 1 << 30
@@ -107,8 +107,7 @@ def keep_file(what: str, path: Path) -> Path:
 
 def _write(what: str, path: Path, data: bytes) -> None:
     try:
-        with atomic_file(path) as staging:
-            staging.write_bytes(data)
+        write_bytes(path, data)
     except OSError as error:
         raise InputError(
             f"cannot write the cache of {what} {path.parent} ({error.strerror}); set "

@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import named_error, parents_made
+from taccel_lab.files.atomic_file import errors_named, parents_made
 from taccel_lab.files.exchange import exchange
 from taccel_lab.files.inner_path import (
     real_path,
@@ -90,14 +90,15 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
     _recover(target)
     may_replace = check or _require_own
     may_replace(target)
-    with parents_made(target), _staging(target) as staging:
-        try:
-            yield staging
-            if check is None:
-                write_marker(staging)
-            _put(staging, target, may_replace)
-        except OSError as error:
-            raise named_error(error, staging, target) from None
+    with (
+        parents_made(target),
+        _staging(target) as staging,
+        errors_named(staging, target),
+    ):
+        yield staging
+        if check is None:
+            write_marker(staging)
+        _put(staging, target, may_replace)
 
 
 def _folder_path(target: Path | str) -> Path:

@@ -18,6 +18,10 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
+_PARENTS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
+"""Ctrl-C is the parent's, and so is what a batch system sends to all processes of a job: a child
+that died of it would look as if its work had killed it."""
+
 Serve = Callable[..., None]
 """What a child runs: a function of a module, called with the pipe and the given arguments."""
 
@@ -48,14 +52,19 @@ class ChildProcess:
             f"from taccel_lab.processes.child_process import _main; "
             f"_main({theirs.fileno()}, {os.getpid()}, {memory_bytes!r})"
         )
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", start],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL if quiet else None,
-            stderr=subprocess.DEVNULL if quiet else None,
-            pass_fds=[theirs.fileno()],
-            env={**os.environ, **(environment or {})},
-        )
+        # Blocked from its first moment on: a child that is still loading would die of Ctrl-C.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _PARENTS)
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", start],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL if quiet else None,
+                stderr=subprocess.DEVNULL if quiet else None,
+                pass_fds=[theirs.fileno()],
+                env={**os.environ, **(environment or {})},
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         try:
             self.pipe.send((serve, arguments))
@@ -76,9 +85,7 @@ class ChildProcess:
 
 
 def _main(handle: int, parent: int, memory_bytes: int | None) -> None:
-    # Ctrl-C is the parent's, and so is what a batch system sends to all processes of a job: a
-    # child that died of it would look as if its work had killed it.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+    for number in _PARENTS:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
     if memory_bytes is not None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Generic, Self, TypeVar
 
+from taccel_lab.errors import is_of_a_file
 from taccel_lab.processes.child_process import ChildProcess
 from taccel_lab.progress import Progress, silent
 
@@ -84,7 +85,11 @@ class ProcessPool(Generic[Item, Result]):
     def run(
         self, items: Iterable[Item]
     ) -> Generator[Finished[Item, Result] | Died[Item] | Underway, None, None]:
-        """Work off items in order; yields what happens, as it happens."""
+        """Work off items in order; yields what happens, as it happens.
+
+        Raises:
+            OSError: The work's own, in any process: a full disk ends no process, but all of it.
+        """
         if not self._processes:
             for item in items:
                 yield Finished(item, self._work(item, silent))
@@ -146,6 +151,8 @@ class _Worker(Generic[Item, Result]):
             kind, content = self.pipe.recv()
         except (EOFError, ConnectionResetError):
             return Died(self.item, f"the process {self.child.cause_of_death()}")
+        if kind == "error":
+            raise content
         if kind == "result":
             return Finished(self.item, content)
         return Underway(self.number, *content)
@@ -171,4 +178,10 @@ def _serve(pipe: Connection, packed: bytes) -> None:
 
     while True:
         item = pipe.recv()
-        pipe.send(("result", work(item, tell)))
+        try:
+            answer = "result", work(item, tell)
+        except OSError as error:
+            if not is_of_a_file(error):
+                raise
+            answer = "error", error
+        pipe.send(answer)

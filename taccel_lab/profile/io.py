@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -69,10 +70,21 @@ def save_profile(
     An earlier profile there is replaced; a folder that holds anything else is rejected. With
     ``only``, blocks of these keys alone are written: ``load_profile`` needs ``onto`` for them.
     """
+    with profile_saved(profile, path, only):
+        pass
+
+
+@contextmanager
+def profile_saved(
+    profile: SensorProfile, path: Path | str, only: Collection[str] | None = None
+) -> Iterator[None]:
+    """Write ``profile`` as ``save_profile`` does, where it stands when the block has ended without
+    an error: what is written in the block stands with it, or neither does."""
     path = Path(path)
     require_profile_folder(path)
     with atomic_directory(path, check=require_profile_folder) as staging:
         _write(profile, staging, only)
+        yield
 
 
 def _write(profile: SensorProfile, folder: Path, only: Collection[str] | None) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.report.html import data_url, image_suffix, report_environment
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
@@ -147,7 +147,7 @@ def write_page_into(page: Page, folder: Path) -> None:
     images = {}
     for picture in page.pictures:
         drawn = _drawn(picture)
-        (folder / f"{picture.name}{image_suffix(drawn)}").write_bytes(drawn)
+        write_bytes(folder / f"{picture.name}{image_suffix(drawn)}", drawn)
         images[picture.name] = data_url(drawn)
     for name, write in page.files.items():
         write(folder / name)

@@ -180,7 +180,7 @@ def test_what_was_taken_is_told_whatever_ends_it(
 
     monkeypatch.setattr(RecordFolder, "add_press", full)
     said = cli.refusal(*RECORD, *FACTS)
-    assert "stopped at 0 of" in said and "out is whole, and the same command continues it" in said
+    assert "out stays with 0 of" in said and "and the same command continues it" in said
     assert "No space left" in said
 
 

@@ -89,7 +89,8 @@ def test_interruption_says_how_to_go_on(
 ) -> None:
     use(monkeypatch, stopped)
     told = cli("study", file, "--out", "out", code=130).err
-    assert f"Go on with:\n  taccel-lab study {file} --out out" in told
+    kept = f"what is finished stays in out; go on with: taccel-lab study {file} --out out"
+    assert f"interrupted; {kept}\n" in told
     assert len((file.parent / "out" / "designs.csv").read_text().splitlines()) == 2
     use(monkeypatch, evaluate)
     cli("study", file, "--out", "out")

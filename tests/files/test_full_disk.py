@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 
 
@@ -27,8 +28,8 @@ def test_a_full_disk_says_so_and_loses_nothing(small_drive: Path, how: str) -> N
         if how == "file":
             (folder / "a.txt").write_bytes(bytes(1_000_000))
         else:
-            # numpy's own error has neither the number nor the name.
-            np.save(folder / "a.npy", np.zeros(1_000_000))
+            # numpy of its own tells neither the number nor the name.
+            write_by(folder / "a.npy", lambda file: np.save(file, np.zeros(1_000_000)))
     assert raised.value.errno == errno.ENOSPC
     assert raised.value.filename == str(target)
     after = {path: path.is_file() and path.read_bytes() for path in small_drive.rglob("*")}
