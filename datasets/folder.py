@@ -27,7 +27,13 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
+from taccel_lab.files.atomic_file import (
+    atomic_file,
+    errors_named,
+    parents_made,
+    write_bytes,
+    write_json,
+)
 from taccel_lab.files.file_lock import hold
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.json_file import read_json
@@ -126,12 +132,23 @@ class DatasetFolder:
 
     @contextmanager
     def locked(self, shard: str) -> Iterator[None]:
-        """Hold a shard; raises InputError while another run does. It ends with the process."""
-        self.root.mkdir(parents=True, exist_ok=True)
-        with open(self.root / f"{LOCK}{shard.replace('/', '-of-')}", "a+") as marker:
+        """Hold a shard; raises InputError while another run does. It ends with the process.
+
+        Where the block fails before anything of the data set is there, nothing is left."""
+        path = self.root / f"{LOCK}{shard.replace('/', '-of-')}"
+        with (
+            parents_made(path),
+            errors_named(path, self.root),
+            open(path, "a+") as marker,
+        ):
             busy = f"another run makes shard {shard} in {self.root}"
             hold(marker, busy, "wait for its end or choose another shard")
-            yield
+            try:
+                yield
+            except BaseException:
+                if not (self.root / ABOUT).is_file():
+                    path.unlink(missing_ok=True)
+                raise
 
     def part(self, part: DatasetPart) -> Path:
         """Folder of a part."""

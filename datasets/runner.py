@@ -7,19 +7,21 @@ import functools
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.folder import PARTS, DatasetFolder
 from taccel_lab.datasets.part import PartData, part_data, write_part
 from taccel_lab.datasets.plan import NOISE_KEY, DatasetPart, DatasetPlan
 from taccel_lab.datasets.simulate import TouchBench, simulate_touches
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.output_folder import sweep_up
 from taccel_lab.presses import PressPhysics
 from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, usable_cores
 from taccel_lab.progress import Progress
@@ -229,11 +231,15 @@ def make_dataset(
         there = len(sound)
         outcome = DatasetOutcome(folder.root, len(parts), there, [], 0.0, device, processes)
         try:
-            for done in _run(
+            run = _run(
                 plan, missing[:limit], folder, device, processes, len(parts), there, listener, begun
-            ):
-                outcome.done.append(done)
+            )
+            with closing(run):
+                for done in run:
+                    outcome.done.append(done)
         finally:
+            # Processes that an error or Ctrl-C ended may have been writing.
+            sweep_up(folder.root / PARTS)
             outcome.seconds = time.perf_counter() - begun
             if outcome.done or there:
                 folder.write_index()
@@ -254,7 +260,7 @@ def _run(
     there: int,
     listener: Listener,
     begun: float,
-) -> Iterator[Done]:
+) -> Generator[Done, None, None]:
     steps = 0
 
     def counted(done: Done) -> Done:

@@ -81,7 +81,11 @@ class StudyFolder:
             hold(marker, f"another run works in {self.root}", advice, shared=shared)
             if shard is None:
                 self._sweep_up()
-                yield
+                try:
+                    yield
+                finally:
+                    # Processes that an error or Ctrl-C ended may have been writing.
+                    self._sweep_up()
                 return
             self.designs.mkdir(exist_ok=True)
             own = self.root / f".shard_{shard.number}_of_{shard.count}"
@@ -91,9 +95,10 @@ class StudyFolder:
                 yield
 
     def _sweep_up(self) -> None:
-        """Remove temporary files of a run that was killed while it wrote."""
+        """Remove temporary files of processes that were ended while they wrote."""
         self.designs.mkdir(exist_ok=True)
-        for pattern in (".designs.*", "designs/*/.*", "meshes/.*", "steps/.*"):
+        names = (".designs.*", ".report.*", "designs/*/.*", "figures/.*", "meshes/.*", "steps/.*")
+        for pattern in names:
             for path in self.root.glob(pattern):
                 if path.is_file():
                     path.unlink()

@@ -15,7 +15,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -37,6 +37,8 @@ from taccel_lab.files.output_marker import (
 
 _TRIES = 100
 """How often others may come first before a folder is given up."""
+_HIDDEN = ".taccel-lab-"
+_NEW = _HIDDEN + "new-"
 _OVERTAKEN = {errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST}
 """What renames answer when somebody else was first."""
 
@@ -225,7 +227,7 @@ def _require_writable(target: Path, beside: bool = True) -> None:
 def _prefix(target: Path) -> str:
     """How the names of hidden folders beside ``target`` begin: "new-" follows for those that may
     be thrown away when nobody holds them, "earlier-" for what must come back."""
-    return f".{target.name}.taccel-lab-"
+    return f".{target.name}{_HIDDEN}"
 
 
 @contextmanager
@@ -350,10 +352,21 @@ def _recover(target: Path) -> None:
             for name in hidden:
                 if name.startswith(f"{prefix}earlier-") and _identity(target.parent / name):
                     _restore(target.parent / name, target)
-    for name in hidden:
-        with _lock(target.parent / name, wait=False) as locked:
-            if locked and name.startswith(f"{prefix}new-"):
-                _discard(target.parent / name)
+    _sweep(target.parent, [name for name in hidden if name.startswith(f"{prefix}new-")])
+
+
+def sweep_up(folder: Path) -> None:
+    """Clear away what processes that were ended left of outputs in ``folder``."""
+    with suppress(OSError):
+        names = os.listdir(folder)
+        _sweep(folder, [name for name in names if name.startswith(".") and _NEW in name])
+
+
+def _sweep(folder: Path, names: Sequence[str]) -> None:
+    for name in names:
+        with _lock(folder / name, wait=False) as locked:
+            if locked:
+                _discard(folder / name)
 
 
 def _restore(earlier: Path, target: Path) -> None:
