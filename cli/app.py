@@ -238,9 +238,12 @@ def _exit_code(error: BaseException) -> int:
         raise error
     notes = kept_notes(error)
     if _is_one_of(_Terminated, error):
-        return _fail(143, f"terminated; {notes or 'partial output removed'}")
+        return _fail(143, f"terminated; {notes or 'no partial output is left'}")
     if _is_one_of(KeyboardInterrupt, error):
-        return _fail(130, f"interrupted; {notes or 'partial output removed'}")
+        # Of one that came up through ``exec`` of a text, as dataclasses are made, Python would die
+        # at its end, whoever caught it; the next ``exec`` of a text lifts that.
+        exec("")
+        return _fail(130, f"interrupted; {notes or 'no partial output is left'}")
     if isinstance(error, InputError):
         return _fail(2, f"error: {error}")
     if isinstance(error, SimulationError):

@@ -289,7 +289,7 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
             (folder / "a.txt").write_text("old")
     before = sorted(path.name for path in tmp_path.rglob("*"))
     done = python(TERMINATED, out)
-    told = "terminated; partial output removed\n"
+    told = "terminated; no partial output is left\n"
     assert (done.returncode, done.stderr) == (143, told)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
