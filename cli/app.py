@@ -192,11 +192,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Python looks for garbage in circles once more when the process ends, which takes half a
         # second of all that a press has loaded: memory goes back whole.
         atexit.register(gc.freeze)
-    with _interruptible(last=arguments is None):
+    with _interruptible(last=arguments is None) as settle:
         try:
             with _rarely_collected():
                 _run(sys.argv[1:] if arguments is None else arguments)
+            settle()
         except BaseException as error:
+            # While the error is at hand, by which a second signal is known.
+            settle()
             return _exit_code(error)
     return 0
 
@@ -279,13 +282,14 @@ def _unwind(number: int, _: object) -> None:
 
 
 @contextmanager
-def _interruptible(last: bool) -> Iterator[None]:
+def _interruptible(last: bool) -> Iterator[Callable[[], None]]:
     """Let SIGTERM unwind the command as Ctrl-C does; only the main thread may.
 
-    ``last``: whether the process ends with the command, so that no signal disturbs its end.
+    Yields what says that the command is over. Where the process ends with it (``last``), no signal
+    disturbs that end.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield lambda: None
         return
     earlier = {
         number: signal.signal(number, _unwind)
@@ -293,11 +297,15 @@ def _interruptible(last: bool) -> Iterator[None]:
         # One that a shell has a command in the background ignore stays so.
         if signal.getsignal(number) is not signal.SIG_IGN
     }
-    try:
-        yield
-    finally:
+
+    def settle() -> None:
         for number, handler in earlier.items():
             signal.signal(number, signal.SIG_IGN if last else handler)
+
+    try:
+        yield settle
+    finally:
+        settle()
 
 
 @contextmanager

@@ -97,7 +97,11 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
         _staging(target) as staging,
         errors_named(staging, target),
     ):
+        before = _identity(staging)
         yield staging
+        # It is open all the time, so that its number goes to no other.
+        if _identity(staging) != before:
+            raise OSError(errno.ENOENT, "was removed while it was being written", str(staging))
         if check is None:
             write_marker(staging)
         _put(staging, target, may_replace)

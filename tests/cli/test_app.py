@@ -25,7 +25,7 @@ import pytest
 from taccel_lab.cli import app
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.cli.words import common_words
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError, SimulationError, keeping
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.version import __version__
 from tests.cli.conftest import Cli
@@ -292,6 +292,94 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
     told = "terminated; no partial output is left\n"
     assert (done.returncode, done.stderr) == (143, told)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+TWICE = """
+    import atexit, os, signal, sys
+    from taccel_lab.cli import app
+    from taccel_lab.files.output_folder import atomic_directory
+
+    def again():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    class Command:
+        def run(self):
+            with atomic_directory(sys.argv[1]) as folder:
+                try:
+                    (folder / "half.txt").write_text("half")
+                    os.kill(os.getpid(), signal.SIGINT)
+                finally:
+                    again()
+
+    atexit.register(again)
+    app.parse = lambda arguments: Command()
+    sys.exit(app.main())
+"""
+THROUGH_A_TEXT = """
+    import sys
+    from taccel_lab.cli import app
+
+    class Command:
+        def run(self):
+            exec("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+
+    app.parse = lambda arguments: Command()
+    sys.exit(app.main())
+"""
+SWALLOWED = """
+    import os, signal, sys
+    from contextlib import suppress
+    from taccel_lab.cli import app
+
+    class Command:
+        def run(self):
+            with suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+            print("not reached")
+
+    app.parse = lambda arguments: Command()
+    sys.exit(app.main())
+"""
+
+
+@pytest.mark.parametrize("code", [TWICE, THROUGH_A_TEXT, SWALLOWED])
+def test_further_signals_change_nothing_about_an_interrupt(code: str, tmp_path: Path) -> None:
+    """Neither while it clears up nor as the process ends; one that was lost is no first one."""
+    done = python(code, tmp_path / "new" / "out")
+    told = "interrupted; no partial output is left\n"
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", told)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted; rows stay in a"),
+        (app._Terminated(), 143, "terminated; rows stay in a"),
+        (OSError(28, "No space left on device", "b"), 2,
+         "error: b: No space left on device; rows stay in a"),
+        (OSError(28, "No space left on device", "read", None, "written"), 2,
+         "error: written: No space left on device; rows stay in a"),
+        (InputError("frame 3 is empty"), 2, "error: frame 3 is empty"),
+    ],
+)  # fmt: skip
+def test_what_stays_is_said(
+    error: BaseException,
+    code: int,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Keeps(Raises):
+        def run(self) -> None:
+            with keeping(lambda: ""), keeping(lambda: "rows stay in a"):
+                super().run()
+
+    monkeypatch.setattr(app, "parse", lambda arguments: Keeps(error))
+    assert app.main([]) == code
+    assert capsys.readouterr().err == f"{told}\n"
 
 
 LOADS_THE_KERNEL = """

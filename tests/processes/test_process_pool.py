@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 
+from taccel_lab.processes.child_process import ChildProcess
 from taccel_lab.processes.process_pool import Finished, ProcessPool, Underway, usable_cores
 from taccel_lab.progress import Progress
 
@@ -37,6 +40,35 @@ def test_signals_to_all_processes_of_a_job_are_the_parents(tmp_path: Path) -> No
             item.touch()
             last = next(events)
             assert isinstance(last, Finished) and last.result == int(first.what), number
+
+
+def full(item: str, told: Progress) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), item)
+
+
+@pytest.mark.parametrize("processes", [0, 1])
+def test_a_full_disk_is_no_process_that_died(
+    processes: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with ProcessPool(full, processes) as pool, pytest.raises(OSError) as told:
+        list(pool.run(["a", "b"]))
+    assert (told.value.errno, told.value.filename) == (errno.ENOSPC, "a")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def answer(pipe: Connection) -> None:
+    pipe.send("here")
+
+
+def test_signals_while_a_process_starts_are_the_parents() -> None:
+    child = ChildProcess(answer)
+    for _ in range(20):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(child._process.pid, number)
+        if child.pipe.poll(0.02):
+            break
+    assert child.pipe.poll(60) and child.pipe.recv() == "here"
+    child.end()
 
 
 def test_a_slurm_job_takes_the_cores_that_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
