@@ -25,7 +25,8 @@ from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.camera.gel_camera import face_of
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 
@@ -117,7 +118,7 @@ def color_model(grid: PixelGrid) -> ColorModel:
         input_scale=(0.6, 0.6, 0.15, 0.15, 0.03, 0.25),
     )
     weights = {}
-    for name, shape in expected_shapes(config).items():
+    for name, shape in config.weight_shapes().items():
         spread = 1.6 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.2
         weights[name] = rng.normal(0.0, spread, shape)
     return ColorModel(config, weights)

@@ -21,15 +21,14 @@ from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.normal_features import color_change
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.signals.normal_features import color_change, image_features
 from taccel_lab.signals.normal_model import (
     NormalMap,
     NormalModel,
-    expected_shapes,
     network,
     relative_normals,
 )
-from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.read_heights import read_heights
 from taccel_lab.signals.slope_integration import resting_height
 
@@ -98,12 +97,12 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
     rng = np.random.default_rng(3)
     images, light, tilts = presses(grid, 1)
     change = color_change(images[0], light)
-    features = blank.image_features(change, light).reshape(-1, blank.input_count)
+    features = image_features(blank, change, light).reshape(-1, blank.input_count)
     spread = tuple(float(value) for value in features.std(axis=0) + 1e-3)
     config = replace(blank, input_scale=spread)
     weights = {
         name: rng.normal(0.0, shape[-1] ** -0.5 if name.endswith("weight") else 0.1, shape)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     # What the last layer has to make of the ones before, at every few pixels.
     inputs = config.normalise(features)[::7]
@@ -165,7 +164,7 @@ def heights_mm(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heights of one image, by blocks and by every pixel alone [mm]."""
     read = read_heights(model, image, light, grid, uncertainty=False)
-    features = model.config.image_features(color_change(image, light), light)
+    features = image_features(model.config, color_change(image, light), light)
     tilt, error = model.predict_pixels(features.reshape(-1, model.config.input_count))
     tilt, error = tilt.reshape(*read.slope.shape), error.reshape(read.rise_m.shape)
     alone = NormalMap(relative_normals(tilt), tilt, error, error)

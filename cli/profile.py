@@ -56,21 +56,9 @@ class ProfileValidate:
         from rich.text import Text
 
         from taccel_lab.cli.console import print_json, results
-        from taccel_lab.profile import Finding, load_profile, validate_profile
-        from taccel_lab.sensors.registry import parameter_faults
-        from taccel_lab.signals.network_faults import network_faults
+        from taccel_lab.profile import validate_profile
 
         findings = validate_profile(self.profile)
-        if all(finding.severity != "error" for finding in findings):
-            profile = load_profile(self.profile)
-            findings += [
-                Finding("error", f"{self.profile}: {prefix}{key}", fault)
-                for prefix, view in _views(profile)
-                for key, fault in network_faults(view).items()
-            ]
-            findings += [
-                Finding("error", str(self.profile), fault) for fault in parameter_faults(profile)
-            ]
         errors = sum(finding.severity == "error" for finding in findings)
         if self.json:
             print_json(
@@ -190,14 +178,6 @@ class ProfileAddView:
         if self.json:
             print_json({"profile": str(self.out), "views": list(profile.view_names())})
         notes().print(f"wrote {self.out}: {', '.join(profile.view_names())}")
-
-
-def _views(profile: SensorProfile) -> list[tuple[str, SensorProfile]]:
-    """Each view of a profile, with what begins the place of a fault in it."""
-    from taccel_lab.profile import MAIN_VIEW
-
-    further = [(f"views.{name}.", profile.seen_by(name)) for name in profile.views]
-    return [("", profile.seen_by(MAIN_VIEW)), *further]
 
 
 def _print_comparison(found: ProfileComparison) -> None:

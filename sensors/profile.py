@@ -39,7 +39,6 @@ from taccel_lab.profile import (
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.registry import (
-    parameter_faults,
     profile_folder,
     sensor_families,
     sensor_family,
@@ -237,10 +236,7 @@ def load_sensor(name: str) -> SensorProfile:
         return catalogue_profile(name)
     folder = profile_folder(name)
     if folder is not None or Path(name).exists():
-        profile = load_profile(folder or name)
-        if faults := parameter_faults(profile):
-            raise InputError("\n".join(f"{folder or name}: {fault}" for fault in faults))
-        return profile
+        return load_profile(folder or name)
     raise InputError(
         f"{name!r} is neither a profile folder nor a sensor of the catalogue "
         f"({', '.join(sorted(sensor_families()))})"

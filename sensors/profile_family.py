@@ -28,7 +28,7 @@ from taccel_lab.sensors.base import (
 )
 
 if TYPE_CHECKING:
-    from taccel_lab.profile import MaterialBlock, SensorProfile
+    from taccel_lab.profile import MaterialBlock, SensorBlock, SensorProfile
 
 IMPORTED = "imported"
 """Family, in a profile, of a gel that no family describes: it is the profile's mesh."""
@@ -101,18 +101,18 @@ def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> Pro
     return _made(name, f"{profile.sensor.name}: {what}", like.references, like, defaults, pad)
 
 
-def like_name(profile: SensorProfile) -> str:
-    """The family of the catalogue whose parameters a profile has.
+def like_name(sensor: SensorBlock) -> str:
+    """The family of the catalogue whose parameters a profile with this block has.
 
     Raises:
         InputError: An imported gel of a version that did not keep it.
     """
-    if profile.sensor.family != IMPORTED:
-        return profile.sensor.family
-    like = profile.sensor.parameters.get(LIKE_KEY)
+    if sensor.family != IMPORTED:
+        return sensor.family
+    like = sensor.parameters.get(LIKE_KEY)
     if not isinstance(like, str):
         raise InputError(
-            f"the profile of {profile.sensor.name} does not say which sensor it is like: it was "
+            f"the profile of {sensor.name} does not say which sensor it is like: it was "
             "made by an earlier version; run taccel-lab import-gel again"
         )
     return like

@@ -22,29 +22,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
+from taccel_lab.profile.family_judge import ParameterVerdict
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile_family import ProfileFamily, like_name, profile_family
 
 if TYPE_CHECKING:
-    from taccel_lab.profile import SensorProfile
+    from taccel_lab.profile import SensorBlock, SensorProfile
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
 _PROFILE_FILE = "profile.toml"
-_BUILT_IN = (
-    "digit",
-    "digit_360",
-    "flat_pad",
-    "gelsight",
-    "gelsight_40",
-    "gelsight_mini",
-    "gelsight_r15",
-    "gelsight_wedge",
-    "ninedtact",
-    "rtac",
-    "stereo_pad",
-)
-"""Folders of this package, each with a module ``family`` and its ``FAMILY``."""
+_BUILT_IN = {
+    "digit": "digit",
+    "digit_360": "digit_360",
+    "flat_pad": "flat_pad",
+    "gelsight": "gelsight",
+    "gelsight_40": "gelsight_40",
+    "gelsight_mini": "gelsight_mini",
+    "gelsight_r15": "gelsight_r15",
+    "gelsight_wedge": "gelsight_wedge",
+    "9dtact": "ninedtact",
+    "rtac": "rtac",
+    "stereo_pad": "stereo_pad",
+}
+"""Name of a family -> folder of this package with a module ``family`` and its ``FAMILY``."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,7 @@ class Catalogue:
 
 def catalogue() -> Catalogue:
     """Load the built-in families and those of installed packages."""
-    built_in = [import_module(f"taccel_lab.sensors.{name}.family").FAMILY for name in _BUILT_IN]
-    families = {family.name: family for family in built_in}
+    families = {name: _built_in(name) for name in _BUILT_IN}
     broken = {}
     for entry in _declared(tuple((place, _changed_ns(place)) for place in sys.path)):
         found = _load(entry)
@@ -82,6 +82,10 @@ def catalogue() -> Catalogue:
         if isinstance(found, BrokenFamily):
             broken[found.name] = found
     return Catalogue(dict(sorted(families.items())), dict(sorted(broken.items())))
+
+
+def _built_in(name: str) -> SensorFamily:
+    return import_module(f"taccel_lab.sensors.{_BUILT_IN[name]}.family").FAMILY
 
 
 def sensor_families() -> dict[str, SensorFamily]:
@@ -141,7 +145,7 @@ def profile_sensor(profile: SensorProfile, name: str = "") -> ProfileFamily:
     Raises:
         InputError: Its family is not in the catalogue.
     """
-    like = sensor_family(like_name(profile))
+    like = sensor_family(like_name(profile.sensor))
     return profile_family(profile, name or profile.sensor.name, like)
 
 
@@ -150,22 +154,29 @@ def profile_parameters(profile: SensorProfile) -> FamilyParameters:
     return profile_sensor(profile).parameters()
 
 
-def parameter_faults(profile: SensorProfile) -> list[str]:
-    """What the bounds of its family refuse of a profile's parameters; nothing of a family that is
-    not in the catalogue, and of parameters that it no longer has."""
+def judge_parameters(sensor: SensorBlock) -> ParameterVerdict:
+    """What the bounds of its family refuse of a profile's parameters; nothing of parameters that
+    the family no longer has. A family that is not here, as one of a package that is not installed
+    or cannot be loaded, judges nothing: the profile's gel and networks are of use without it."""
     try:
-        like = catalogue().families.get(like_name(profile))
+        name = like_name(sensor)
     except InputError:  # An imported gel of a version that did not keep it.
-        like = None
-    specs = {} if like is None else like.parameters_type.parameters()
+        return ParameterVerdict()
+    # To load one family takes a third of the time of all, and every profile that is read asks.
+    like = _built_in(name) if name in _BUILT_IN else catalogue().families.get(name)
+    if like is None:
+        broken = catalogue().broken.get(name)
+        why = "is not in the catalogue here" if broken is None else f"is broken: {broken.reason}"
+        return ParameterVerdict(unjudged=f"sensor.family: {name} {why}; parameters are not judged")
+    specs = like.parameters_type.parameters()
     faults = []
-    for name, value in profile.sensor.parameters.items():
+    for key, value in sensor.parameters.items():
         try:
-            if name in specs:
-                specs[name].check(value)
+            if key in specs:
+                specs[key].check(value)
         except InputError as fault:
             faults.append(f"sensor.parameters.{fault}")
-    return faults
+    return ParameterVerdict(tuple(faults))
 
 
 def is_of_sensor(profile: SensorProfile, name: str) -> bool:

@@ -19,8 +19,8 @@ from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.viewer.ball_press import PressAnswer
 
 SOURCES = (
-    "bodies", "cad", "geometry", "ipc", "model", "outputs", "presses", "scene", "sensors",
-    "signals", "solvers", "state.py", "viewer/ball_press.py", "viewer/design_press.py",
+    "bodies", "cad", "geometry", "ipc", "model", "networks", "outputs", "presses", "scene",
+    "sensors", "signals", "solvers", "state.py", "viewer/ball_press.py", "viewer/design_press.py",
 )  # fmt: skip
 """Of this package, the code that presses are made by."""
 _LIBRARIES = ("numpy", "scipy", "warp-lang")

@@ -38,10 +38,11 @@ from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfac
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
+from taccel_lab.networks.color_settings import STEEPEST
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
-from taccel_lab.signals.color_model import STEEPEST, ColorModel
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.rest_surface import rest_surface
 
 SCORING = "scoring the held-out presses"

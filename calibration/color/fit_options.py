@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from taccel_lab.calibration.color.options import ColorTraining
 from taccel_lab.errors import InputError
 from taccel_lab.files.seed import require_seed
-from taccel_lab.signals.color_model import INPUT_NAMES
-from taccel_lab.signals.position_encoding import require_bands
+from taccel_lab.networks.color_settings import INPUT_NAMES
+from taccel_lab.networks.position_encoding import require_bands
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
+from taccel_lab.networks.color_settings import ColorModelConfig, pixel_uv
 
 
 @dataclass(frozen=True)

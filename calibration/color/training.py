@@ -18,15 +18,9 @@ from taccel_lab.calibration.training import (
     trainable,
 )
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig, stack_inputs
 from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.color_model import (
-    ColorModel,
-    ColorModelConfig,
-    color_change,
-    expected_shapes,
-    layer_tensors,
-    stack_inputs,
-)
+from taccel_lab.signals.color_model import ColorModel, color_change, layer_tensors
 
 TASK = "fitting the colour model"
 CURVE_EVERY = 25
@@ -54,7 +48,7 @@ def train(
     config = _scaled_config(samples, grid, options)
     pressed, at_rest, wanted = _tensors(config, samples)
     generator = torch.Generator().manual_seed(options.seed)
-    shapes = expected_shapes(config)
+    shapes = config.weight_shapes()
     weights = initial_weights(shapes, generator)
     layers = trainable(layer_tensors(config, weights))
     curve: list[tuple[int, float]] = []

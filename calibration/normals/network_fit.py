@@ -43,17 +43,16 @@ from taccel_lab.calibration.training import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.files.seed import require_seed
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.networks.position_encoding import require_bands
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,
     NormalModel,
-    expected_shapes,
     layer_tensors,
     tilt_and_error,
 )
-from taccel_lab.signals.normal_model_config import NormalModelConfig
-from taccel_lab.signals.position_encoding import require_bands
 
 TASK = "fitting the inverse model"
 TASK_AGAIN = "fitting it to the held-out presses, too"
@@ -227,7 +226,7 @@ class InverseTraining:
         self.still = torch.from_numpy(still[: config.varying_count])
         self._take(frames, samples, 0, rng)
         self.generator = torch.Generator().manual_seed(options.seed)
-        self.shapes = expected_shapes(config)
+        self.shapes = config.weight_shapes()
         weights = initial_weights(self.shapes, self.generator)
         self.layers = trainable(layer_tensors(config, weights))
 

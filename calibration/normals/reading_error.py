@@ -23,9 +23,9 @@ from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
 from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import angle_between_deg
 from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress
+from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
-from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 
 LENGTHS_PX = (4.0, 8.0, 16.0)

@@ -19,8 +19,8 @@ from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model_config import NormalModelConfig
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.signals.normal_features import color_change, image_features
 from taccel_lab.signals.normals import rotate_to_z
 
 RIM_RADII = 0.98
@@ -134,8 +134,14 @@ def draw_samples(
         chosen = [(region[part], max(1, count // len(zooms))) for region, count in wide]
         picked = np.concatenate(list(draw_regions(frame.name, chosen, rng)))
         features.append(
-            config.image_features(
-                change, scene.background, mask=scene.mask, zoom=zoom, window=part, picked=picked
+            image_features(
+                config,
+                change,
+                scene.background,
+                mask=scene.mask,
+                zoom=zoom,
+                window=part,
+                picked=picked,
             )
         )
         normals.append(wanted[part].reshape(-1, 3)[picked])

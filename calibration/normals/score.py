@@ -18,8 +18,8 @@ from taccel_lab.calibration.normals.samples import (
     usable_pixels,
 )
 from taccel_lab.calibration.result import in_figures
+from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap
-from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights
 
 RIM_BAND = 0.04

@@ -26,11 +26,11 @@ from taccel_lab.calibration.normals.samples import (
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_in_view
 from taccel_lab.calibration.surfaces.press_surface import slope_of
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.gaussian_windows import blurred
-from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model_config import NormalModelConfig
+from taccel_lab.signals.normal_features import color_change, image_features
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing synthetic presses"
@@ -225,6 +225,6 @@ def synthetic_samples(
         [rng.permutation(np.flatnonzero(region))[:most] for region, most in regions]
     )
     return NormalSamples(
-        config.image_features(change, scene.background, mask=scene.mask, picked=picked),
+        image_features(config, change, scene.background, mask=scene.mask, picked=picked),
         press.normals.reshape(-1, 3)[picked].astype(np.float32),
     )

@@ -10,9 +10,9 @@ import numpy as np
 
 from taccel_lab.calibration.refit.light_change import LightChangeFit
 from taccel_lab.errors import InputError
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
-from taccel_lab.signals.color_model import ColorModelConfig
 
 CHANNELS = ("red", "green", "blue")
 

@@ -49,16 +49,14 @@ from taccel_lab.learning.force.train import (
     train_force_model,
 )
 from taccel_lab.learning.force.training_file import TrainingFile
+from taccel_lab.networks.force_settings import (
+    ForceModelConfig,
+)
 from taccel_lab.presses.measured_ranges import measured_ranges
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
-from taccel_lab.signals.force_network import (
-    patch_centers_mm,
-)
-from taccel_lab.signals.force_settings import (
-    ForceModelConfig,
-)
+from taccel_lab.signals.force_network import patch_centers_mm
 
 VALIDATION_SEED, TEST_SEED, WRONG_SEED = 11, 12, 13
 """Of drawn lights and of noise, beside the options' own."""

@@ -24,10 +24,7 @@ from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.force.force_page import draw_forces
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import ORANGE, in_report_style, new_figure, save_figure
-from taccel_lab.signals.force_model import (
-    ForceModel,
-    ForceReading,
-)
+from taccel_lab.signals.force_model import ForceModel, ForceReading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

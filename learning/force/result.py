@@ -12,11 +12,11 @@ from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples, Split
 from taccel_lab.learning.force.score import Errors, Imposters, as_json
 from taccel_lab.learning.force.train import COMPARED, Predictions, TrainedForces
-from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
+from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,11 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.force_network import (
-    marker_planes,
-    reduced,
-)
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.force_network import marker_planes, reduced
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.reading import Dataset

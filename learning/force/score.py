@@ -18,7 +18,7 @@ from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.samples import ForceSamples
 from taccel_lab.learning.force.train import BATCH, BEYOND, Predictions, predictions_of
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
 

@@ -21,20 +21,19 @@ from taccel_lab.errors import InputError
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples, spread_of
 from taccel_lab.learning.force.training_file import Keeper, TrainingFile, training_key
-from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.force_network import (
-    color_reach,
-    distances,
-    expected_shapes,
-    forward,
-    image_statistics,
-    layer_names,
-)
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     LEVELS,
     STATISTICS,
     TARGETS,
     ForceModelConfig,
+)
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.force_network import (
+    color_reach,
+    distances,
+    forward,
+    image_statistics,
+    layer_names,
 )
 
 TASK = "training the force model"
@@ -310,7 +309,7 @@ def _train(
 def _initial(config: ForceModelConfig, generator: torch.Generator) -> dict[str, torch.Tensor]:
     """Weights as He et al. (2015) draw them, small ones where outputs are made, biases of zero."""
     found = {}
-    for name, shape in expected_shapes(config).items():
+    for name, shape in config.weight_shapes().items():
         if name.startswith(COMPARED):
             continue
         if name.endswith(".bias"):

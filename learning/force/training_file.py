@@ -25,7 +25,7 @@ from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples
-from taccel_lab.signals.force_settings import ForceModelConfig
+from taccel_lab.networks.force_settings import ForceModelConfig
 from taccel_lab.version import __version__
 
 EVERY_S = 10.0

@@ -8,22 +8,18 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.exporters.onnx_graph import Graph
-from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.force_model import (
-    ForceModel,
-)
-from taccel_lab.signals.force_network import (
-    area_matrix,
-    color_directions,
-)
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     LEVELS,
     LOG_SIGMA,
     MARKER_PLANES,
     MARKER_UNIT_MM,
     STD_FLOOR,
     TARGETS,
+    color_directions,
 )
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.force_model import ForceModel
+from taccel_lab.signals.force_network import area_matrix
 
 CHECKED = 3
 """Images that the graph is compared on."""

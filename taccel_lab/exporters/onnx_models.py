@@ -22,8 +22,9 @@ from taccel_lab.exporters.onnx_force import force_graph
 from taccel_lab.exporters.onnx_graph import Graph
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.files.atomic_file import write_json
+from taccel_lab.networks.color_settings import UPRIGHT_DEG
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.color_model import UPRIGHT_DEG, ColorModel
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import MIN_ERROR_RAD, NormalModel
 
 PEER = "ONNX opset 17 (onnxruntime 1.15 and later)"

@@ -71,7 +71,10 @@ _TABLE: dict[str, dict[str, Bound]] = {
         **_SOLID,
         "young_modulus_pa": Bound(2e3, 5e9, "Pa", "a skin may be a film of PET, 3 GPa"),
     },
-    "material.fitted_with": {"friction_coefficient": _SOLID["friction_coefficient"]},
+    "material.fitted_with": {
+        "friction_coefficient": _SOLID["friction_coefficient"],
+        "touch_shift_mm": Bound(-5, 5, "mm", "a touch that is 5 mm late is another one"),
+    },
     "camera": {
         "width_px": Bound(2, 20_000, "px", "cameras have up to 10,000 columns"),
         "height_px": Bound(2, 20_000, "px", "cameras have up to 10,000 rows"),
@@ -182,6 +185,8 @@ def out_of_bounds(table: str, values: object, called: str) -> Iterator[str]:
 
 
 def _numbers(value: object) -> Iterator[float]:
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
     for one in value if isinstance(value, (tuple, list)) else (value,):
         if isinstance(one, (int, float)):
             yield one

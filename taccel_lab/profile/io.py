@@ -18,8 +18,9 @@ from taccel_lab.files.regular_file import read_regular_file
 from taccel_lab.files.toml_file import read_toml
 from taccel_lab.profile import arrays
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
+from taccel_lab.profile.family_judge import judge_parameters
 from taccel_lab.profile.migrate import migrate
-from taccel_lab.profile.schema import SCHEMA_VERSION, Block
+from taccel_lab.profile.schema import SCHEMA_VERSION, Block, SensorBlock
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
 from taccel_lab.profile.sensor_view import OWN_KEYS, VIEW_KEYS, SensorView, require_view_name
 
@@ -253,6 +254,12 @@ def _read(
         if not read:
             findings.append(Finding("warning", str(entry), "not part of the profile; not read"))
 
+    if SensorBlock.key in parts:
+        verdict = judge_parameters(parts[SensorBlock.key])
+        for fault in verdict.faults:
+            error(path, fault)
+        if verdict.unjudged:
+            findings.append(Finding("warning", str(toml_path), verdict.unjudged))
     if any(finding.severity == "error" for finding in findings):
         return None, findings
     try:

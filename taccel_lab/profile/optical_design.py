@@ -188,6 +188,8 @@ class Window:
         require_within("window", self)
         if self.shape not in ("plate", "dome"):
             raise InputError(f"window shape must be plate or dome, got {self.shape!r}")
+        if self.shape == "plate" and self.outer_radius_mm:
+            raise InputError(f"a plate has no outer_radius_mm, got {self.outer_radius_mm:g}")
         if self.shape == "dome" and not self.thickness_mm < self.outer_radius_mm <= 200:
             raise InputError(
                 f"a dome window needs an outer_radius_mm above its thickness "

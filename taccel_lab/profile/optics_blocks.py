@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
+from taccel_lab.geometry.lens import invert_fisheye, undistort_pinhole
 from taccel_lab.profile.bounds import Bound
 from taccel_lab.profile.optical_design import (
     Coating,
@@ -24,6 +26,8 @@ from taccel_lab.profile.optical_design import (
 from taccel_lab.profile.schema import Block, Provenance
 
 Triple = tuple[Number, Number, Number]
+_MOST_BENDING = 4.0
+"""Times that a lens moves what it shows half way to the corners; fisheyes do by 1.5."""
 
 
 class OpticsBlock(Block):
@@ -75,6 +79,12 @@ class OpticsBlock(Block):
         for name, value, bound in rules:
             if not bound.allows(value):
                 raise ValueError(f"{name}: {bound}, got {value:g}: {bound.why}")
+        if (self.raw_width_px == 0) != (self.raw_height_px == 0):
+            raise ValueError(
+                "raw_width_px and raw_height_px: both are known or both 0, got "
+                f"{self.raw_width_px} and {self.raw_height_px}"
+            )
+        _require_unfolded(self.camera())
         return self
 
     def camera(self) -> DesignedCamera:
@@ -103,6 +113,30 @@ class OpticsBlock(Block):
             gel_scattering_per_mm=design.gel_scattering_per_mm,
             ambient_rgb=design.ambient_rgb,
             provenance=provenance,
+        )
+
+
+def _require_unfolded(camera: DesignedCamera) -> None:
+    """Refuse a distortion that folds, or bends beyond any lens, half way to the corners."""
+    if not any(camera.distortion):
+        return
+    half = np.array([camera.width_px, camera.height_px]) / 4
+    turns = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+    focal, middle = (camera.fx_px, camera.fy_px), (camera.cx_px, camera.cy_px)
+    image = (2 * half + turns * half - 0.5 - np.array(middle)) / np.array(focal)
+    bent = np.linalg.norm(image, axis=-1)
+    coefficients = np.zeros(4 if camera.model == "fisheye" else 8)
+    coefficients[: len(camera.distortion)] = camera.distortion
+    if camera.model == "fisheye":
+        straight = invert_fisheye(bent, coefficients)
+    else:
+        straight = np.linalg.norm(undistort_pinhole(image, coefficients), axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(bent > 1e-9, straight / bent, 1.0)
+    if not ((ratio >= 1 / _MOST_BENDING) & (ratio <= _MOST_BENDING)).all():
+        raise ValueError(
+            f"distortion: folds or bends the image more than {_MOST_BENDING:g} times half way to "
+            f"its corners, got {list(camera.distortion)}"
         )
 
 
@@ -226,4 +260,10 @@ class HousingBlock(Block):
     def _check_offset(self) -> Self:
         if any(abs(o) > s / 2 for o, s in zip(self.offset_mm, self.size_mm, strict=False)):
             raise ValueError("offset_mm: the box must hold the axis of the gel")
+        least = min(self.size_mm) / 2
+        for name in ("wall_mm", "corner_radius_mm"):
+            if not getattr(self, name) <= least:
+                raise ValueError(
+                    f"{name}: at most {least:g} mm, half of the box, got {getattr(self, name):g}"
+                )
         return self

@@ -36,7 +36,8 @@ from taccel_lab.files.strict_model import (
     describe_errors,
 )
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.bounds import MOST_BRANCHES, out_of_bounds, require_within
+from taccel_lab.profile.bounds import MOST_BRANCHES, out_of_bounds
+from taccel_lab.profile.evidence_bounds import evidence_faults
 from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 11
@@ -122,7 +123,12 @@ class Block(StrictModel):
                 lines = [f"{self.key}.{t}" for t in describe_errors(error, type(self)).splitlines()]
                 lines += out_of_bounds(self.key, SimpleNamespace(**rest), self.key)
                 raise InputError("\n".join(lines[:MAX_FAULTS])) from None
-            require_within(self.key, self)
+            faults = [
+                *out_of_bounds(self.key, self, self.key),
+                *evidence_faults(self.key, self.provenance, self),
+            ]
+            if faults:
+                raise InputError("\n".join(faults))
 
 
 class Session(StrictModel):

@@ -14,6 +14,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
+from taccel_lab.profile.consistency import disagreements
 from taccel_lab.profile.mesh_size import check_mesh_size
 from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optics_blocks import (
@@ -94,10 +95,11 @@ class SensorProfile(Summary):
 
     def __post_init__(self) -> None:
         self._check_mesh()
-        self._check_view()
         self._check_background()
         for key in ("color", "normals", "force"):
             self._check_weights(key)
+        if lines := list(disagreements(self)):
+            raise InputError("\n".join(lines))
         self._check_views()
 
     def grid(self) -> PixelGrid:
@@ -272,19 +274,6 @@ class SensorProfile(Summary):
             found[name] = SensorView.of(seen)
         object.__setattr__(self, "views", found)
 
-    def _check_view(self) -> None:
-        """The middle of the image lies over the gel."""
-        grid = self.grid()
-        nodes_mm = 1e3 * self.mesh.nodes_m
-        for axis, x in (("x", grid.x_mm()), ("y", grid.y_mm())):
-            middle = float(x[0] + x[-1]) / 2
-            low, high = (float(f(nodes_mm[:, "xy".index(axis)])) for f in (np.min, np.max))
-            if not low <= middle <= high:
-                raise InputError(
-                    f"camera: the image's middle lies at {axis} = {middle:.4g} mm, the gel from "
-                    f"{low:.4g} to {high:.4g} mm: correct center_u_px, center_v_px or the scale"
-                )
-
     def _check_background(self) -> None:
         if (self.background is None) != (self.background_rgb is None):
             raise InputError("a background block and its image come together; one is missing")
@@ -329,3 +318,11 @@ class SensorProfile(Summary):
             array.setflags(write=False)
             weights[name] = array
         object.__setattr__(self, field, MappingProxyType(weights))
+        # Most designs have no network, and a design is made for each of a study.
+        from taccel_lab.networks.judge import network_fault
+
+        block = getattr(self, key)
+        size_px = (self.camera.width_px, self.camera.height_px)
+        region = block.provenance.valid_region
+        if fault := network_fault(key, block.architecture, weights, size_px, region):
+            raise InputError(f"{key}: {fault}")

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.signals.color_model import INPUT_NAMES, ColorModel
-from taccel_lab.signals.position_encoding import encode_position
+from taccel_lab.networks.color_settings import INPUT_NAMES
+from taccel_lab.networks.position_encoding import encode_position
+from taccel_lab.signals.color_model import ColorModel
 
 TILE = 16
 """Widths of hidden layers are padded to multiples of this."""

@@ -19,113 +19,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import (
-    reading_settings,
-    require_camera_size,
-    settings_dict,
+from taccel_lab.networks.color_settings import (
+    UPRIGHT_DEG,
+    ColorModelConfig,
+    fitted_cone_deg,
+    pixel_uv,
+    require_cone,
+    stack_inputs,
 )
-from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
-from taccel_lab.signals.position_encoding import encode_position, require_bands
+from taccel_lab.networks.settings import checked_weights
 
 if TYPE_CHECKING:
     import torch
 
     from taccel_lab.profile import SensorProfile
 
-INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
-ACTIVATIONS = ("silu", "tanh", "relu")
 CHUNK_PIXELS = 2048
 """Read at once: what the layers give for so many stays in a core's cache."""
-UPRIGHT_DEG = 90.0
-"""A cone that holds every normal."""
-STEEPEST = "surface_tilt_deg"
-"""Entry of a block's ``valid_region``: tilts of the surfaces that it was fitted to [deg]."""
-
-
-@dataclass(frozen=True)
-class ColorModelConfig:
-    """Everything besides the weights that is needed to rebuild a ``ColorModel``."""
-
-    width_px: int
-    height_px: int
-    inputs: tuple[str, ...] = INPUT_NAMES
-    """Network inputs in order, names from ``INPUT_NAMES``; u and v run over -1..1."""
-    hidden: tuple[int, ...] = (64, 64, 64)
-    """Widths of the hidden layers."""
-    activation: str = "silu"
-    input_mean: tuple[float, ...] = (0.0,) * len(INPUT_NAMES)
-    """Subtracted from each input."""
-    input_scale: tuple[float, ...] = (1.0,) * len(INPUT_NAMES)
-    """Divides each input after that."""
-    output_scale: float = 32.0
-    """Levels (of 255) per unit of network output."""
-    position_bands: int = 0
-    """Bands of the positional encoding, whose sines and cosines follow ``inputs`` as they are; 0
-    for u and v alone."""
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.inputs if name not in INPUT_NAMES]
-        if unknown or not self.inputs:
-            raise InputError(
-                f"color model inputs {list(self.inputs)} are not allowed; some of "
-                f"{', '.join(INPUT_NAMES)}"
-            )
-        if self.activation not in ACTIVATIONS:
-            raise InputError(
-                f"color model activation {self.activation!r} is not one of {', '.join(ACTIVATIONS)}"
-            )
-        if self.width_px < 2 or self.height_px < 2:
-            raise InputError(
-                f"color model image size is {self.width_px}x{self.height_px} px; at least 2x2 px"
-            )
-        if any(width < 1 for width in self.hidden):
-            raise InputError(f"color model hidden layers {list(self.hidden)} must be at least 1")
-        for name in ("input_mean", "input_scale"):
-            values = getattr(self, name)
-            if len(values) != len(self.inputs) or not np.isfinite(values).all():
-                raise InputError(
-                    f"color model {name} needs {len(self.inputs)} finite numbers, one per input, "
-                    f"got {list(values)}"
-                )
-        if min(self.input_scale) <= 0 or not self.output_scale > 0:
-            raise InputError("color model input_scale and output_scale must be positive")
-        require_bands("color model", self.position_bands)
-
-    @property
-    def input_count(self) -> int:
-        """Inputs of the network, those of the positional encoding among them."""
-        return len(self.inputs) + 4 * self.position_bands
-
-    def layer_sizes(self) -> list[tuple[int, int]]:
-        """(outputs, inputs) of each layer."""
-        widths = [self.input_count, *self.hidden, 3]
-        return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Flat dict of numbers, strings and lists, as a profile's ``architecture`` stores it."""
-        return settings_dict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> ColorModelConfig:
-        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        with reading_settings("color model", cls.__dataclass_fields__, values):
-            return cls(
-                width_px=int(values["width_px"]),
-                height_px=int(values["height_px"]),
-                inputs=tuple(str(name) for name in values["inputs"]),
-                hidden=tuple(int(width) for width in values["hidden"]),
-                activation=str(values["activation"]),
-                input_mean=tuple(float(mean) for mean in values["input_mean"]),
-                input_scale=tuple(float(scale) for scale in values["input_scale"]),
-                output_scale=float(values["output_scale"]),
-                position_bands=int(values["position_bands"]),
-            )
 
 
 class ColorModel:
@@ -141,59 +55,19 @@ class ColorModel:
         weights: Mapping[str, np.ndarray],
         cone_deg: float = UPRIGHT_DEG,
     ) -> None:
-        if not 0 < cone_deg <= UPRIGHT_DEG:
-            raise InputError(f"color model cone_deg must lie in 0..90, got {cone_deg:g}")
+        require_cone(cone_deg)
         self.config = config
         self.cone_deg = cone_deg
-        self.weights = {
-            name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
-        }
-        expected = expected_shapes(config)
-        found = {name: value.shape for name, value in self.weights.items()}
-        if found != expected:
-            raise InputError(f"color model weights have shapes {found}, expected {expected}")
-        if not all(np.isfinite(value).all() for value in self.weights.values()):
-            raise InputError("color model weights hold NaN or infinite values")
+        self.weights = checked_weights("color model", config.weight_shapes(), weights)
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> ColorModel | None:
-        """The colour model of a profile's sensor; None when it has none.
-
-        Its cone is the ``surface_tilt_deg`` of the block's ``valid_region``. Raises InputError when
-        it is for images of another size than those of the camera, or changes colours by more than
-        a picture holds.
-        """
+        """The colour model of a profile's sensor; None when it has none."""
         if profile.color is None or profile.color_weights is None:
             return None
         config = ColorModelConfig.from_dict(profile.color.architecture)
-        require_camera_size(profile, "color", config.width_px, config.height_px)
-        region = profile.color.provenance.valid_region
-        steepest_deg = region.get(STEEPEST, (0.0, UPRIGHT_DEG))[1]
-        model = cls(config, profile.color_weights, min(steepest_deg, UPRIGHT_DEG))
-        model.require_levels()
-        return model
-
-    def require_levels(self) -> None:
-        """Refuse a network whose changes of colour no picture holds, over the tilts that it was
-        fitted to and twice the spread of its displacements."""
-        rng, config = np.random.default_rng(0), self.config
-        tilt = np.radians(rng.uniform(0, min(self.cone_deg, 60.0), QUESTIONS))
-        turn = rng.uniform(0, 2 * np.pi, QUESTIONS)
-        across = np.sin(tilt)
-        normals = np.stack([across * np.cos(turn), across * np.sin(turn), np.cos(tilt)], axis=-1)
-        depth_mm = np.zeros(QUESTIONS)
-        if "displacement_mm" in config.inputs:
-            place = config.inputs.index("displacement_mm")
-            spread = rng.uniform(-2, 2, QUESTIONS)
-            depth_mm = config.input_mean[place] + config.input_scale[place] * spread
-        uv = pixel_uv(config, rng.integers(config.width_px * config.height_px, size=QUESTIONS))
-        upright = np.tile([0.0, 0.0, 1.0], (QUESTIONS, 1))
-        pressed, at_rest = (
-            forward(self.weights, stack_inputs(config, uv, n, d), config.activation)
-            for n, d in ((normals, depth_mm), (upright, np.zeros(QUESTIONS)))
-        )
-        sizes = config.output_scale * np.abs(pressed - at_rest).max(axis=-1)
-        require_answers("the color model", sizes, 2 * 255.0, "levels", "a picture holds 255")
+        cone_deg = fitted_cone_deg(profile.color.provenance.valid_region)
+        return cls(config, profile.color_weights, cone_deg)
 
     def predict_pixels(
         self,
@@ -239,43 +113,6 @@ def within_cone(normals: np.ndarray, cone_deg: float) -> np.ndarray:
     share = np.minimum(1.0, math.sin(cone) / np.maximum(across, 1e-30))
     up = np.maximum(normals[:, 2], math.cos(cone))
     return np.stack([share * normals[:, 0], share * normals[:, 1], up], axis=-1)
-
-
-def expected_shapes(config: ColorModelConfig) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every weight array."""
-    shapes: dict[str, tuple[int, ...]] = {}
-    for i, (outputs, inputs) in enumerate(config.layer_sizes()):
-        shapes[f"layer{i}.weight"] = (outputs, inputs)
-        shapes[f"layer{i}.bias"] = (outputs,)
-    return shapes
-
-
-def pixel_uv(config: ColorModelConfig, pixel_idx: np.ndarray) -> np.ndarray:
-    """Normalised (u, v) of flat pixel indices, -1..1 over the image, shape [n, 2]."""
-    column = pixel_idx % config.width_px
-    row = pixel_idx // config.width_px
-    return np.stack(
-        [2 * column / (config.width_px - 1) - 1, 2 * row / (config.height_px - 1) - 1], axis=-1
-    )
-
-
-def stack_inputs(
-    config: ColorModelConfig, uv: np.ndarray, normals: np.ndarray, displacement_mm: np.ndarray
-) -> np.ndarray:
-    """Normalised network inputs, float32, shape [n, input_count]; arguments have n rows."""
-    columns = {
-        "u": uv[:, 0],
-        "v": uv[:, 1],
-        "normal_x": normals[:, 0],
-        "normal_y": normals[:, 1],
-        "normal_z": normals[:, 2],
-        "displacement_mm": displacement_mm,
-    }
-    stacked = np.stack([columns[name] for name in config.inputs], axis=-1)
-    stacked = (stacked - np.array(config.input_mean)) / np.array(config.input_scale)
-    if config.position_bands:
-        stacked = np.concatenate([stacked, encode_position(uv, config.position_bands)], axis=-1)
-    return stacked.astype(np.float32)
 
 
 def layer_tensors(

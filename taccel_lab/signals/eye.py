@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.camera.camera_model import fisheye_limit
 from taccel_lab.camera.gel_camera import GelCamera, View
 from taccel_lab.camera.refraction import DomeMedia
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry.lens import fisheye_limit
 from taccel_lab.signals.raster import GridMap, grid_map, pixel_of
 
 wp.set_module_options({"enable_backward": False})

@@ -29,17 +29,15 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.force_settings import LEVELS, ForceModelConfig, with_color_limits
+from taccel_lab.networks.settings import checked_weights
 from taccel_lab.signals.force_network import (
-    color_directions,
     distances,
-    expected_shapes,
     forward,
     marker_planes,
     patch_centers_mm,
     reduced,
 )
-from taccel_lab.signals.force_settings import LEVELS, ForceModelConfig
-from taccel_lab.signals.model_settings import require_camera_size
 
 if TYPE_CHECKING:
     import torch
@@ -106,8 +104,8 @@ class ForceReading:
 class ForceModel:
     """Forces of tactile images.
 
-    ``weights`` holds float32 arrays as ``expected_shapes`` lists them: layers, and mean and
-    whitening matrix of what is compared with the training.
+    ``weights`` holds float32 arrays as ``weight_shapes`` of its settings lists them: layers, and
+    mean and whitening matrix of what is compared with the training.
     """
 
     def __init__(
@@ -121,35 +119,20 @@ class ForceModel:
         None."""
         self.config, self.grid = config, grid
         self.stiffness = (young_modulus_pa or config.young_modulus_pa) / config.young_modulus_pa
-        self.weights = {
-            name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
-        }
-        # Older blocks have no limit of colours.
-        self.weights.setdefault("colors.most", np.ones(len(color_directions()), np.float32))
-        expected = expected_shapes(config)
-        found = {name: value.shape for name, value in self.weights.items()}
-        if found != expected:
-            wrong = sorted(n for n in {*found, *expected} if found.get(n) != expected.get(n))
-            raise InputError(
-                f"force model weights do not fit its settings: {', '.join(wrong[:5])} "
-                f"({found.get(wrong[0])}, expected {expected.get(wrong[0])})"
-            )
-        if not all(np.isfinite(value).all() for value in self.weights.values()):
-            raise InputError("force model weights hold NaN or infinite values")
+        self.weights = checked_weights(
+            "force model", config.weight_shapes(), with_color_limits(weights)
+        )
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> ForceModel:
-        """The model in a profile's ``force`` block, scaled to its modulus.
-
-        Raises InputError when it has none, or one for images of another size than the camera's.
-        """
+        """The model in a profile's ``force`` block, scaled to its modulus; raises InputError when
+        it has none."""
         if profile.force is None or profile.force_weights is None:
             raise InputError(
                 f"the profile of {profile.sensor.name} has no force block; train one with "
                 "taccel-lab calibrate force"
             )
         config = ForceModelConfig.from_dict(profile.force.architecture)
-        require_camera_size(profile, "force", config.width_px, config.height_px)
         return cls(config, profile.force_weights, profile.grid(), profile.material.young_modulus_pa)
 
     @cached_property

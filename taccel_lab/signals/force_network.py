@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.force_settings import (
+from taccel_lab.networks.force_settings import (
     LOG_SIGMA,
-    MARKER_PLANES,
     MARKER_UNIT_MM,
-    STATISTICS,
     STD_FLOOR,
-    TARGETS,
     ForceModelConfig,
+    color_directions,
 )
 
 if TYPE_CHECKING:
@@ -116,16 +114,6 @@ def mahalanobis(
     return white.square().mean(dim=1).sqrt()
 
 
-def color_directions() -> np.ndarray:
-    """Changes of colour that ``color_reach`` goes along: single channels, sums and differences of
-    two and of three, unit vectors of RGB, float32, [26, 3]."""
-    directions = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
-    directions = directions[np.abs(directions).sum(axis=1) > 0]
-    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
-
-
 def color_reach(levels: torch.Tensor) -> torch.Tensor:
     """How far changes of colour [levels], [n, 3, h, w], go along each of ``color_ways`` anywhere in
     the image, means of 3 x 3 px: [n, 26]."""
@@ -162,32 +150,6 @@ def layer_names(config: ForceModelConfig) -> list[str]:
     """Names of the network's layers in order."""
     down = [f"down{k}" for k in range(len(config.widths))]
     return [*down, *(f"block{k}" for k in range(config.blocks)), "patch", "hidden", "rest"]
-
-
-def expected_shapes(config: ForceModelConfig) -> dict[str, tuple[int, ...]]:
-    """Shapes of all arrays by name."""
-    shapes: dict[str, tuple[int, ...]] = {}
-
-    def layer(name: str, outputs: int, inputs: int, kernel: tuple[int, ...]) -> None:
-        shapes[f"{name}.weight"] = (outputs, inputs, *kernel)
-        shapes[f"{name}.bias"] = (outputs,)
-
-    inputs = 5  # colours and place
-    for k, width in enumerate(config.widths):
-        layer(f"down{k}", width, inputs, (3, 3))
-        inputs = width
-    last = config.widths[-1]
-    for k in range(config.blocks):
-        more = MARKER_PLANES if config.markers and k == 0 else 0
-        layer(f"block{k}", last, last + more, (3, 3))
-    layer("patch", 4, last, (1, 1))
-    layer("hidden", config.hidden, 2 * last, ())
-    layer("rest", 3 + len(TARGETS), config.hidden, ())
-    for name, count in (("features", config.hidden), ("statistics", STATISTICS)):
-        shapes[f"{name}.mean"] = (count,)
-        shapes[f"{name}.whiten"] = (count, count)
-    shapes["colors.most"] = (len(color_directions()),)
-    return shapes
 
 
 def forward(

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.networks.position_encoding import encode_position
 from taccel_lab.signals.gaussian_windows import gaussian_average
-from taccel_lab.signals.position_encoding import band_names, encode_position
 from taccel_lab.signals.tensors import Array, as_given, tensor_of
 
 if TYPE_CHECKING:
@@ -28,20 +29,6 @@ LEVELS_PER_UNIT = 32.0
 """Levels of 255 that make one unit of a feature."""
 MIN_COVER = 1e-3
 """Share of a window that has to be unmasked for its average to count."""
-
-
-def feature_names(
-    scales_px: Sequence[float],
-    slope_scales_px: Sequence[float],
-    background: bool,
-    position_bands: int = 0,
-) -> tuple[str, ...]:
-    """Names of the features in order."""
-    names = [f"change_{c}_{s:g}px" for s in scales_px for c in "rgb"]
-    names += [f"d{axis}_{c}_{s:g}px" for s in slope_scales_px for axis in "uv" for c in "rgb"]
-    if background:
-        names += [f"background_{c}" for c in "rgb"]
-    return (*names, "u", "v", *band_names(position_bands))
 
 
 def color_change(image: Array, background: Array, mask: Array | None = None) -> Array:
@@ -85,6 +72,33 @@ def local_features(
     found = windows.features(None if picked is None else tensor_of(picked)).T
     shape = change.shape[:2] if picked is None else picked.shape
     return found.reshape(*shape, -1).contiguous().numpy()
+
+
+def image_features(
+    config: NormalModelConfig,
+    change: np.ndarray,
+    background: np.ndarray,
+    *,
+    mask: np.ndarray | None = None,
+    zoom: float = 1.0,
+    window: tuple[slice, slice] = (slice(None), slice(None)),
+    picked: np.ndarray | None = None,
+) -> np.ndarray:
+    """Raw features of every pixel in ``window``, float32, shape [h, w, feature].
+
+    ``change`` and ``background`` [levels] and ``mask`` are of the whole image. With ``picked``,
+    pixels counted along the window's rows, those of these alone, shape [n, feature].
+    """
+    return local_features(
+        change[window],
+        config.scales_px,
+        config.slope_scales_px,
+        mask=None if mask is None else mask[window],
+        background=background[window] if config.background else None,
+        place=pixel_place(config.width_px, config.height_px, config.position_bands)[window],
+        zoom=zoom,
+        picked=picked,
+    )
 
 
 @dataclass(frozen=True)

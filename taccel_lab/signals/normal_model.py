@@ -24,11 +24,10 @@ from typing import TYPE_CHECKING, Any, Generic
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.networks.settings import checked_weights
 from taccel_lab.signals.block_reading import read_in_blocks
-from taccel_lab.signals.model_settings import require_camera_size
-from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
 from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
-from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.tensors import Array, Given, as_given, length2, require_device, tensor_of
 from taccel_lab.signals.tilts_at_rest import TiltsAtRest, tilts_at_rest
@@ -105,45 +104,18 @@ class NormalModel:
         """``device``: of torch, on which images are read, such as cpu or cuda:0."""
         require_device(device)
         self.config, self.device = config, device
-        self.weights = {
-            name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
-        }
-        expected = expected_shapes(config)
-        found = {name: value.shape for name, value in self.weights.items()}
-        if found != expected:
-            raise InputError(f"normal model weights have shapes {found}, expected {expected}")
-        if not all(np.isfinite(value).all() for value in self.weights.values()):
-            raise InputError("normal model weights hold NaN or infinite values")
+        self.weights = checked_weights("normal model", config.weight_shapes(), weights)
 
     @classmethod
     def from_profile(cls, profile: SensorProfile, device: str = "cpu") -> NormalModel:
-        """The model in a profile's ``normals`` block.
-
-        Raises InputError when it has none, one for images of another size than the camera's, or one
-        that turns normals farther than they can be turned.
-        """
+        """The model in a profile's ``normals`` block; raises InputError when it has none."""
         if profile.normals is None or profile.normal_weights is None:
             raise InputError(
                 f"the profile of {profile.sensor.name} has no normals block; fit one with "
                 "taccel-lab calibrate normals"
             )
         config = NormalModelConfig.from_dict(profile.normals.architecture)
-        require_camera_size(profile, "normals", config.width_px, config.height_px)
-        model = cls(config, profile.normal_weights, device)
-        model.require_angles()
-        return model
-
-    def require_angles(self) -> None:
-        """Refuse a network whose tilts are no angles, over twice the spread of its features."""
-        rng, config = np.random.default_rng(0), self.config
-        spread = rng.uniform(-2, 2, (QUESTIONS, config.input_count))
-        raw = np.array(config.input_mean) + np.array(config.input_scale) * spread
-        read, still = (
-            forward(self.weights, config.normalise(values), "silu")[..., :2]
-            for values in (raw, config.at_rest(raw))
-        )
-        sizes = np.degrees(np.linalg.norm((read - still).mean(axis=0), axis=-1))
-        require_answers("the normal model", sizes, 360.0, "degrees", "a tilt has up to 90")
+        return cls(config, profile.normal_weights, device)
 
     @cached_property
     def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
@@ -321,15 +293,6 @@ class NormalModel:
             raw = torch.as_tensor(features, dtype=torch.float32, device=self.device).T
             tilt, error = self._judged(self._outputs(raw), self._still(raw), None)
         return tilt.cpu().numpy(), error.cpu().numpy()
-
-
-def expected_shapes(config: NormalModelConfig) -> dict[str, tuple[int, ...]]:
-    """Shape of each weight array by name, in the order of the layers."""
-    shapes: dict[str, tuple[int, ...]] = {}
-    for i, (outputs, inputs) in enumerate(config.layer_sizes()):
-        shapes[f"layer{i}.weight"] = (config.members, outputs, inputs)
-        shapes[f"layer{i}.bias"] = (config.members, outputs)
-    return shapes
 
 
 def layer_tensors(

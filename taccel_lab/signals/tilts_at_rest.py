@@ -11,8 +11,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.signals.block_reading import HALVINGS
-from taccel_lab.signals.normal_model_config import NormalModelConfig
 
 if TYPE_CHECKING:
     import torch

@@ -22,6 +22,7 @@ from taccel_lab.calibration.normals.score import angle_between_deg
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.presses.physics import PHYSICS, Accuracy
@@ -29,7 +30,7 @@ from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from tests.support.synthetic_presses import write_folder
 
 FAMILY, BALL_MM, PRESSES = "gelsight_mini", 2.0, 14

@@ -25,9 +25,9 @@ from taccel_lab.calibration.record.run import run_session
 from taccel_lab.calibration.record.session import Recorder
 from taccel_lab.calibration.remarks import RemarkKind, remark_kinds, remark_table
 from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.report.remark import Severity
-from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from tests.calibration.record.sessions import FACTS, Watching, replaying, source
 
 KINDS = [kind for _, kind in remark_kinds(calibration, learning)]

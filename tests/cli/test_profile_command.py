@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import taccel_lab as tl
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.robots import names
@@ -17,6 +19,7 @@ from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.studies.sensor_picture import pad_section, sight_paths
 from tests.cli.conftest import Cli
 from tests.robots.test_urdf import TETRAHEDRON, with_mesh
+from tests.support.edited_profiles import edit, swap_network
 from tests.support.robot_files import CHAIN, write
 from tests.support.small_captures import write_profile
 from tests.support.synthetic_presses import tiny_profile
@@ -63,24 +66,29 @@ def test_validate(folder: Path, cli: Cli) -> None:
     ("changes", "weights", "words"),
     [
         ({"foo": 3}, {}, "unknown \\['foo'\\]"),
-        ({"hidden": [1_000_000_000]}, {}, "weights have shapes"),
+        ({"hidden": [1_000_000_000]}, {}, "have shapes"),
         ({"hidden": "abc"}, {}, "wrong type"),
-        ({}, {"extra": np.zeros(3, dtype=np.float32)}, "weights have shapes"),
-        ({"output_scale": 1e5}, {}, "color model answers up to"),
+        ({}, {"extra": np.zeros(3, dtype=np.float32)}, "have shapes"),
+        ({"output_scale": 5e3}, {}, "color model answers up to"),
         ({"width_px": 97}, {}, "97x72 px, the camera block says 96x72"),
     ],
 )
-def test_validate_builds_the_networks(
+def test_every_way_in_refuses_a_network_as_validate_does(
     changes: dict[str, object], weights: dict, words: str, tmp_path: Path, cli: Cli
 ) -> None:
     path = write_profile(tmp_path / "colored")
     cli("profile validate", path)
     profile = load_profile(path)
     assert profile.color is not None and profile.color_weights is not None
-    block = profile.color.replace(architecture={**profile.color.architecture, **changes})
-    save_profile(profile.with_block(block, {**profile.color_weights, **weights}), path)
-    shown = cli("profile validate", path, code=2).out.replace("\n", " ")
-    assert re.search(words, shown) and "color" in shown
+    settings, weights = (
+        {**profile.color.architecture, **changes},
+        {**profile.color_weights, **weights},
+    )
+    block = profile.color.replace(architecture=settings)
+    with pytest.raises(InputError, match=words):
+        profile.with_block(block, weights)
+    swap_network(path, "color", settings, weights)
+    _refused_by_all(path, words, cli)
 
 
 def test_validate_and_press_judge_the_parameters(folder: Path, tmp_path: Path, cli: Cli) -> None:
@@ -88,11 +96,27 @@ def test_validate_and_press_judge_the_parameters(folder: Path, tmp_path: Path, c
     parameters = {**profile.sensor.parameters, "thickness_mm": -5.0}
     path = tmp_path / "thin"
     save_profile(profile.with_block(profile.sensor.replace(parameters=parameters)), path)
+    _refused_by_all(path, "sensor.parameters.thickness_mm = -5 is below its bound", cli)
     press = ["press", path, "--indenter", "sphere:4", "--depth-mm", "0.1", "--out", tmp_path / "o"]
-    for command in (["profile validate", path], press):
-        done = cli(*command, code=2)
-        shown = (done.out + done.err).replace("\n", " ")
-        assert "sensor.parameters.thickness_mm = -5 is below its bound" in shown
+    assert "thickness_mm = -5 is below its bound" in cli.refusal(*press)
+
+
+def _refused_by_all(path: Path, words: str, cli: Cli) -> None:
+    """What ``validate`` finds is what every reader says."""
+    found = [str(one) for one in tl.validate_profile(path) if one.severity == "error"]
+    assert re.search(words, "\n".join(found))
+    for read in (load_profile, tl.load_profile, tl.load_sensor, sensor_family):
+        with pytest.raises(InputError) as refused:
+            read(str(path))
+        assert str(refused.value).splitlines() == found
+    told = cli.json("profile validate", path, code=2)
+    assert [f"{one['where']}: {one['message']}" for one in told["findings"]] == found
+
+
+def test_a_family_that_is_not_here_is_a_warning(folder: Path, cli: Cli) -> None:
+    edit(folder, sensor={"family": "of_a_package", "parameters": {"width_mm": -5.0}})
+    assert load_profile(folder).sensor.family == "of_a_package"
+    assert "of_a_package is not in the catalogue" in cli("profile validate", folder).out
 
 
 def test_compare_tells_what_differs(folder: Path, tmp_path: Path, cli: Cli) -> None:

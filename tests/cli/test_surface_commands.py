@@ -31,6 +31,7 @@ from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_image
 from tests.learning.force.small_touches import planned, write_touches
 from tests.support.commands import done, run
+from tests.support.edited_profiles import swap_network
 from tests.support.small_data_sets import saved_profile
 from tests.support.synthetic_presses import (
     GRID,
@@ -330,13 +331,13 @@ def test_a_spoilt_block_is_refused_in_words(folder: Path, tmp_path: Path, cli: C
     assert profile.force is not None and profile.force_weights is not None
     wrong = dict(profile.force_weights)
     del wrong["hidden.bias"]
-    settings = {**profile.force.architecture, "patch_px": 5}
-    for block, weights, said in (
-        (profile.force, wrong, "hidden.bias"),
-        (profile.force.replace(architecture=settings), profile.force_weights, "patch_px"),
+    for settings, weights, said in (
+        (None, wrong, "hidden.bias"),
+        ({**profile.force.architecture, "patch_px": 5}, None, "patch_px"),
     ):
         spoilt = tmp_path / said
-        save_profile(profile.with_block(block, weights), spoilt)
+        save_profile(profile, spoilt)
+        swap_network(spoilt, "force", settings, weights)
         for words in (["force", spoilt, folder / "press.png"], ["profile validate", spoilt]):
             told = cli(*words, code=2)
             assert said in told.out + told.err

@@ -9,8 +9,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
 from taccel_lab.signals.tactile_image import tactile_image

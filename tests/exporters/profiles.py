@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.networks.force_settings import ForceModelConfig
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
@@ -15,11 +18,6 @@ from taccel_lab.profile import (
     SensorProfile,
 )
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
-from taccel_lab.signals.force_network import expected_shapes as force_shapes
-from taccel_lab.signals.force_settings import ForceModelConfig
-from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
-from taccel_lab.signals.normal_model_config import NormalModelConfig
 
 MADE_UP = Provenance(
     kind="calibrated",
@@ -52,7 +50,7 @@ def lamps() -> tuple[ColorModelConfig, dict[str, np.ndarray]]:
         "layer1.weight": last,
         "layer1.bias": np.zeros(3, dtype=np.float32),
     }
-    assert {k: v.shape for k, v in weights.items()} == expected_shapes(config)
+    assert {k: v.shape for k, v in weights.items()} == config.weight_shapes()
     return config, weights
 
 
@@ -100,7 +98,7 @@ def with_normals(profile: SensorProfile) -> SensorProfile:
     rng = np.random.default_rng(3)
     weights = {
         name: rng.normal(0, 0.3, shape).astype(np.float32)
-        for name, shape in normal_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     return profile.with_block(
         NormalsBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
@@ -120,7 +118,7 @@ def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfil
     rng = np.random.default_rng(8)
     weights = {
         name: rng.normal(0, 0.3, shape).astype(np.float32)
-        for name, shape in force_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     weights["colors.most"] = rng.uniform(20, 60, 26).astype(np.float32)
     return profile.with_block(

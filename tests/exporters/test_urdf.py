@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -49,7 +50,7 @@ def test_further_cameras_have_frames_or_are_named_as_left_out(
     mini: SensorProfile, tmp_path: Path
 ) -> None:
     assert mini.optics is not None
-    place, turn = (4.0, 0.0, -20.0), (0.0, -0.6, 0.0, 0.8)
+    place, turn = (4.0, 0.0, -20.0), (0.0, -0.1, 0.0, math.sqrt(0.99))
     moved = mini.optics.replace(position_mm=place, rotation=turn)
     both = mini.with_view("right", mini.with_block(moved))
     document = export_profile(both, "urdf", tmp_path / "urdf")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
@@ -21,6 +22,8 @@ from taccel_lab.profile import (
     save_profile,
 )
 from tests.support.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
+
+COLOR = ColorModelConfig(12, 9, hidden=(16,), activation="tanh")
 
 
 @pytest.fixture(scope="session")
@@ -71,12 +74,12 @@ def full_profile(provenance: Provenance) -> SensorProfile:
         background=BackgroundBlock(provenance=provenance),
         background_rgb=rng.integers(0, 256, (9, 12, 3), dtype=np.uint8),
         color=ColorBlock(
-            architecture={"layer_widths": [5, 16, 3], "activation": "tanh", "scale": 0.5},
+            architecture=COLOR.to_dict(),
             provenance=CALIBRATED,
         ),
         color_weights={
-            "layer0.weight": rng.normal(size=(16, 5)).astype(np.float32),
-            "layer0.bias": rng.normal(size=16).astype(np.float32),
+            name: rng.normal(size=shape).astype(np.float32)
+            for name, shape in COLOR.weight_shapes().items()
         },
     )
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from taccel_lab.errors import InputError
+from taccel_lab.networks.color_settings import ACTIVATIONS, ColorModelConfig
 from taccel_lab.profile import (
     FittedWith,
     Provenance,
@@ -26,6 +26,7 @@ from taccel_lab.profile import (
     validate_profile,
 )
 from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
+from tests.support.edited_profiles import edit, rehash
 
 ARRAY_FILES = ("mesh.npz", "background.npz", "color_model.safetensors")
 
@@ -49,26 +50,6 @@ def assert_same(left: SensorProfile, right: SensorProfile) -> None:
             np.testing.assert_array_equal(array, right.color_weights[name])
 
 
-def edit(folder: Path, **tables: Any) -> None:
-    """Overwrite parts of profile.toml; None removes a table."""
-    path = folder / "profile.toml"
-    document = tomllib.loads(path.read_text())
-    for key, value in tables.items():
-        if value is None:
-            del document[key]
-        elif isinstance(value, dict):
-            document[key] |= value
-        else:
-            document[key] = value
-    path.write_text(tomli_w.dumps(document))
-
-
-def rehash(folder: Path, name: str, data: bytes) -> None:
-    """Write an array file and list its true hash, so that only its content can be wrong."""
-    (folder / name).write_bytes(data)
-    edit(folder, files={name: hashlib.sha256(data).hexdigest()})
-
-
 def test_round_trip(full_profile: SensorProfile, profile_folder: Path) -> None:
     assert_same(load_profile(profile_folder), full_profile)
     assert validate_profile(profile_folder) == []
@@ -90,7 +71,7 @@ texts = st.text(st.characters(exclude_categories=("Cs",)), min_size=1, max_size=
 scalars = st.booleans() | st.integers(-(2**63), 2**63 - 1) | texts
 scalars |= st.floats(allow_nan=False, allow_infinity=False)
 config = st.dictionaries(printable, scalars | st.lists(scalars, max_size=4), max_size=4)
-finite = st.floats(allow_nan=False, allow_infinity=False)
+finite = st.floats(-1, 1)
 provenances = st.builds(
     Provenance,
     kind=st.sampled_from(["assumed", "published", "designed", "measured"]),
@@ -98,7 +79,7 @@ provenances = st.builds(
     source=texts,
     inputs=st.dictionaries(printable, st.from_regex(r"[0-9a-f]{64}", fullmatch=True), max_size=3),
     residuals=st.dictionaries(printable, finite, max_size=3),
-    spread=st.dictionaries(printable, finite, max_size=2),
+    spread=st.dictionaries(printable, finite.map(abs), max_size=2),
     valid_region=st.dictionaries(
         printable, st.tuples(finite, finite).map(lambda pair: tuple(sorted(pair))), max_size=2
     ),
@@ -123,23 +104,25 @@ def test_round_trip_of_random_values(
         name=data.draw(printable), parameters=data.draw(config), provenance=data.draw(provenances)
     )
     levels = hnp.arrays(np.float32, (9, 12, 3), elements=st.floats(0, 255, width=32))
-    weights = data.draw(
-        st.dictionaries(
-            printable,
-            hnp.arrays(
-                st.sampled_from([np.float32, np.float64]),
-                hnp.array_shapes(max_dims=3, max_side=4),
-                elements=st.floats(-1e6, 1e6, width=32),
-            ),
-            min_size=1,
-            max_size=3,
-        )
+    color = ColorModelConfig(
+        12,
+        9,
+        hidden=tuple(data.draw(st.lists(st.integers(1, 5), max_size=2))),
+        activation=data.draw(st.sampled_from(ACTIVATIONS)),
+        output_scale=between(10, 100),
+        position_bands=data.draw(st.integers(0, 2)),
     )
+    kind = data.draw(st.sampled_from([np.float32, np.float64]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    weights = {
+        name: rng.normal(0, 0.4, shape).astype(kind)
+        for name, shape in color.weight_shapes().items()
+    }
     profile = (
         full_profile.with_block(sensor)
         .with_block(material)
         .with_block(full_profile.background, data.draw(levels))
-        .with_block(full_profile.color.replace(architecture=data.draw(config)), weights)
+        .with_block(full_profile.color.replace(architecture=color.to_dict()), weights)
     )
     folder = tmp_path_factory.mktemp("random") / "profile"
     save_profile(profile, folder)

@@ -169,7 +169,6 @@ def test_another_camera_needs_another_background(full_profile: SensorProfile) ->
         full_profile.without("background", "color")
         .with_block(wider)
         .with_block(BackgroundBlock(provenance=provenance), np.zeros((9, 20, 3), np.float32))
-        .with_block(ColorBlock(architecture={}, provenance=provenance), {"w": np.ones(2)})
     )
     assert changed.grid().width_px == 20
 

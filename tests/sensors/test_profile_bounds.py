@@ -1,44 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No figure of a profile may be off by a factor of 1,000, of the other sign or no number, but where
-its own range allows that."""
+"""Every number of a profile has bounds: none may be off by a factor of 1,000, of the other sign, 0,
+huge or no number, but where ``ALLOWED`` says why it may."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile import DepthResponseBlock, PerturbationBlock, SensorProfile
+from taccel_lab.profile import (
+    DepthResponseBlock,
+    PerturbationBlock,
+    Provenance,
+    SensorProfile,
+    load_profile,
+)
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.sensors.registry import parameter_faults
+from taccel_lab.sensors.registry import judge_parameters
+from tests.fuzz.samples.profiles import with_force
 from tests.support.sample_blocks import ASSUMED, CALIBRATED
 
-CHANGES = {"x1000": 1e3, "/1000": 1e-3, "negative": -1.0, "nan": float("nan")}
+CHANGES: dict[str, Callable[[float], float]] = {
+    "x1000": lambda value: 1e3 * value,
+    "/1000": lambda value: 1e-3 * value,
+    "negative": lambda value: -value,
+    "zero": lambda value: 0 * value,
+    "nan": lambda value: math.nan,
+    "inf": lambda value: math.inf,
+    "1e300": lambda value: 1e300,
+}
+SMALL, PLACE, ANY = "/1000 zero", "/1000 zero negative", "x1000 /1000 zero negative"
 ALLOWED = {
     # A name, what is allowed of it, and why no bound can say otherwise.
-    r"material\.(layers\.\d\.)?(poisson_ratio|friction_coefficient)": "/1000",  # may be 0
+    r"material\.(layers\.\d\.)?poisson_ratio": SMALL,  # Of foams.
+    r"material\.friction_coefficient": SMALL,  # Studies press without friction.
     r"material\.layers\.\d\.young_modulus_pa": "x1000",  # A film over the gel.
-    r"camera\.center_._px|optics\.c[xy]_px": "/1000",  # The image may begin at the axis.
-    r"optics\.position_mm\.[01]": "x1000 /1000 negative",  # A place beside the axis.
-    r"optics\.rotation\.\d": "x1000 /1000 negative",  # Of any unit quaternion; -1 is the same turn.
-    r"optics\.distortion\.\d": "x1000 /1000 negative",  # Coefficients of any sign, up to some tens.
-    r"optics\.(falloff|ambient_rgb\.\d|gel_scattering_per_mm)": "/1000",  # may be 0
-    r"optics\.raw_\w+_px": "/1000",  # 480 // 1000 is 0: unknown.
-    r"coating\.(albedo_rgb\.\d|specular|roughness)": "/1000",  # Black, matt.
-    r"lights\.led\.\d+\.position_mm\.[01]": "x1000 /1000 negative",  # 1e-16 is 0
-    r"lights\.led\.\d+\.position_mm\.2": "/1000",
-    r"lights\.led\.\d+\.direction\.\d": "x1000 /1000 negative",  # Of any unit vector.
-    r"lights\.led\.\d+\.(rgb\.\d|lobe)": "x1000 /1000",  # may be 0, and 1e-16 is 0
-    r"markers\.(offset_mm\.\d|rotation_deg|stagger)": "/1000 negative",  # A place, a turn.
-    r"housing\.(corner_radius_mm|front_z_mm)": "/1000",  # may be 0
-    r"housing\.offset_mm\.\d": "/1000 negative",  # A place.
-    r"depth_response\.(depth_mm|drop_levels)\.0": "/1000",  # may be 0
-    r"depth_response\.(\w+_sigma_mm|depth_share)": "x1000 /1000",  # Of 1 um 1 mm is made.
-    r"perturbation\.\w+(\.\d)?": "x1000 /1000",  # A spread may be small.
+    r"camera\.center_._px": PLACE,  # An image may show a corner of the gel.
+    r"optics\.c[xy]_px": SMALL,  # The lens may stand beside the image's middle.
+    r"optics\.position_mm\.[01]": ANY,  # A place beside the axis, at most 1 mm or 0.4 images.
+    r"optics\.rotation\.\d": "negative",  # The same turn.
+    r"optics\.distortion\.\d": ANY,  # Of any sign; where the image is small it bends nothing.
+    r"optics\.(focus_mm|aperture_mm)": "zero",  # Unknown; a pinhole.
+    r"optics\.(falloff|ambient_rgb\.\d|gel_scattering_per_mm)": SMALL,  # Corrected, dark, clear.
+    r"coating\.(albedo_rgb\.\d|specular)": SMALL,  # Coloured, matt.
+    r"coating\.thickness_mm": "zero",  # None.
+    r"lights\.led\.\d+\.position_mm\.[01]": ANY,  # Around the gel, where it shines on some of it.
+    r"lights\.led\.\d+\.position_mm\.2": SMALL,  # At the height of the apex, beside the gel.
+    r"lights\.led\.\d+\.direction\.\d": ANY,  # Of any unit vector; 1e-16 is 0.
+    r"lights\.led\.\d+\.(rgb\.\d|lobe)": "x1000 /1000 zero",  # Dim, even; 1e-16 is 0.
+    r"lights\.led\.\d+\.size_mm\.\d": "zero",  # A point.
+    r"markers\.(offset_mm\.\d|rotation_deg|stagger)": PLACE,  # A place, a turn.
+    r"housing\.(corner_radius_mm|front_z_mm)": SMALL,  # Sharp; flush with the apex.
+    r"housing\.offset_mm\.\d": PLACE,
+    r"depth_response\.(depth_mm|drop_levels)\.[01]": SMALL,  # The curve begins at any depth.
+    r"depth_response\.(\w+_sigma_mm|depth_share)": SMALL,  # A small error.
+    r"perturbation\.\w+(\.\d)?": SMALL,  # Units that are alike.
+    r"(color|normals)\.architecture\.input_mean\.\d+": ANY,  # Within what the input may be.
+    r"(color|normals)\.architecture\.input_scale\.\d+": "/1000",  # Fits take 0.001 for constants.
+    r"color\.architecture\.output_scale": "/1000",  # Where answers stay above half a level.
+    r"normals\.architecture\.scales_px\.\d": "zero",  # The pixel itself.
+    r"\w+\.architecture\.(\w+_factor|depth_share|error_length_px|stiffness_relative)": SMALL,
+    r"force\.architecture\.target_scale\.\d": "/1000",  # A press that has hardly any moment.
+    r"\w+\.provenance\.residuals\.\w+": ANY,  # How bad a fit is, within its unit.
+    r"\w+\.provenance\.spread\.\w+": "x1000 /1000 zero",  # How little is known, likewise.
+    r"\w+\.provenance\.(valid_region|interval)\.\w+\.\d": ANY,  # Where it was tested, likewise.
+    # A family's own bounds may span more than a factor of 1,000, and its angles have a sign.
+    r"sensor\.parameters\.\w+(\.\d)?": ANY,
 }
 
 
@@ -57,26 +91,26 @@ def changed(value: Any, path: tuple[Any, ...], new: float) -> Any:
     inner = changed(value[path[0]], path[1:], new)
     if isinstance(value, dict):
         return {**value, path[0]: inner}
-    return (*value[: path[0]], inner, *value[path[0] + 1 :])
+    return type(value)((*value[: path[0]], inner, *value[path[0] + 1 :]))
 
 
 def accepted(profile: SensorProfile) -> Iterator[tuple[str, float, str]]:
     """Every change of a number that the profile takes: name, value and change."""
     for key, block in profile.blocks().items():
         table = block.model_dump(mode="python")
-        provenance = table.pop("provenance")
         arrays = getattr(profile, ARRAY_FIELDS[key]) if key in ARRAY_FIELDS else None
         for path, value in numbers(table):
-            for change, factor in CHANGES.items():
-                new = type(value)(value * factor) if change != "nan" else value * factor
+            for change, by in CHANGES.items():
+                new = by(value)
+                if isinstance(value, int) and math.isfinite(new):
+                    new = int(new)
                 if new == value:  # Of 0 there is one.
                     continue
                 try:
-                    other = type(block)(**changed(table, path, new), provenance=provenance)
-                    found = profile.with_block(other, arrays)
+                    found = profile.with_block(type(block)(**changed(table, path, new)), arrays)
                 except InputError:
                     continue
-                if not parameter_faults(found):
+                if not judge_parameters(found.sensor).faults:
                     yield ".".join(map(str, (key, *path))), value, change
 
 
@@ -97,20 +131,20 @@ def with_responses(profile: SensorProfile) -> SensorProfile:
     return profile
 
 
-@pytest.mark.parametrize(
-    "name", ["digit", "digit_360", "gelsight_mini", "gelsight_wedge", "9dtact", "rtac"]
-)
-def test_a_figure_that_is_far_off_is_refused(name: str) -> None:
-    profile = with_responses(catalogue_profile(name))
-    assert parameter_faults(profile) == []
+@pytest.mark.parametrize("name", ["digit_360", "gelsight_mini", "9dtact", "networks"])
+def test_every_number_of_a_profile_has_bounds(name: str, tmp_path: Path) -> None:
+    if name == "networks":
+        with_force(tmp_path)
+        profile = load_profile(tmp_path / "profile")
+        # Parameters that no family has are kept as they are.
+        profile = profile.with_block(profile.sensor.replace(parameters={}))
+    else:
+        profile = with_responses(catalogue_profile(name))
+    assert judge_parameters(profile.sensor).faults == ()
     wrong = []
     for place, value, change in accepted(profile):
-        family = place.startswith("sensor.parameters.")
         rules = [words for rule, words in ALLOWED.items() if re.fullmatch(rule, place)]
-        if not family and not any(change in words.split() for words in rules):
-            wrong.append(f"{place} = {value:g} {change}")
-        # A family's own bounds may span more than a factor of 1,000, and its angles have a sign.
-        if family and change == "nan":
+        if not any(change in words.split() for words in rules):
             wrong.append(f"{place} = {value:g} {change}")
     assert wrong == []
 
@@ -124,11 +158,58 @@ def test_parameters_keep_the_bounds_of_their_family(name: str, value: Any) -> No
     profile = catalogue_profile("gelsight_mini")
     sensor = profile.sensor
     parameters = {**sensor.parameters, name: value}
-    (fault,) = parameter_faults(profile.with_block(sensor.replace(parameters=parameters)))
+    (fault,) = judge_parameters(sensor.replace(parameters=parameters)).faults
     assert re.match(rf"sensor\.parameters\.{name} = .*; allowed: ", fault)
 
 
 def test_parameters_of_other_families_are_not_judged() -> None:
     profile = catalogue_profile("gelsight_mini")
     for changes in ({"family": "mine"}, {"parameters": {"gone_mm": -5.0}}):
-        assert parameter_faults(profile.with_block(profile.sensor.replace(**changes))) == []
+        assert judge_parameters(profile.sensor.replace(**changes)).faults == ()
+
+
+def _evidence(**tables: Any) -> Provenance:
+    return ASSUMED.model_copy(update=tables)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes", "words"),
+    [
+        ("camera", {"mm_per_px_x": 0.9}, "mm_per_px_x: the image is .* mm long along x, the gel"),
+        ("camera", {"center_u_px": 5.0}, r"sees the gel's origin .* px from camera\.center_u_px"),
+        ("optics", {"fx_px": 2500.0}, "at the gel a pixel is .* mm wide"),
+        ("optics", {"rotation": (1.0, 0.0, 0.0, 0.0)}, "looks away from the gel"),
+        ("optics", {"raw_width_px": 0}, "both are known or both 0"),
+        ("optics", {"distortion": (-40.0, 0.0, 0.0, 0.0)}, "distortion: folds or bends"),
+        ("markers", {"offset_mm": (60.0, 0.0)}, "no dot lies on the gel"),
+        ("housing", {"wall_mm": 15.0}, r"wall_mm: at most 12 mm, half of the box"),
+        ("perturbation", {"center_px": 900.0}, "at most 160 px, half the image"),
+        ("depth_response", {"depth_mm": (0.1, 0.3, 40.0)}, "twice the gel's thickness"),
+        ("depth_response", {"reading_sigma_mm": 2.0}, "the deepest touch"),
+        ("window", {"outer_radius_mm": 9.0}, "a plate has no outer_radius_mm"),
+        ("coating", {"thickness_mm": 4.9}, "coating.thickness_mm: at most the gel's"),
+        ("gel", {"provenance": _evidence(spread={"thickness_mm": -1.0})}, "at least 0"),
+        ("gel", {"provenance": _evidence(spread={"thickness_mm": 900.0})}, "the range of"),
+        ("gel", {"provenance": _evidence(interval={"thickness_mm": (0.1, 0.2)})}, "must hold"),
+        ("gel", {"provenance": _evidence(residuals={"off_deg": 900.0})}, "off_deg: must lie in"),
+    ],
+)  # fmt: skip
+def test_blocks_have_to_agree(key: str, changes: dict[str, Any], words: str) -> None:
+    profile = with_responses(catalogue_profile("gelsight_mini"))
+    field = ARRAY_FIELDS.get(key)
+    arrays = None if field is None else getattr(profile, field)
+    with pytest.raises(InputError, match=words):
+        profile.with_block(profile.blocks()[key].replace(**changes), arrays)
+
+
+def test_lights_shine_on_the_gel_from_beside_it() -> None:
+    profile = catalogue_profile("gelsight_mini")
+    assert profile.lights is not None
+    first, *others = profile.lights.led
+    for changes, words in (
+        ({"direction": tuple(-np.array(first.direction))}, "led.0: shines away from all"),
+        ({"position_mm": (0.0, 0.0, -12.0)}, "led.0.position_mm: stands between camera and gel"),
+    ):
+        block = profile.lights.replace(led=(first.replace(**changes), *others))
+        with pytest.raises(InputError, match=words):
+            profile.with_block(block)

@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.signals.color_model import ColorModel
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.host_colors import host_image
 from tests.signals.pressed_surface import PressedSphere, shaped
@@ -38,7 +39,7 @@ def color_model(grid: PixelGrid, hidden: tuple[int, ...] = (32, 20)) -> ColorMod
         config,
         {
             name: rng.normal(0, 1.5 / np.sqrt(shape[-1]), shape)
-            for name, shape in expected_shapes(config).items()
+            for name, shape in config.weight_shapes().items()
         },
     )
 

@@ -12,12 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.color_model import (
-    CHUNK_PIXELS,
-    ColorModel,
-    ColorModelConfig,
-    expected_shapes,
-)
+from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.signals.color_model import CHUNK_PIXELS, ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 from tests.signals.host_colors import face, host_change
 
@@ -27,7 +23,7 @@ CONFIG = ColorModelConfig(width_px=20, height_px=15, hidden=(16, 8))
 def random_model(config: ColorModelConfig = CONFIG, seed: int = 0) -> ColorModel:
     rng = np.random.default_rng(seed)
     return ColorModel(
-        config, {name: rng.normal(0, 0.5, shape) for name, shape in expected_shapes(config).items()}
+        config, {name: rng.normal(0, 0.5, shape) for name, shape in config.weight_shapes().items()}
     )
 
 
@@ -102,7 +98,7 @@ def test_maps_and_cones_that_are_none_are_refused() -> None:
         small = face(normals[:10], np.zeros((10, 20)), normals[:10])
         tactile_image(model, np.zeros((15, 20, 3)), small)
     for cone_deg in (0.0, 90.1, float("nan")):
-        with pytest.raises(InputError, match="cone_deg"):
+        with pytest.raises(InputError, match="surface_tilt_deg"):
             ColorModel(CONFIG, model.weights, cone_deg)
 
 

@@ -16,19 +16,17 @@ from hypothesis.extra.numpy import arrays
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.force_settings import ForceModelConfig, color_directions
 from taccel_lab.signals import resultant_wrench
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_network import (
     area_matrix,
-    color_directions,
     color_reach,
-    expected_shapes,
     marker_planes,
     moment_of,
     patch_centers_mm,
     reduced,
 )
-from taccel_lab.signals.force_settings import ForceModelConfig
 
 GRID = PixelGrid(40, 30, 0.1, 0.12, 18.0, 15.0)
 
@@ -36,12 +34,12 @@ GRID = PixelGrid(40, 30, 0.1, 0.12, 18.0, 15.0)
 def made_up(seed: int = 0, **changes: Any) -> ForceModel:
     settings_: dict[str, Any] = {
         "columns": 4, "rows": 3, "patch_px": 4, "widths": (3, 5), "blocks": 2, "hidden": 6,
-        "stiffness_relative": 0.2, "young_modulus_pa": 2e5, "most": (1e3, 1e3, 1e3, 1e3),
-        "distance_limits": (50.0, 50.0, 1e3),
+        "stiffness_relative": 0.2, "young_modulus_pa": 2e5, "most": (400.0, 400.0, 400.0, 400.0),
+        "distance_limits": (50.0, 50.0, 300.0),
     }  # fmt: skip
     config = ForceModelConfig(GRID.width_px, GRID.height_px, **(settings_ | changes))
     rng = np.random.default_rng(seed)
-    weights = {n: rng.normal(0, 0.4, s) for n, s in expected_shapes(config).items()}
+    weights = {n: rng.normal(0, 0.4, s) for n, s in config.weight_shapes().items()}
     weights["colors.most"] = np.full(26, 100.0)
     return ForceModel(config, weights, GRID)
 
@@ -120,11 +118,11 @@ def test_what_lies_beyond_the_training_is_said() -> None:
     near = made_up().read(picture(0), picture(1))
     assert not near.outside
     for changes, reason in (
-        ({"distance_limits": (1e-3, 50.0, 1e3)}, "pattern"),
-        ({"distance_limits": (50.0, 1e-3, 1e3)}, "colours"),
-        ({"distance_limits": (50.0, 50.0, 1e-3)}, "reach of colours"),
-        ({"most": (1e3, 1e3, 1e-6, 1e3)}, "area"),
-        ({"most": (1e3, 1e3, 1e3, 1e-9)}, "force of a patch"),
+        ({"distance_limits": (0.05, 50.0, 300.0)}, "pattern"),
+        ({"distance_limits": (50.0, 0.05, 300.0)}, "colours"),
+        ({"distance_limits": (50.0, 50.0, 0.05)}, "reach of colours"),
+        ({"most": (400.0, 400.0, 0.1, 400.0)}, "area"),
+        ({"most": (400.0, 400.0, 400.0, 0.1)}, "force of a patch"),
     ):
         found = made_up(**changes).read(picture(0), picture(1))
         assert [said.split(":")[0] for said in found.outside] == [reason]

@@ -9,21 +9,15 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taccel_lab.networks.color_settings import INPUT_NAMES, ColorModelConfig, pixel_uv
+from taccel_lab.networks.normal_settings import NormalModelConfig, feature_names
+from taccel_lab.networks.position_encoding import MAX_BANDS, band_names, encode_position
 from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
 from taccel_lab.signals.color_kernel import color_kernel
-from taccel_lab.signals.color_model import (
-    INPUT_NAMES,
-    ColorModel,
-    ColorModelConfig,
-    expected_shapes,
-    pixel_uv,
-)
-from taccel_lab.signals.normal_features import feature_names, pixel_place
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.normal_features import pixel_place
 from taccel_lab.signals.normal_model import NormalModel
-from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
-from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes
-from taccel_lab.signals.position_encoding import MAX_BANDS, band_names, encode_position
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from tests.signals.host_colors import host_image
 from tests.signals.tactile_cases import DEVICES, LEVELS
@@ -41,7 +35,7 @@ def encoded_model(bands: int, hidden: tuple[int, ...] = (20, 16), seed: int = 0)
         config,
         {
             name: rng.normal(0, 1.2 / np.sqrt(shape[-1]), shape)
-            for name, shape in expected_shapes(config).items()
+            for name, shape in config.weight_shapes().items()
         },
     )
 
@@ -122,7 +116,7 @@ def test_the_normals_network_has_them_among_its_features() -> None:
     assert place[3, 7, 2:] == pytest.approx(encode_position(place[3, 7, :2], 2), abs=1e-6)
     config = NormalModelConfig(WIDTH, HEIGHT, position_bands=2, members=2, hidden=(8,))
     rng = np.random.default_rng(0)
-    weights = {name: rng.normal(0, 0.3, shape) for name, shape in normal_shapes(config).items()}
+    weights = {name: rng.normal(0, 0.3, shape) for name, shape in config.weight_shapes().items()}
     model = NormalModel(config, weights)
     background = np.full((HEIGHT, WIDTH, 3), 100.0)
     image = background + rng.normal(0, 20, background.shape)
@@ -251,7 +245,7 @@ def test_fragments_compute_the_network(hidden, activation, inputs, bands):
     rng = np.random.default_rng(1)
     weights = {
         name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     pixel = rng.integers(0, 20 * 15, 16) if bands else None
     given = rng.normal(0, 1, (16, 6))
@@ -272,7 +266,7 @@ def test_the_first_layer_keeps_more_than_half_precision():
     """Two inputs that differ by less than FP16 resolves still differ in the result."""
     config = ColorModelConfig(20, 15, hidden=(16,), activation="tanh", output_scale=1000.0)
     weights = {
-        name: np.zeros(shape, dtype=np.float32) for name, shape in expected_shapes(config).items()
+        name: np.zeros(shape, dtype=np.float32) for name, shape in config.weight_shapes().items()
     }
     weights["layer0.weight"][0, :2] = 100.003, -100.003
     weights["layer1.weight"][0, 0] = 1.0

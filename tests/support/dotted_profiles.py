@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 
 LIGHT, DARK = 150, 30
 """Levels of the picture beside its dots and in them."""
@@ -25,6 +25,6 @@ def with_painted_dots(
     for place in places_px:
         image[np.hypot(u - place[0], v - place[1]) <= radius_px] = DARK
     config = ColorModelConfig(grid.width_px, grid.height_px, hidden=(8, 8))
-    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
+    still = {name: np.zeros(shape, np.float32) for name, shape in config.weight_shapes().items()}
     profile = profile.with_block(BackgroundBlock(provenance=SAID), image)
     return profile.with_block(ColorBlock(architecture=config.to_dict(), provenance=SAID), still)

@@ -15,6 +15,7 @@ from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
@@ -23,7 +24,6 @@ from taccel_lab.profile import (
     save_profile,
 )
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from tests.support.analytic_surface import analytic_surface
 
 GRID = PixelGrid(96, 72, 0.1, 0.1)
@@ -93,7 +93,7 @@ def write_profile(folder: Path, *, color: bool = True) -> Path:
         rng = np.random.default_rng(0)
         weights = {
             name: rng.normal(size=shape).astype(np.float32)
-            for name, shape in expected_shapes(config).items()
+            for name, shape in config.weight_shapes().items()
         }
         profile = profile.with_block(BackgroundBlock(provenance=made_up), background())
         profile = profile.with_block(

@@ -22,6 +22,7 @@ from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import DatasetOutcome, make_dataset
 from taccel_lab.datasets.spec import DatasetSpec
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.profile import (
     BackgroundBlock,
@@ -34,7 +35,6 @@ from taccel_lab.profile import (
 )
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 
 QUICK = replace(
     PHYSICS[Accuracy.FAST],
@@ -61,7 +61,7 @@ def small_profile() -> SensorProfile:
     rng = np.random.default_rng(1)
     config = ColorModelConfig(*SIZE, hidden=(8, 8))
     weights = {
-        n: rng.normal(0, 0.5, s).astype(np.float32) for n, s in expected_shapes(config).items()
+        n: rng.normal(0, 0.5, s).astype(np.float32) for n, s in config.weight_shapes().items()
     }
     image = rng.uniform(60, 180, (SIZE[1], SIZE[0], 3)).astype(np.float32)
     profile = profile.with_block(camera)

@@ -206,10 +206,16 @@ def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+def _wide(nodes_m: np.ndarray, grid: PixelGrid) -> np.ndarray:
+    """The corner of a gel of 1 mm, 12 mm wide or as far as half of a wider image."""
+    half_mm = np.array([np.ptp(grid.x_mm()), np.ptp(grid.y_mm()), 0.0]) / 2
+    return nodes_m * np.maximum(half_mm, [12.0, 12.0, 1.0])
+
+
 def tiny_profile(grid: PixelGrid) -> SensorProfile:
     """A profile of one tet, without background and colour."""
     tets = np.array([[0, 2, 1, 3]])
-    nodes = np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1]]) * 1e-3
+    nodes = _wide(np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1]]) * 1e-3, grid)
     faces = boundary_faces(tets)
     return bare_profile(TetMesh(nodes, tets, faces, np.arange(4)), grid)
 
@@ -217,6 +223,7 @@ def tiny_profile(grid: PixelGrid) -> SensorProfile:
 def flat_profile(grid: PixelGrid, thickness_mm: float = 1.0) -> SensorProfile:
     """A profile of one tet whose contact face is flat, without background and colour."""
     nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -thickness_mm]]) * 1e-3
+    nodes = _wide(nodes, grid)
     tets = np.array([[0, 2, 1, 3]])
     faces = boundary_faces(tets)
     up = (nodes[faces][..., 2] == 0).all(axis=1)

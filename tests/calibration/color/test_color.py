@@ -33,8 +33,9 @@ from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.unfinished import UnfinishedCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import load_profile, save_profile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 from tests.calibration.drawn.faults import poison, quantise
 from tests.support.analytic_surface import analytic_surface

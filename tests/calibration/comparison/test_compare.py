@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.comparison import compare_profiles
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
     ColorBlock,
@@ -18,7 +19,6 @@ from taccel_lab.profile import (
     SensorProfile,
 )
 from taccel_lab.report.page import write_page
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from tests.support.synthetic_presses import GRID, tiny_profile
 
 
@@ -32,7 +32,7 @@ def colored_profile(seed: int = 0, scale: float = 1.0) -> SensorProfile:
     weights = {
         name: (scale if name == "layer1.weight" else 1.0)
         * rng.normal(0, 0.5, shape).astype(np.float32)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     image = np.full((GRID.height_px, GRID.width_px, 3), 100, dtype=np.uint8)
     return (

@@ -32,9 +32,10 @@ from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share, layer_surfaces
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
-from taccel_lab.signals.normal_model import NormalModel, expected_shapes
-from taccel_lab.signals.normal_model_config import NormalModelConfig
+from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
@@ -76,7 +77,7 @@ def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
     config = NormalModelConfig(
         60, 56, scales_px=(0.0,), slope_scales_px=(), members=members, hidden=()
     )
-    weights = {k: np.zeros(s, dtype=np.float32) for k, s in expected_shapes(config).items()}
+    weights = {k: np.zeros(s, dtype=np.float32) for k, s in config.weight_shapes().items()}
     for axis in range(2):
         weights["layer0.weight"][:, axis, axis] = -SLOPE_PER_LEVEL * 32.0
         weights["layer0.weight"][0, axis, axis] *= 1 + wrong

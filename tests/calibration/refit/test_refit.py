@@ -19,8 +19,9 @@ from taccel_lab.calibration.refit.light_change import RefitFrame, fit_light_chan
 from taccel_lab.calibration.refit.refit_page import refit_page
 from taccel_lab.calibration.refit.result import RefitCalibration
 from taccel_lab.errors import InputError
+from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
-from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
+from taccel_lab.signals.color_model import ColorModel
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
 from tests.signals.host_colors import host_change
 from tests.support.analytic_surface import analytic_surface
@@ -42,7 +43,7 @@ def old_profile() -> SensorProfile:
     rng = np.random.default_rng(0)
     weights = {
         name: rng.normal(0, 1.0, shape).astype(np.float32)
-        for name, shape in expected_shapes(config).items()
+        for name, shape in config.weight_shapes().items()
     }
     made_up = Provenance(kind="assumed", method="made up for a test", source="none")
     profile = flat_profile(GRID, 3.0).with_block(

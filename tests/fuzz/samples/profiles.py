@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.networks.force_settings import ForceModelConfig
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
@@ -23,8 +26,6 @@ from taccel_lab.profile import (
     SensorProfile,
     save_profile,
 )
-from taccel_lab.signals import color_model, force_network, normal_model
-from taccel_lab.signals.force_settings import ForceModelConfig
 from tests.fuzz.samples.captures import write_image
 from tests.support.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
 
@@ -55,7 +56,8 @@ def with_force(given: Path) -> None:
         GRID.width_px, GRID.height_px, columns=3, rows=2, patch_px=2, widths=(3,), blocks=1,
         hidden=3, most=(1.0, 1.0, 1.0, 1.0), distance_limits=(1.0, 1.0, 1.0),
     )  # fmt: skip
-    weights = _weights(force_network.expected_shapes(config), np.random.default_rng(5))
+    weights = _weights(config.weight_shapes(), np.random.default_rng(5))
+    weights = {name: np.float32(0.5) * value for name, value in weights.items()}
     weights["colors.most"] = np.full(26, 50.0, np.float32)
     block = ForceBlock(architecture=config.to_dict(), provenance=CALIBRATED)
     save_profile(_profile().with_block(block, weights), given / "profile")
@@ -104,8 +106,8 @@ def seal(given: Path, name: str = "profile") -> None:
 def _profile() -> SensorProfile:
     shared = sample_blocks()
     rng = np.random.default_rng(7)
-    color = color_model.ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
-    normal = normal_model.NormalModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
+    color = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
+    normal = NormalModelConfig(GRID.width_px, GRID.height_px, hidden=(3,))
     return SensorProfile(
         sensor=shared.sensor,
         gel=shared.gel,
@@ -120,11 +122,10 @@ def _profile() -> SensorProfile:
         background=BackgroundBlock(provenance=ASSUMED),
         background_rgb=rng.integers(0, 256, (9, 12, 3), dtype=np.uint8),
         color=ColorBlock(architecture=color.to_dict(), provenance=CALIBRATED),
-        color_weights=_weights(color_model.expected_shapes(color), rng),
+        color_weights=_weights(color.weight_shapes(), rng),
         normals=NormalsBlock(architecture=normal.to_dict(), provenance=CALIBRATED),
         normal_weights={
-            name: 0.1 * value
-            for name, value in _weights(normal_model.expected_shapes(normal), rng).items()
+            name: 0.1 * value for name, value in _weights(normal.weight_shapes(), rng).items()
         },
         depth_response=DepthResponseBlock(
             drop_levels=(0.0, 10.0, 40.0), depth_mm=(0.0, 0.2, 0.9), provenance=CALIBRATED

@@ -4,17 +4,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import reading_settings, settings_dict
-from taccel_lab.signals.normal_features import feature_names, local_features, pixel_place
-from taccel_lab.signals.position_encoding import require_bands
+from taccel_lab.networks.answers import QUESTIONS, forward, require_answers
+from taccel_lab.networks.position_encoding import band_names, require_bands
+from taccel_lab.networks.settings import (
+    LEAST_CONE_DEG,
+    LEAST_SCALE,
+    layer_shapes,
+    reading_settings,
+    require_range,
+    settings_dict,
+)
 
+MOST_UNITS = 8.0
+"""Of a change of colour: 255 levels, of which a unit has 32."""
+_LEAST_WINDOW_PX = 0.1
+"""A narrower one is the pixel itself."""
 OUTPUTS = 3
 """Two tilts [rad] and the logarithm of the expected angle of error [rad]."""
 RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
@@ -78,41 +89,43 @@ class NormalModelConfig:
                 f"normal model needs members and hidden layers of at least 1, got {self.members} "
                 f"and {list(self.hidden)}"
             )
-        scales = (*self.scales_px, *self.slope_scales_px)
-        if not self.scales_px or not all(0 <= s <= 1e3 for s in scales):
-            raise InputError(
-                f"normal model scales {list(scales)} px must lie in 0..1000, some given"
-            )
-        if any(s == 0 for s in self.slope_scales_px):
-            raise InputError("normal model slope_scales_px must be above 0 px")
+        largest = max(self.width_px, self.height_px)
+        if not self.scales_px:
+            raise InputError("normal model scales_px must hold some windows")
+        for name, least in (("scales_px", 0.0), ("slope_scales_px", _LEAST_WINDOW_PX)):
+            for scale in getattr(self, name):
+                if scale or least:  # 0 is the pixel itself.
+                    require_range("normal model", name, scale, _LEAST_WINDOW_PX, largest)
         require_bands("normal model", self.position_bands)
         for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
             values = getattr(self, name) or (default,) * self.input_count
-            if len(values) != self.input_count or not np.isfinite(values).all():
+            if len(values) != self.input_count:
                 raise InputError(
-                    f"normal model {name} needs {self.input_count} finite numbers, one per "
-                    f"feature, got {list(values)}"
+                    f"normal model {name} needs {self.input_count} numbers, one per feature, got "
+                    f"{list(values)}"
                 )
             object.__setattr__(self, name, tuple(values))
-        if not (0 < self.cone_deg <= 90 and 0 <= self.error_length_px < 1e4):
+        for k, name in enumerate(self.features):
+            of_color = k < self.varying_count or name.startswith("background")
+            reach = MOST_UNITS if of_color else 1.0
+            mean, scale = self.input_mean[k], self.input_scale[k]
+            require_range("normal model", f"input_mean of {name}", mean, -reach, reach)
+            require_range("normal model", f"input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
+        for name, low, high in (
+            ("cone_deg", LEAST_CONE_DEG, 90.0),
+            ("error_length_px", 0.0, largest),
+            ("height_factor", 0.0, 100.0),
+            ("along_factor", 0.0, 100.0),
+            ("depth_share", 0.0, 2.0),
+            ("error_factor", 0.02, 50.0),
+            ("radius95_sigmas", 1.0, 100.0),
+            ("presses_px", -largest, 2 * largest),
+        ):
+            require_range("normal model", name, getattr(self, name), low, high)
+        if len(self.presses_px) % 3 or min(self.presses_px[2::3], default=0.0) < 0:
             raise InputError(
-                f"normal model cone_deg must lie in 0..90 and error_length_px in 0..10000, got "
-                f"{self.cone_deg:g} and {self.error_length_px:g}"
-            )
-        for name in ("height_factor", "along_factor", "depth_share"):
-            if not 0 <= getattr(self, name) < 1e4:
-                raise InputError(
-                    f"normal model {name} must lie in 0..10000, got {getattr(self, name):g}"
-                )
-        if len(self.presses_px) % 3 or not np.isfinite(self.presses_px).all():
-            raise InputError(
-                "normal model presses_px must hold finite columns, rows and radii, got "
+                "normal model presses_px must hold columns, rows and radii, got "
                 f"{len(self.presses_px)} numbers"
-            )
-        factors = (self.error_factor, self.radius95_sigmas)
-        if min(self.input_scale) <= 0 or not all(0 < factor < 1e3 for factor in factors):
-            raise InputError(
-                "normal model input_scale, error_factor and radius95_sigmas must be positive"
             )
 
     def away(self, every: int = 1) -> np.ndarray:
@@ -150,6 +163,10 @@ class NormalModelConfig:
         widths = [self.input_count, *self.hidden, OUTPUTS]
         return [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]
 
+    def weight_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of each weight array by name, in the order of the layers."""
+        return layer_shapes(self.layer_sizes(), (self.members,))
+
     def to_dict(self) -> dict[str, Any]:
         """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
         return settings_dict(self)
@@ -179,32 +196,6 @@ class NormalModelConfig:
                 presses_px=tuple(float(x) for x in values["presses_px"]),
             )
 
-    def image_features(
-        self,
-        change: np.ndarray,
-        background: np.ndarray,
-        *,
-        mask: np.ndarray | None = None,
-        zoom: float = 1.0,
-        window: tuple[slice, slice] = (slice(None), slice(None)),
-        picked: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Raw features of every pixel in ``window``, float32, shape [h, w, feature].
-
-        ``change`` and ``background`` [levels] and ``mask`` are of the whole image. With ``picked``,
-        pixels counted along the window's rows, those of these alone, shape [n, feature].
-        """
-        return local_features(
-            change[window],
-            self.scales_px,
-            self.slope_scales_px,
-            mask=None if mask is None else mask[window],
-            background=background[window] if self.background else None,
-            place=pixel_place(self.width_px, self.height_px, self.position_bands)[window],
-            zoom=zoom,
-            picked=picked,
-        )
-
     def normalise(self, features: np.ndarray) -> np.ndarray:
         """Network inputs of raw features, float32, same shape."""
         mean, scale = (np.array(x, dtype=np.float32) for x in (self.input_mean, self.input_scale))
@@ -215,3 +206,29 @@ class NormalModelConfig:
         still = features.copy()
         still[..., : self.varying_count] = 0.0
         return still
+
+
+def feature_names(
+    scales_px: Sequence[float],
+    slope_scales_px: Sequence[float],
+    background: bool,
+    position_bands: int = 0,
+) -> tuple[str, ...]:
+    """Names of the features in order."""
+    names = [f"change_{c}_{s:g}px" for s in scales_px for c in "rgb"]
+    names += [f"d{axis}_{c}_{s:g}px" for s in slope_scales_px for axis in "uv" for c in "rgb"]
+    if background:
+        names += [f"background_{c}" for c in "rgb"]
+    return (*names, "u", "v", *band_names(position_bands))
+
+
+def require_angles(config: NormalModelConfig, weights: Mapping[str, np.ndarray]) -> None:
+    """Refuse a network whose tilts are no angles, over twice the spread of its features."""
+    spread = np.random.default_rng(0).uniform(-2, 2, (QUESTIONS, config.input_count))
+    raw = np.array(config.input_mean) + np.array(config.input_scale) * spread
+    read, still = (
+        forward(weights, config.normalise(values), "silu")[..., :2]
+        for values in (raw, config.at_rest(raw))
+    )
+    sizes = np.degrees(np.linalg.norm((read - still).mean(axis=0), axis=-1))
+    require_answers("the normal model", sizes, 0.1, 360.0, "degrees", "a tilt has up to 90")

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from taccel_lab.errors import InputError
-from taccel_lab.signals.model_settings import reading_settings, settings_dict
+from taccel_lab.networks.settings import reading_settings, require_range, settings_dict
 
 TARGETS = ("fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm", "area_mm2")
 """What has a standard deviation, in order: force, moment about the gel's origin, area."""
@@ -90,44 +92,67 @@ class ForceModelConfig:
             if len(values) != count or not all(value > 0 for value in values):
                 raise InputError(f"force model {name} needs {count} positive numbers")
         self._check_scales()
-        if not (
-            0 < self.young_modulus_pa < math.inf
-            and 0 <= self.stiffness_relative < 10
-            and 0 < self.marker_reach_mm < 1e3
-        ):
-            raise InputError(
-                "force model young_modulus_pa and marker_reach_mm must be positive, "
-                "stiffness_relative must lie in 0..10"
-            )
+        if not 0 < self.young_modulus_pa < math.inf:
+            raise InputError("force model young_modulus_pa must be positive")
+        require_range("force model", "stiffness_relative", self.stiffness_relative, 0.0, 10.0)
+        require_range("force model", "marker_reach_mm", self.marker_reach_mm, 0.01, 100.0)
+        require_range("force model", "sigma_factor", self.sigma_factor, 0.02, 50.0)
+        limits = [limit for limit in self.distance_limits if limit < math.inf]
+        require_range("force model", "distance_limits", limits, 0.05, 300.0)
 
     def _check_scales(self) -> None:
-        """Spreads and largest values that a gel's forces can have."""
-        forces, moments, area = self.target_scale[:3], self.target_scale[3:6], self.target_scale[6:]
-        for name, values, most in (
-            ("target_scale of forces [N]", forces, 200.0),
-            ("target_scale of moments [N mm]", moments, 1e4),
-            ("target_scale of areas [mm2]", area, 1e4),
-            ("patch_scale_n", self.patch_scale_n, 200.0),
-            ("sigma_factor", self.sigma_factor, 100.0),
+        """Spreads and largest values that a gel's forces can have, and that belong together."""
+        forces, moments, area = self.target_scale[:3], self.target_scale[3:6], self.target_scale[6]
+        for name, values, low, high in (
+            ("target_scale of forces [N]", forces, 2e-4, 200.0),
+            ("target_scale of moments [N mm]", moments, 0.01 * max(forces), 200.0 * max(forces)),
+            ("target_scale of the area [mm2]", (area,), 0.01, 1e4),
         ):
-            if not all(1e-6 * most <= value <= most for value in values):
-                raise InputError(
-                    f"force model {name} must lie in {1e-6 * most:g}..{most:g}, got {list(values)}"
-                )
-        for what, spread, most in (
-            ("force along z", self.target_scale[2], self.most[0]),
-            ("area", self.target_scale[6], self.most[2]),
+            require_range("force model", name, values, low, high)
+        patches = 10 * self.rows * self.columns
+        for k, axis in enumerate("xyz"):
+            name = f"patch_scale_n of {axis}"
+            patch_n = self.patch_scale_n[k]
+            require_range("force model", name, patch_n, forces[k] / patches, 10 * forces[k])
+        for name, spread, most in (
+            ("force along z", forces[2], self.most[0]),
+            ("force along the face", min(forces[:2]), self.most[1]),
+            ("area", area, self.most[2]),
+            ("force of a patch", self.patch_scale_n[2], self.most[3]),
         ):
-            if math.isfinite(most) and most > 1e3 * spread:
-                raise InputError(
-                    f"force model: the largest {what} of the training, {most:g}, is more than 1000 "
-                    f"times its spread, {spread:g}"
-                )
+            if math.isfinite(most):
+                name = f"largest {name} of the training"
+                require_range("force model", name, most, 0.1 * spread, 500.0 * spread)
 
     @property
     def input_px(self) -> tuple[int, int]:
         """Height and width of the picture that the network sees."""
         return self.rows * self.patch_px, self.columns * self.patch_px
+
+    def weight_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of all arrays by name."""
+        shapes: dict[str, tuple[int, ...]] = {}
+
+        def layer(name: str, outputs: int, inputs: int, kernel: tuple[int, ...]) -> None:
+            shapes[f"{name}.weight"] = (outputs, inputs, *kernel)
+            shapes[f"{name}.bias"] = (outputs,)
+
+        inputs = 5  # colours and place
+        for k, width in enumerate(self.widths):
+            layer(f"down{k}", width, inputs, (3, 3))
+            inputs = width
+        last = self.widths[-1]
+        for k in range(self.blocks):
+            more = MARKER_PLANES if self.markers and k == 0 else 0
+            layer(f"block{k}", last, last + more, (3, 3))
+        layer("patch", 4, last, (1, 1))
+        layer("hidden", self.hidden, 2 * last, ())
+        layer("rest", 3 + len(TARGETS), self.hidden, ())
+        for name, count in (("features", self.hidden), ("statistics", STATISTICS)):
+            shapes[f"{name}.mean"] = (count,)
+            shapes[f"{name}.whiten"] = (count, count)
+        shapes["colors.most"] = (len(color_directions()),)
+        return shapes
 
     def to_dict(self) -> dict[str, Any]:
         """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
@@ -153,3 +178,18 @@ class ForceModelConfig:
                 markers=bool(values["markers"]),
                 widths=tuple(int(width) for width in values["widths"]),
             )
+
+
+def color_directions() -> np.ndarray:
+    """Changes of colour that ``color_reach`` goes along: single channels, sums and differences of
+    two and of three, unit vectors of RGB, float32, [26, 3]."""
+    directions = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
+    directions = directions[np.abs(directions).sum(axis=1) > 0]
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+
+
+def with_color_limits(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Weights of a block; an older one has no limit of colours, and gets one level for each."""
+    return {"colors.most": np.ones(len(color_directions()), np.float32), **weights}

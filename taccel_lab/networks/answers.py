@@ -26,32 +26,36 @@ def forward(weights: Mapping[str, np.ndarray], inputs: np.ndarray, activation: s
     with np.errstate(over="ignore", invalid="ignore"):
         for i in range(len(weights) // 2):
             if i:
-                values = _ACTIVATIONS[activation](values)
+                values = ACTIVATIONS[activation](values)
             weight, bias = (weights[f"layer{i}.{name}"] for name in ("weight", "bias"))
             values = values @ np.swapaxes(weight, -1, -2) + bias[..., None, :]
     return values
 
 
-def require_answers(what: str, sizes: np.ndarray, most: float, unit: str, limit: str) -> None:
-    """Refuse a network most of whose answers do not exist.
+def require_answers(
+    what: str, sizes: np.ndarray, least: float, most: float, unit: str, limit: str
+) -> None:
+    """Refuse a network most of whose answers do not exist, or are none.
 
     Args:
         what: The network, to begin a sentence with.
         sizes: How large its answers are, [n].
+        least: What the larger of them reach at least.
         most: The largest that exists.
-        unit: Of both.
+        unit: Of all.
         limit: What has no larger ones, for "but ...".
     """
     finite = np.where(np.isfinite(sizes), sizes, np.inf)
     size = float(np.percentile(finite, SHARE_PERCENT, method="lower"))
-    if not size <= most:
+    if not least <= size <= most:
+        shown = limit if size > most else f"any touch shows {least:g} and more"
         raise InputError(
-            f"{what} answers up to {size:.3g} {unit}, but {limit}: its weights or its settings "
+            f"{what} answers up to {size:.3g} {unit}, but {shown}: its weights or its settings "
             "are those of another network, or scaled"
         )
 
 
-_ACTIVATIONS = {
+ACTIVATIONS = {
     "silu": lambda x: x / (1 + np.exp(-x)),
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
