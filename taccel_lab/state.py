@@ -24,6 +24,7 @@ from taccel_lab.model.env_rows import (
     zero_rows,
 )
 from taccel_lab.model.kinematics import place_at_start
+from taccel_lab.model.sameness import same_bodies
 from taccel_lab.model.turns import in_turn
 from taccel_lab.summary import Summary
 
@@ -136,6 +137,9 @@ class State(Summary):
     when None."""
     separate: np.ndarray | None = None
     """Where such a search found none, bool, [env_count], on the host; None when one is due."""
+    model: Model | None = None
+    """The model that it was made for: it is read as one of that or of the same bodies. None where
+    nobody said."""
     _writer: dict[str, ReferenceType[object]] = field(
         default_factory=dict, init=False, compare=False
     )
@@ -173,7 +177,7 @@ class State(Summary):
                 return wp.clone(part)
             if isinstance(part, StepHistory | JointState):
                 return type(part)(*map(wp.clone, part.arrays()))
-            return copy(part)
+            return part if isinstance(part, Model) else copy(part)
 
         names = [one.name for one in fields(self) if one.init]
         return State(**{name: twin(getattr(self, name)) for name in names})
@@ -198,6 +202,7 @@ class State(Summary):
             history=part(self.history),
             joints=part(self.joints),
             viscous_inverses=None if self.viscous_inverses is None else rows(self.viscous_inverses),
+            model=self.model,
         )
 
     @in_turn
@@ -219,6 +224,8 @@ class State(Summary):
                 f"a state of {_size(other)} cannot be restored into one of {_size(self)}: both "
                 "have to be of the same model"
             )
+        if self.model and other.model and not same_bodies(self.model, other.model):
+            raise _of_another_model()
         if mask is not None:
             mask = device_mask(mask, len(self.positions), self.positions.device)
         for target, source in zip(mine, theirs, strict=True):
@@ -350,7 +357,8 @@ def poses_array(model: Model, poses: Any) -> wp.array:
 
 
 def check_state(state: State, model: Model) -> None:
-    """Refuse arrays of another device or shape, which a kernel would read as they are."""
+    """Refuse a state of another model, and arrays of another device or shape, which a kernel would
+    read as they are."""
     nodes = (model.env_count, model.node_count)
     for name, array, shape in (
         ("positions", state.positions, nodes),
@@ -370,6 +378,17 @@ def check_state(state: State, model: Model) -> None:
             f"viscous_inverses of the state have shape {inverses.shape}, expected "
             f"{(model.env_count, count)}: the state is one of gels of another material"
         )
+    if state.model is not None and not same_bodies(state.model, model):
+        raise _of_another_model()
+    # Looked at once: steps on a model that was built the same compare no arrays of the device.
+    state.model = model
+
+
+def _of_another_model() -> InputError:
+    return InputError(
+        "the state is one of another model, whose bodies or materials are others: give a state "
+        "that initial_state made for this model, or a copy of it"
+    )
 
 
 @in_turn
@@ -391,6 +410,7 @@ def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
         positions=nodal(positions),
         velocities=nodal(velocities),
         poses=wp.clone(poses_array(model, poses), device=model.device),
+        model=model,
     )
     state.complete(model)
     place_at_start(model, state.poses, state.positions)

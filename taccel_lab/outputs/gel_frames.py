@@ -109,4 +109,5 @@ class GelFrames:
         the state's own array. None without a mount."""
         if self.carriers[gel] >= 0:
             return self.read(state)[:, gel]
+        check_state(state, self._model)
         return None if self.columns[gel] < 0 else state.poses[:, self.columns[gel]]

@@ -10,10 +10,12 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.contact.gaps import SurfacePairs
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model import Model
-from taccel_lab.outputs import Outputs, to_torch
+from taccel_lab.outputs import GelFrames, Outputs, to_torch
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -26,15 +28,17 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.signals import resultant_wrench
+from taccel_lab.signals import SignalTactile, resultant_wrench
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.tangent import Tangent
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import pose
 
 DT, G = 5e-3, np.array([0.3, 0.0, -9.81])
 GEL, CUBE, BALL = 0, 1, 3
 DHAT = 2e-5
+GRID = PixelGrid(4, 4, 0.5, 0.5)
 
 
 @dataclass
@@ -258,3 +262,33 @@ def test_a_scene_without_friction_reads_zero() -> None:
     assert outputs.contact_wrenches().wrenches.numpy()[0, 0, 1, 2] < -1e-4
     assert set(outputs.energies) == {"elastic", "contact"}
     assert isinstance(outputs.normal_forces, wp.array)
+
+
+def _squeezed(young_modulus_pa: float) -> SolverIPC:
+    mesh = block_mesh((2, 2, 1), (4e-3, 4e-3, 2e-3))
+    gel = SoftBody(mesh, Material(young_modulus_pa, 0.45), element=Element.LINEAR)
+    model = Scene(gel, KinematicBody(Ball(1e-3), name="ball")).finalize()
+    return SolverIPC(model, SolverConfig(dhat_m=DHAT))
+
+
+def test_a_state_of_another_model_is_read_by_nobody() -> None:
+    """Of a gel that has the same nodes and another stiffness no array tells the difference."""
+    solver, other = _squeezed(1e5), _squeezed(5e5)
+    start = pose(0, 0, 1.1e-3)[None, None]
+    own, theirs = (initial_state(one.model, start) for one in (solver, other))
+    frames, signals = GelFrames(solver.model), SignalTactile.from_solver(solver, GRID)
+    Outputs(solver).update(own)
+    for state in (theirs, theirs.copy()):
+        for read in (
+            Outputs(solver).update,
+            solver.require_latest,
+            lambda state: solver.step(state, start),
+            lambda state: Tangent(solver, state),
+            lambda state: find_intersections(solver.model, state),
+            frames.read,
+            lambda state: frames.of(0, state),
+            signals.update,
+            own.restore,
+        ):
+            with pytest.raises(InputError, match="the state is one of another model"):
+                read(state)

@@ -28,7 +28,7 @@ from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.model import BodyKind, Model
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 
 class IntersectionKind(StrEnum):
@@ -82,6 +82,7 @@ def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
 
     Environments whose nodes are bitwise those of an earlier one are not looked at again.
     """
+    check_state(state, model)
     positions, present = state.positions.numpy(), model.present.numpy() != 0
     seen: dict[tuple[bytes, bytes, int], list[Intersection]] = {}
     found = []
