@@ -19,6 +19,8 @@ SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
 LIKELY_MPA = (0.005, 3.0)
 FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "ounces": 0.278, "kg": 9.80665, "kN": 1e3}
 """Newtons of a unit that a cell may have been read in."""
+TIMES = {"time", "time_s", "time_ms", "t", "t_s"}
+"""Names of a column that only has to run forward."""
 MAX_DEPTH_MM = 20.0
 MIN_DEPTH_MM = 0.02
 FORCE_TOLERANCE = 0.05
@@ -39,6 +41,12 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
     with naming(path):
         if "sigma_n" in columns and (sigma <= 0).any():
             raise InputError("sigma_n has to be positive everywhere")
+        if "sigma_n" in columns and sigma.min() > np.abs(force).max():
+            raise InputError(
+                f"sigma_n is at least {sigma.min():g} N, the largest force {force.max():g} N: of "
+                "such a record no force is known; sigma_n is in newtons, too"
+            )
+        _check_time(columns)
         noise = float(sigma.max()) if entry.force_sigma_n is None else entry.force_sigma_n
         _check_sign(force, noise)
         _check_depth(depth)
@@ -93,6 +101,17 @@ def _check_order(depth: np.ndarray) -> None:
             f"depth_mm falls from {depth[row]:g} to {depth[row + 1]:g} in row {row + 2}; a record "
             "holds one loading in order: cut the unloading off, or sort the points"
         )
+
+
+def _check_time(columns: dict[str, np.ndarray]) -> None:
+    for name in TIMES & set(columns):
+        wrong = np.flatnonzero(np.diff(columns[name]) < 0)
+        if len(wrong):
+            row = int(wrong[0])
+            raise InputError(
+                f"{name} falls from {columns[name][row]:g} to {columns[name][row + 1]:g} in row "
+                f"{row + 2}: the rows are not in the order of the loading; is it an unloading?"
+            )
 
 
 def _check_rising(force: np.ndarray, sigma_n: float) -> None:

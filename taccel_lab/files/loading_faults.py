@@ -19,6 +19,8 @@ SURE = 4.0
 BENT = 0.05
 """Least height of a curve over its chord that is spoken of, as a part of the forces' range: a press
 by Hertz' law hangs 0.15 below it, and with the columns swapped it stands 0.13 above."""
+RELAXED = 0.5
+"""Largest change of a force at one depth, as a part of the largest force: gels relax by less."""
 VARIED = 0.2
 """Ranges of depth, as a part of the largest, from which the force has to rise."""
 TOUCH_MM = 0.5
@@ -49,6 +51,7 @@ def require_loading(
     Raises:
         InputError: What was found, and what is allowed; without the file's name.
     """
+    _require_one_force_a_depth(depth_mm, force_n, sigma_n)
     if len(np.unique(depth_mm)) < 3 or np.ptp(depth_mm) < VARIED * depth_mm.max():
         return
     middle, half = 0.5 * (depth_mm.min() + depth_mm.max()), 0.5 * float(np.ptp(depth_mm))
@@ -67,6 +70,18 @@ def require_loading(
             "columns swapped, or does the load cell end there?"
         )
     _require_zero(depth_mm, force_n, sigma_n, 1.5 if ball else 1.0)
+
+
+def _require_one_force_a_depth(depth_mm: np.ndarray, force_n: np.ndarray, sigma_n: float) -> None:
+    """Refuse rows of one depth whose forces differ beyond noise, and beyond what a gel relaxes."""
+    starts = np.append(0, np.flatnonzero(np.diff(depth_mm)) + 1)
+    low, high = (ends.reduceat(force_n, starts) for ends in (np.minimum, np.maximum))
+    worst = int(np.argmax(high - low))
+    if high[worst] - low[worst] > max(2 * SURE * sigma_n, RELAXED * float(force_n.max())):
+        raise InputError(
+            f"force_n goes from {low[worst]:g} to {high[worst]:g} N while depth_mm stays at "
+            f"{depth_mm[starts[worst]]:g}: is it the right column, and was the stage read?"
+        )
 
 
 def _require_zero(depth_mm: np.ndarray, force_n: np.ndarray, sigma_n: float, power: float) -> None:

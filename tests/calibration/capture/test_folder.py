@@ -255,6 +255,23 @@ def indentation(depth_mm: np.ndarray, force_n: np.ndarray, **changes: object) ->
     check_record("r.csv", entry(**changes), columns)
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"depth_mm": np.full(len(DEPTH_MM), 0.5)}, "N while depth_mm stays at 0.5"),
+        ({"time_s": -DEPTH_MM}, r"time_s falls from -?0\.?\d* to .* in row 2"),
+        ({"sigma_n": np.full(len(DEPTH_MM), 100.0)}, "of such a record no force is known"),
+    ],
+)
+def test_columns_that_stand_still_run_back_or_know_nothing_are_refused(
+    changes: dict[str, np.ndarray], words: str
+) -> None:
+    columns = {"depth_mm": DEPTH_MM, "force_n": hertz_n(0.1), "time_s": DEPTH_MM}
+    check_record("r.csv", entry(), columns)
+    with pytest.raises(InputError, match=words):
+        check_record("r.csv", entry(), columns | changes)
+
+
 @given(
     modulus=st.floats(0.01, 3.0),
     deepest=st.floats(0.1, 3.0),
