@@ -7,6 +7,8 @@ import re
 
 WORD_CHARACTERS = 400
 """Longer words are damage; paths are shorter."""
+ERROR_CHARACTERS = 1000
+"""Of what a library says; some repeat the whole file."""
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 _LONG_WORD = re.compile(rf"\S{{{WORD_CHARACTERS + 1},}}")
 
@@ -23,6 +25,16 @@ def printable(text: object) -> str:
 def printable_lines(text: str) -> str:
     """Lines, each printable."""
     return "\n".join(map(printable, text.split("\n")))
+
+
+def words_of(error: BaseException) -> str:
+    """What an error of a library says, in one line, or its type where it says nothing: text of C++
+    in it need not be UTF-8, and then ``str`` of the error fails itself."""
+    try:
+        words = " ".join(str(error).split())
+    except Exception:
+        return f"{type(error).__name__}, whose own words are no text"
+    return words[:ERROR_CHARACTERS] or type(error).__name__
 
 
 def readable(message: str) -> str:

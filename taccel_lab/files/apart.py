@@ -26,6 +26,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.printable import words_of
 from taccel_lab.processes.child_process import ChildProcess
 from taccel_lab.processes.process_pool import THREAD_LIMITS
 
@@ -43,6 +44,8 @@ ENVIRONMENT = {
     **dict.fromkeys(THREAD_LIMITS, "1"),
     # OpenCV compares it with an image's header before it decodes.
     "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
+    # A context on a GPU maps more than the memory that a reader may take.
+    "CUDA_VISIBLE_DEVICES": "-1",
 }
 """Variables that readers start with."""
 
@@ -306,6 +309,6 @@ def _sendable(error: Exception) -> Exception:
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # Those of libraries need not pickle.
-        error = RuntimeError(f"{type(error).__name__}: {error}")
+        error = RuntimeError(f"{type(error).__name__}: {words_of(error)}")
     error.add_note(traceback.format_exc())
     return error

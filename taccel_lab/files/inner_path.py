@@ -8,6 +8,7 @@ files in its folder: no name and no link in it leads anywhere else.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
@@ -25,6 +26,8 @@ WHOLES = {
 are known by: what they are, and what that file says, since others name files like this too. They
 grow by their own commands alone."""
 _LOOKED_AT = 1 << 16
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
+"""How an address begins; a single letter is a drive of Windows."""
 
 
 def real_path(path: Path | str) -> Path:
@@ -105,6 +108,20 @@ def inner_path(folder: Path, name: str) -> Path:
             "without links"
         )
     return path
+
+
+def named_path(folder: Path, at: str, name: str) -> Path:
+    """Path of what a file of ``folder`` names, counted from its sub-folder ``at``.
+
+    Raises InputError, as :func:`inner_path`, for a name that leads out of ``folder``, and for an
+    address such as ``https://...``.
+    """
+    if _ADDRESS.match(name):
+        raise InputError(f"{folder}: {name!r}: a file is named by its path, not by an address")
+    if not name or PurePosixPath(name).is_absolute():
+        return inner_path(folder, name)
+    # What is opened is the path without "..", so that a link on its way cannot turn it.
+    return inner_path(folder, os.path.normpath(PurePosixPath(at, name)))
 
 
 def entries_below(folder: Path, levels: int | None = None) -> Iterator[tuple[str, Path]]:

@@ -13,6 +13,8 @@ XML_LIMIT_BYTES = 16 << 20
 """The largest robot description at hand has 0.2 MiB."""
 MAX_DEPTH = 100
 """A robot description has six levels."""
+MAX_ELEMENTS = 500_000
+"""Each takes some 200 bytes; a mesh of 100,000 polygons of their own has as many elements."""
 
 
 def read_xml(path: Path, what: str) -> ElementTree.Element:
@@ -23,7 +25,8 @@ def read_xml(path: Path, what: str) -> ElementTree.Element:
         what: What it should be, with its article: "a URDF file".
 
     Raises InputError with the path: no file, too large, no text, no XML, nested deeper than
-    ``MAX_DEPTH``, or with a document type, which may define entities.
+    ``MAX_DEPTH``, of more than ``MAX_ELEMENTS``, or with a document type, which may define
+    entities.
     """
     text = read_text(path, XML_LIMIT_BYTES, what)
     if "<!DOCTYPE" in text:
@@ -38,14 +41,17 @@ def read_xml(path: Path, what: str) -> ElementTree.Element:
 
 
 class _ShallowTree(ElementTree.TreeBuilder):
-    """Builds the tree, unless it is deep: elements are freed by recursion."""
+    """Builds the tree, unless it is vast, or deep: elements are freed by recursion."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
-        self._path, self._depth = path, 0
+        self._path, self._depth, self._count = path, 0, 0
 
     def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
         self._depth += 1
+        self._count += 1
+        if self._count > MAX_ELEMENTS:
+            raise InputError(f"{self._path} has more than {MAX_ELEMENTS:,} elements")
         if self._depth > MAX_DEPTH:
             raise InputError(f"{self._path} is nested more than {MAX_DEPTH} deep")
         return super().start(tag, attrs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A newton model as a robot and bodies of ours; robots from MJCF and USD by newton's readers.
+"""A newton model as a robot and bodies of ours.
 
 What is fixed to newton's world, or hangs on joints that are, is one robot whose base is the link
 ``world``. Bodies on free joints are affine bodies. What is left out: visuals and sites, stiffness,
@@ -10,15 +10,14 @@ links (``Robot.link_friction``), collision filters.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
-from taccel_lab.errors import InputError, naming
+from taccel_lab.errors import InputError
 from taccel_lab.newton_bridge.joints import WORLD, joint_chain
-from taccel_lab.newton_bridge.newton_model import NewtonModel, newton_module, unit_poses
+from taccel_lab.newton_bridge.newton_model import NewtonModel, unit_poses
 from taccel_lab.newton_bridge.shapes import (
     affine_body,
     collision_shapes,
@@ -93,52 +92,6 @@ def import_model(source: Any, *, name: str = "newton") -> NewtonScene:
         (x, y, z),
         start_q,
     )
-
-
-def load_mjcf(path: Path | str, **options: Any) -> Robot:
-    """A robot from a MuJoCo XML file, read by newton.
-
-    Args:
-        path: The file.
-        options: Of ``newton.ModelBuilder.add_mjcf``, such as ``floating=False``.
-
-    Raises:
-        InputError: As ``import_model``, and for a file with anything beside one robot.
-    """
-    return _load(path, "add_mjcf", {"parse_visuals": False, **options})
-
-
-def load_usd(path: Path | str, **options: Any) -> Robot:
-    """A robot from a USD file, read by newton and usd-core; as ``load_mjcf``.
-
-    Args:
-        path: The file.
-        options: Of ``newton.ModelBuilder.add_usd``, such as ``floating=False``.
-    """
-    return _load(path, "add_usd", {"load_visual_shapes": False, **options})
-
-
-def _load(path: Path | str, reader: str, options: dict[str, Any]) -> Robot:
-    path = Path(path)
-    newton = newton_module()
-    if not path.is_file():
-        raise InputError(f"{path} is not there")
-    builder = newton.ModelBuilder()
-    with naming(path):
-        try:
-            getattr(builder, reader)(str(path), **options)
-        except ImportError as error:
-            raise InputError(f"newton needs another package to read it: {error}") from None
-        except Exception as error:
-            raise InputError(f"newton cannot read it: {error}") from error
-        scene = import_model(builder, name=path.stem)
-        others = [body.name for body in (*scene.affine_bodies, *scene.soft_bodies, *scene.planes)]
-        if scene.robot is None or others:
-            raise InputError(
-                f"it holds {'no robot' if scene.robot is None else 'more than a robot'}"
-                + (f": {', '.join(others)}; import_model takes these" if others else "")
-            )
-    return scene.robot
 
 
 def _robot(model: NewtonModel, free: list[int], name: str) -> tuple[Robot | None, np.ndarray]:

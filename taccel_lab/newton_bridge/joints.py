@@ -92,6 +92,8 @@ def _motion(source: NewtonModel, joint: int, k: int, motion: str, slides: bool) 
     """Axis, limits, effort and leader of one axis; ends and frame are still to be given."""
     dof = int(source.array("joint_qd_start")[joint]) + k
     axis = source.array("joint_axis")[dof]
+    if not axis.any():
+        raise InputError(f"axis of joint {motion!r} has no length")
     lower, upper = (float(source.array(f"joint_limit_{end}")[dof]) for end in ("lower", "upper"))
     effort = float(source.array("joint_effort_limit")[dof])
     mimic = None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any
 
@@ -10,15 +11,15 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 
+NOT_INSTALLED = "this needs newton, which is not installed: pip install 'taccel-lab[newton]'"
+
 
 def newton_module() -> Any:
     """The package ``newton``; InputError where it is not installed."""
     try:
         import newton  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise InputError(
-            "this needs newton, which is not installed: pip install 'taccel-lab[newton]'"
-        ) from None
+        raise InputError(NOT_INSTALLED) from None
     return newton
 
 
@@ -37,6 +38,7 @@ class NewtonModel:
         """
         newton = newton_module()
         if isinstance(source, newton.ModelBuilder):
+            _check_masses(source)
             try:
                 source = source.finalize(device="cpu")
             except ValueError as error:
@@ -52,6 +54,7 @@ class NewtonModel:
             )
         self.newton = newton
         self.model = source
+        self._arrays: dict[str, np.ndarray] = {}
         self.world_count = max(int(source.world_count), 1)
         self.body_count = int(source.body_count) // self.world_count
         """Of a world."""
@@ -63,12 +66,30 @@ class NewtonModel:
         """Names of the joints."""
 
     def array(self, name: str) -> np.ndarray:
-        """An array of the model, floats as float64; with no rows where the model has none."""
+        """An array of the model, floats as float64; with no rows where the model has none.
+
+        Raises InputError for what is not finite, as a robot's file may say; limits alone may be
+        infinite.
+        """
+        if name not in self._arrays:
+            self._arrays[name] = self._on_host(name)
+            self._arrays[name].setflags(write=False)
+        return self._arrays[name]
+
+    def _on_host(self, name: str) -> np.ndarray:
         value = getattr(self.model, name)
         if value is None:
             return np.zeros(0)
-        host = value.numpy()
-        return host.astype(np.float64) if host.dtype == np.float32 else host
+        host = np.array(value.numpy())
+        if host.dtype != np.float32:
+            return host
+        wrong = np.isnan(host) if "limit" in name else ~np.isfinite(host)
+        if wrong.any():
+            raise InputError(
+                f"{name} of the model has to be finite, got {host[wrong].flat[0]:g} in row "
+                f"{np.argwhere(wrong)[0][0]}"
+            )
+        return host.astype(np.float64)
 
     @cached_property
     def body_q(self) -> np.ndarray:
@@ -141,6 +162,18 @@ class NewtonModel:
             raise InputError("all worlds must have the same gravity")
 
 
+def _check_masses(builder: Any) -> None:
+    """Refuse masses that newton would leave out, with a warning, when it finalises the builder."""
+    for label, mass, inertia in zip(
+        builder.body_label, builder.body_mass, builder.body_inertia, strict=True
+    ):
+        if not (math.isfinite(mass) and mass >= 0 and np.isfinite(np.array(inertia)).all()):
+            raise InputError(
+                f"body {label!r} has a mass of {mass:g} kg: mass and inertia have to be finite, "
+                "and mass at least 0"
+            )
+
+
 _OF_WORLDS = {
     "body": (("body_mass", "body_com", "body_inertia", "body_flags"), ()),
     "joint": (("joint_type",), ("joint_parent", "joint_child")),
@@ -157,7 +190,10 @@ def unit_poses(poses: np.ndarray) -> np.ndarray:
     """Poses [..., 7] in double precision with quaternions of unit length: FP32 ones are off by
     1e-7, which no rotation is."""
     poses = np.array(poses, dtype=np.float64)
-    poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    lengths = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    if not (lengths > 0).all():
+        raise InputError("a rotation of the model is a quaternion of length 0")
+    poses[..., 3:] /= lengths
     return poses
 
 

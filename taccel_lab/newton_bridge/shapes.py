@@ -119,6 +119,9 @@ def _shape(source: NewtonModel, shape: int) -> Shape:
         mesh = source.model.shape_source[shape]
         points = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3) * size
         faces = np.asarray(mesh.indices, dtype=np.int64).reshape(-1, 3)
+        if not np.isfinite(points).all():
+            label = source.model.shape_label[shape]
+            raise InputError(f"mesh of shape {label!r} has vertices that are not finite")
         if np.prod(size) < 0:
             faces = faces[:, ::-1]
         return SurfaceShape(_welded(points, faces), hull=kind == int(kinds.CONVEX_MESH))

@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -247,10 +248,13 @@ def _indenter(*names: str) -> Callable[[Path, Path], None]:
     return call
 
 
-def _show_robot(given: Path, out: Path) -> None:
-    from taccel_lab.cli.robot import RobotShow
+def _robot(name: str) -> Callable[[Path, Path], None]:
+    def call(given: Path, out: Path) -> None:
+        from taccel_lab.cli.robot import RobotShow
 
-    _run(RobotShow(str(given / "gripper.urdf"), json=True))
+        _run(RobotShow(str(given / name), json=True))
+
+    return call
 
 
 def _read_table(given: Path, out: Path) -> None:
@@ -322,9 +326,13 @@ READERS: dict[str, Reader] = {
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
     "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
     "indenter-obj": Reader(shapes.obj, _indenter("box.obj")),
-    "robot-urdf": Reader(shapes.urdf, _show_robot, ("gripper.urdf", "words.stl")),
+    "robot-urdf": Reader(shapes.urdf, _robot("gripper.urdf"), ("gripper.urdf", "words.stl")),
     "taxim-table": Reader(results.table, _read_table),
     "kept-results": Reader(results.kept, _kept, own="."),
     "earlier-output": Reader(results.output, _replace_output, own="."),
 }
 """By name, for ``make explore`` and kept seeds."""
+if find_spec("newton") is not None:
+    READERS["robot-mjcf"] = Reader(shapes.mjcf, _robot("gripper.xml"))
+    if find_spec("pxr") is not None:
+        READERS["robot-usd"] = Reader(shapes.usd, _robot("gripper.usda"))

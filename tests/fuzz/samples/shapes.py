@@ -87,3 +87,110 @@ def urdf(given: Path) -> None:
     box = '<box size="0.012 0.024 0.06"/>'
     mesh = '<mesh filename="words.stl" scale="0.003 0.008 0.03"/>'
     (given / "gripper.urdf").write_text(text.replace(box, mesh, 1), encoding="utf-8")
+
+
+_MJCF = """<mujoco model="gripper">
+  <compiler angle="degree" meshdir="meshes"/>
+  <default><default class="finger"><joint type="slide" range="0 0.04"/></default></default>
+  <include file="parts/assets.xml"/>
+  <worldbody>
+    <body name="palm" pos="0 0 0.1" quat="0.8 0 0.6 0">
+      <inertial pos="0 0 0.01" mass="0.4" diaginertia="1e-4 2e-4 1e-4"/>
+      <geom type="box" size="0.05 0.04 0.03"/>
+      <body name="left" pos="0.03 0 0.05" euler="10 20 30">
+        <joint name="left" class="finger" axis="1 0 0"/>
+        <geom type="mesh" mesh="words"/>
+        <geom type="capsule" size="0.01 0.05"/>
+      </body>
+      <body name="right" pos="-0.03 0 0.05">
+        <joint name="right" class="finger" axis="-1 0 0"/>
+        <geom type="mesh" mesh="box"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>
+</mujoco>
+"""
+_ASSETS = """<mujocoinclude>
+  <asset>
+    <mesh name="words" file="words.stl" scale="0.01 0.01 0.01"/>
+    <mesh name="box" file="box.obj" scale="0.01 0.01 0.01"/>
+    <texture name="steel" type="2d" file="steel.png"/>
+  </asset>
+</mujocoinclude>
+"""
+
+
+def mjcf(given: Path) -> None:
+    """A gripper with an included part, and meshes on both fingers."""
+    (given / "gripper.xml").write_text(_MJCF)
+    (given / "parts").mkdir()
+    (given / "parts" / "assets.xml").write_text(_ASSETS)
+    (given / "meshes").mkdir()
+    stl(given / "meshes")
+    obj(given / "meshes")
+
+
+_USDA = """#usda 1.0
+(
+    defaultPrim = "gripper"
+    metersPerUnit = 1
+    upAxis = "Z"
+    subLayers = [@./parts/looks.usda@]
+)
+def Xform "gripper" (
+    prepend apiSchemas = ["PhysicsArticulationRootAPI"]
+)
+{
+    def Xform "palm" (
+        prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
+    )
+    {
+        float physics:mass = 0.4
+        def Cube "box" (
+            prepend apiSchemas = ["PhysicsCollisionAPI"]
+            prepend references = @parts/box.usdc@
+        )
+        {
+        }
+    }
+    def Sphere "finger" (
+        prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]
+    )
+    {
+        double radius = 0.02
+        double3 xformOp:translate = (0.2, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def PhysicsFixedJoint "base"
+    {
+        rel physics:body1 = </gripper/palm>
+    }
+    def PhysicsRevoluteJoint "knuckle"
+    {
+        uniform token physics:axis = "Z"
+        rel physics:body0 = </gripper/palm>
+        rel physics:body1 = </gripper/finger>
+        point3f physics:localPos0 = (0.1, 0, 0)
+        point3f physics:localPos1 = (-0.1, 0, 0)
+        float physics:lowerLimit = -30
+        float physics:upperLimit = 40
+    }
+}
+"""
+
+
+def usd(given: Path) -> None:
+    """A finger on a palm, of three layers as text and as bytes, the last one a mesh's."""
+    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+
+    (given / "gripper.usda").write_text(_USDA)
+    (given / "parts").mkdir()
+    (given / "parts" / "looks.usda").write_text(
+        '#usda 1.0\nover "gripper"\n{\n    asset inputs:file = @steel.png@\n}\n'
+    )
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(
+        '#usda 1.0\n(\n    defaultPrim = "box"\n)\ndef Cube "box"\n{\n    double size = 0.1\n}\n'
+    )
+    layer.Export(str(given / "parts" / "box.usdc"))

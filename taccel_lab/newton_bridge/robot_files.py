@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots from MJCF and USD files, by newton's readers, in the readers' process.
+
+What such a file names lies in its own folder: no absolute path, no ``..`` and no link leads out.
+"""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from taccel_lab.errors import InputError, naming
+from taccel_lab.files.apart import read_apart
+from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.newton_bridge.importing import import_model
+from taccel_lab.newton_bridge.mjcf_file import whole_mjcf
+from taccel_lab.newton_bridge.newton_model import NOT_INSTALLED, newton_module
+from taccel_lab.newton_bridge.usd_layers import LAYERS, MAX_BYTES, PACKAGE, checked_layers, unpacked
+from taccel_lab.printable import words_of
+from taccel_lab.robots import Robot
+
+USD_SUFFIXES = (*LAYERS, PACKAGE)
+
+
+def load_mjcf(path: Path | str, **options: Any) -> Robot:
+    """A robot from a MuJoCo XML file, read by newton.
+
+    Args:
+        path: The file. What it includes and its meshes, STL, OBJ or MSH, lie in its folder or below
+            it; textures and materials are not read.
+        options: Of ``newton.ModelBuilder.add_mjcf``, such as ``floating=False``.
+
+    Raises:
+        InputError: As ``import_model``, for a file with anything beside one robot, and for one that
+            names a file elsewhere.
+    """
+    path = Path(path)
+    with tempfile.TemporaryDirectory() as scratch, naming(path):
+        _require_newton(options)
+        text = whole_mjcf(path, Path(scratch))
+        return _apart(path, _of_mjcf, text, {"parse_visuals": False, **options}, "newton")
+
+
+def load_usd(path: Path | str, **options: Any) -> Robot:
+    """A robot from a USD file, read by newton and usd-core; as ``load_mjcf``.
+
+    Args:
+        path: The file, ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``. Layers and all else that it
+            names lie in its folder or below it.
+        options: Of ``newton.ModelBuilder.add_usd``, such as ``floating=False``.
+    """
+    path = Path(path)
+    with tempfile.TemporaryDirectory() as scratch, naming(path):
+        _require_newton(options)
+        require_regular_file(path, MAX_BYTES, "a USD file")
+        if path.suffix.lower() not in USD_SUFFIXES:
+            raise InputError(f"{path} is no USD file; these end in {', '.join(USD_SUFFIXES)}")
+        package = path.suffix.lower() == PACKAGE
+        layer = (unpacked(path, Path(scratch)) if package else path).absolute()
+        try:
+            return _apart(path, _of_usd, layer, {"load_visual_shapes": False, **options}, "pxr")
+        except InputError as error:  # Who named a package knows no other folder.
+            raise InputError(str(error).replace(scratch, str(path))) from None
+
+
+def _require_newton(options: dict[str, Any]) -> None:
+    if find_spec("newton") is None:
+        raise InputError(NOT_INSTALLED)
+    if "path_resolver" in options:
+        raise InputError("path_resolver is not taken: a robot's files lie in its own folder")
+    try:
+        pickle.dumps(options)
+    except Exception:
+        raise InputError("options of newton's readers must be plain values") from None
+
+
+def _apart(
+    path: Path, read: Callable[..., Robot], source: Any, options: dict[str, Any], by: str
+) -> Robot:
+    return read_apart(str(path), read, source, path.stem, options, by=by)
+
+
+def _of_mjcf(text: str, name: str, options: dict[str, Any]) -> Robot:
+    """The robot of an MJCF text; runs in the readers' process."""
+    return _robot("add_mjcf", text, name, options)
+
+
+def _of_usd(layer: Path, name: str, options: dict[str, Any]) -> Robot:
+    """The robot of a USD file; runs in the readers' process."""
+    try:
+        layers = checked_layers(layer)
+    except ImportError as error:
+        raise InputError(f"newton needs another package to read it: {words_of(error)}") from None
+    robot = _robot("add_usd", str(layer), name, options)
+    del layers  # Until now: they are not read twice.
+    return robot
+
+
+def _robot(reader: str, source: str, name: str, options: dict[str, Any]) -> Robot:
+    """The one robot that a reader of newton finds."""
+    builder = newton_module().ModelBuilder()
+    try:
+        getattr(builder, reader)(source, **options)
+    except MemoryError:
+        raise
+    except ImportError as error:
+        raise InputError(f"newton needs another package to read it: {words_of(error)}") from None
+    except Exception as error:
+        raise InputError(f"newton cannot read it: {words_of(error)}") from error
+    scene = import_model(builder, name=name)
+    others = [body.name for body in (*scene.affine_bodies, *scene.soft_bodies, *scene.planes)]
+    if scene.robot is None or others:
+        raise InputError(
+            f"it holds {'no robot' if scene.robot is None else 'more than a robot'}"
+            + (f": {', '.join(others)}; import_model takes these" if others else "")
+        )
+    return scene.robot
