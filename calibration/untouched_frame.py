@@ -23,6 +23,7 @@ from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.calibration.still_gel import find_still_gel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.files.inner_path import inner_path
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.starters import is_starter
 
@@ -127,7 +128,7 @@ def _named(profile: SensorProfile, folder: Path, fit: Fit) -> Iterator[tuple[Pat
     """Images of a folder whose names say that they are untouched."""
     for path in sorted(folder.iterdir()):
         if is_picture(path) and BACKGROUND_NAME.search(path.stem) and path.is_file():
-            image = _fitted(profile, read_image(path), path.name, fit)
+            image = _fitted(profile, read_image(inner_path(folder, path.name)), path.name, fit)
             if image is not None:
                 yield path, image
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_json
 from taccel_lab.files.file_lock import hold
-from taccel_lab.files.inner_path import require_inner_files
+from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, require_growable
 from taccel_lab.files.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
@@ -114,7 +114,7 @@ class StudyFolder:
 
     def read(self, design_id: str) -> DesignRow | None:
         """The row of a design; None for one that has not been evaluated."""
-        path = self.design(design_id) / RESULT
+        path = inner_path(self.root, f"designs/{design_id}/{RESULT}")
         if not path.is_file():
             return None
         row = read_row(path)

@@ -13,6 +13,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import read_npz
 from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
 
@@ -93,7 +94,8 @@ def write_replay(recording: TaskRecording, trial: TaskTrial, folder: Path) -> No
 
 def read_replay(folder: Path) -> TaskReplay:
     """What ``write_replay`` wrote; InputError for anything else."""
-    about, arrays = read_json(folder / REPLAY), read_npz(folder / _ARRAYS)
+    about = read_json(inner_path(folder, REPLAY))
+    arrays = read_npz(inner_path(folder, _ARRAYS))
     try:
         bodies = [
             ReplayBody(body["name"], body["kind"], arrays[f"vertices_m_{k}"], arrays[f"faces_{k}"])

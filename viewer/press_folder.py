@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart
+from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
@@ -36,6 +37,7 @@ def read_press(folder: Path) -> GelStates:
 
 def summary(folder: Path) -> list[tuple[str, str]]:
     """Name and value of what a page says about a press; InputError as of ``read_press``."""
+    require_inner_links(folder, levels=1)
     about, source = read_json(folder / PRESS), str(folder / PRESS)
     rows = [(name, str(about.get(name, "?"))) for name in ("sensor", "indenter")]
     if "friction_coefficient" in about:

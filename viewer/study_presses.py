@@ -9,6 +9,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
+from taccel_lab.files.inner_path import inner_path
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.viewer.gel_states import GelStates
 
@@ -34,7 +35,9 @@ def design_gel(row: DesignRow) -> GelStates:
 def press_files(root: Path, row: DesignRow) -> dict[str, Path]:
     """The presses that a design's folder keeps, by name."""
     folder = root / "designs" / row.id
-    return {path.stem.removeprefix("press_"): path for path in sorted(folder.glob("press_*.npz"))}
+    found = sorted(path.relative_to(root).as_posix() for path in folder.glob("press_*.npz"))
+    paths = [inner_path(root, name) for name in found]
+    return {path.stem.removeprefix("press_"): path for path in paths}
 
 
 def read_design_press(path: Path) -> GelStates:

@@ -57,7 +57,7 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
         )
     if path.is_file() and path.suffix == ".npz":
         return load_taxim_folder(path)
-    manifest_path = path if path.name == MANIFEST_NAME else path / MANIFEST_NAME
+    manifest_path = path if path.name == MANIFEST_NAME else inner_path(path, MANIFEST_NAME)
     if not manifest_path.is_file():
         found = "an empty folder" if path.is_dir() and not any(path.iterdir()) else "no manifest"
         raise InputError(
@@ -104,7 +104,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         said = entry.model_dump(include={"radius_mm", "depth_mm", "force_n", "stage_mm"})
         presses.append(CapturedPress(name, frame.source, frame.sha256, circle, frame.read, **said))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
-    contacts = folder / CONTACTS_NAME
+    contacts = inner_path(folder, CONTACTS_NAME)
     if contacts.is_file():
         presses = list(override_presses(presses, contacts))
         provenance["contacts_sha256"] = file_sha256(contacts)

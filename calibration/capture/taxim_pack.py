@@ -22,7 +22,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
-from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import file_sha256
@@ -69,7 +69,7 @@ def load_taxim_folder(path: Path, mm_per_px: tuple[float, float] | None = None) 
     it is left open there.
     """
     if mm_per_px is None:
-        stated = _read_scale(path.parent / PARAMS_NAME, path)
+        stated = _read_scale(inner_path(path.parent, PARAMS_NAME), path)
         mm_per_px = stated, stated
     # Only these are read, so no pickle has to be trusted.
     arrays = read_npz(path, REQUIRED_KEYS, f"a Taxim pack holds {', '.join(REQUIRED_KEYS)}")

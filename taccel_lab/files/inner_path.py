@@ -167,6 +167,16 @@ def _require_link_inside(path: Path, folder: Path) -> None:
         raise InputError(f"{path} is a link, and not to a file; put the file itself there")
 
 
+def require_inner_links(folder: Path, levels: int | None = None) -> None:
+    """Refuse a folder of somebody else in which a link leads out, before anything of it is read:
+    what it leads to is no part of the folder, and none of our business. What is hidden, names that
+    begin with a dot, no reader looks at. Errors of :func:`inner_path`, and ``levels`` as of
+    :func:`entries_below`."""
+    for name, path in entries_below(folder, levels):
+        if path.is_symlink() and not any(part[0] == "." for part in name.split("/")):
+            inner_path(folder, name)
+
+
 def require_inner_files(folder: Path, levels: int | None = None) -> None:
     """Refuse a folder in which a command would read, write or delete something that lies elsewhere;
     errors and ``levels`` of :func:`inner_files`. An absent folder is fine."""

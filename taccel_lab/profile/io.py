@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import MAX_ARRAY_BYTES
+from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.regular_file import read_regular_file
 from taccel_lab.files.toml_file import read_toml
@@ -242,7 +243,7 @@ def _read(
             continue
         used[name] = key
         try:
-            data = _read_file(path / name, hashes.get(name))
+            data = _read_file(inner_path(path, name), hashes.get(name))
             parts[ARRAY_FIELDS[key]] = _DECODERS[key](data)
         except InputError as problem:
             error(path / name, problem)
@@ -287,7 +288,7 @@ def _read_views(
     for name, digest in stated.items():
         folder = path / _VIEWS / require_view_name(name)
         try:
-            _read_file(folder / PROFILE_FILE, digest)
+            _read_file(inner_path(path, f"{_VIEWS}/{name}/{PROFILE_FILE}"), digest)
         except InputError as problem:
             findings.append(Finding("error", str(folder / PROFILE_FILE), str(problem)))
             continue
@@ -305,7 +306,7 @@ def _read_views(
 def _read_toml(path: Path) -> dict[str, Any]:
     if not path.is_dir():
         raise InputError("no such profile folder" if not path.exists() else "is not a folder")
-    toml_path = path / PROFILE_FILE
+    toml_path = inner_path(path, PROFILE_FILE)
     if not toml_path.is_file():
         raise InputError("no such file; a profile is a folder with profile.toml in it")
     return read_toml(toml_path)

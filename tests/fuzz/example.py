@@ -19,7 +19,7 @@ from unittest.mock import patch
 from taccel_lab.errors import InputError
 from taccel_lab.files import videos
 from tests.fuzz import memory
-from tests.fuzz.guard import Guard, changes, remove
+from tests.fuzz.guard import SECRET_WORD, Guard, changes, remove
 from tests.fuzz.mutations.draw import Draw
 from tests.fuzz.mutations.mutate import mutate
 from tests.fuzz.reader import Reader, Refused
@@ -124,6 +124,9 @@ class Bench:
         if changed := changes(before, guard.listing(own)):
             kind, message = "outside", "; ".join(changed[:5])
             self._restore()
+        asked = any(reader.may_be_link(f) and (guard.given / f).is_symlink() for f in sample)
+        if SECRET_WORD in message and not asked:
+            kind = "outside"
         if taken > MEMORY_BYTES and kind in ("accepted", "refused"):
             kind, message = "memory", f"{taken / 2**20:.0f} MiB; {message}"
         return Outcome(name, -1 if seed is None else seed, words, kind, message[:1500], where)

@@ -9,7 +9,8 @@ import shutil
 import stat
 from pathlib import Path
 
-SECRET = b"outside = 1 # what no reader has any business with\n"
+SECRET_WORD = "kept_elsewhere"
+SECRET = f"{SECRET_WORD} = 1 # what no reader has any business with\n".encode()
 _HASHED = 1 << 20
 """Larger files are told apart by size and time."""
 

@@ -27,8 +27,13 @@ class Reader:
     """Makes hashes that a sample states those of the damaged files."""
     options: tuple[str, ...] = ()
     """Options that it is called with: a refusal may be about one of them instead of a file."""
+    named: tuple[str, ...] = ()
+    """Patterns of files that the user names: these may be links, and what they lead to is read."""
     own: str | None = None
     """Folder of the sample, if any, that the reader may change: its own output of earlier."""
 
     def damages(self, name: str) -> bool:
         return any(fnmatch(name, pattern) for pattern in self.files)
+
+    def may_be_link(self, name: str) -> bool:
+        return any(fnmatch(name, pattern) for pattern in self.named)

@@ -16,6 +16,7 @@ from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, 
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
+from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.videos import count_frames, read_timed_frames
@@ -75,6 +76,7 @@ class Recording:
             frames = partial(_of_video, source)
             return made("", lambda: count_frames(source)[0], frames, "the video's own times")
         if source.is_dir():
+            require_inner_links(source, levels=1)
             images = [p for p in source.iterdir() if is_picture(p) and p.is_file()]
             if not images:
                 raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")

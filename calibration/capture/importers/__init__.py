@@ -17,7 +17,7 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.errors import InputError
-from taccel_lab.files.inner_path import inner_path, real_path
+from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
 
 LAYOUTS: dict[str, CaptureLayout] = {
@@ -52,9 +52,7 @@ def detect_layout(source: Path | str) -> CaptureLayout:
     Raises:
         InputError: None of them; the message names all.
     """
-    source = Path(source)
-    if not source.exists():
-        raise InputError(f"{source} does not exist")
+    source = _own_files_alone(Path(source))
     for layout in LAYOUTS.values():
         if layout.recognises(source):
             return layout
@@ -85,9 +83,7 @@ def read_drafts(
     Raises:
         InputError: Unknown or wrong layout, or a file that cannot be used.
     """
-    source, options = Path(source), options or ImportOptions()
-    if not source.exists():
-        raise InputError(f"{source} does not exist")
+    source, options = _own_files_alone(Path(source)), options or ImportOptions()
     chosen = detect_layout(source) if layout == AUTO else named_layout(layout)
     drafts = chosen.read(source, options)
     if not drafts:
@@ -95,7 +91,6 @@ def read_drafts(
     require_effect(options, drafts, source, chosen.name)
     origin = read_origin(source)
     for draft in drafts:
-        _require_own(draft, source)
         draft.apply(options, source if source.is_dir() else source.parent)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
@@ -110,11 +105,14 @@ def read_drafts(
     return chosen, drafts
 
 
-def _require_own(draft: Draft, source: Path) -> None:
-    """Refuse links out of the source: what they name would be copied into a folder for others."""
-    for content in draft.files.values():
-        if isinstance(content, Path) and source in content.parents:
-            inner_path(source, content.relative_to(source).as_posix())
+def _own_files_alone(source: Path) -> Path:
+    """``source``, which is there and from which no link leads out: what such a one names would be
+    read, and copied into a folder for others."""
+    if not source.exists():
+        raise InputError(f"{source} does not exist")
+    if source.is_dir():
+        require_inner_links(source)
+    return source
 
 
 def require_effect(options: ImportOptions, drafts: list[Draft], source: Path, layout: str) -> None:

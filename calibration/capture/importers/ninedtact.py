@@ -17,7 +17,7 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing, images_in
 from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.errors import InputError
-from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
@@ -65,7 +65,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
 def _config(path: Path) -> tuple[Path | None, dict[str, Any]]:
     """A ``shape_config.yaml`` in or near the captures, and what it holds."""
     places = (path / "shape_reconstruction", path, *list(real_path(path).parents)[:3])
-    config = first_existing(*(place / "shape_config.yaml" for place in places))
+    config = first_existing(*(inner_path(place, "shape_config.yaml") for place in places))
     return config, {} if config is None else read_yaml(config)
 
 
