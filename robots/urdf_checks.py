@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from xml.etree.ElementTree import Element
 
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.collada_file import SUFFIX
-from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.text_file import shown
 from taccel_lab.files.triangle_file import SUFFIXES
 
@@ -169,35 +169,39 @@ def mesh_path(name: str, urdf: Path, packages: Mapping[str, Path] = MappingProxy
     """The file that a mesh's name stands for.
 
     ``package://a/b`` is looked for in the folder that ``packages`` names for ``a``, or else as
-    folder ``a`` beside or above the URDF file, and as a folder of that name that it lies in; other
-    names count from the file's own folder. They may lead out of it, as ``../meshes`` does in most
+    folder ``a`` beside or above the URDF file, and as a folder of that name that it lies in; it
+    stays in that folder. Other names count from the file's own folder; where the file is a link,
+    from that of what it leads to, too. They may lead out of it, as ``../meshes`` does in most
     packages: what is read there is triangles or refused.
 
-    Raises InputError where there is no such file.
+    Raises InputError where there is no such file, and for a link that leads out of the folder.
     """
     folder, hint = real_path(urdf).parent, ""
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
         if package in packages:
-            places = [packages[package] / rest]
+            places = [packages[package]]
         else:
             hint = (
                 f"; say where the package is: load_urdf(..., packages={{{package!r}: FOLDER}}), or "
                 f"--package {package} FOLDER"
             )
-            places = _beside(folder, package, rest)
+            places = _beside(folder, package)
+        found = [inner_path(place, rest) for place in places if place.is_dir()]
+        looked = places[0] / rest
     else:
-        places = [folder / name.removeprefix("file://")]
-    for place in places:
-        if place.is_file():
-            return place
-    raise InputError(
-        f"mesh file {shown(name)} is not there; looked in {shown(str(places[0]))}{hint}"
-    )
+        rest = name.removeprefix("file://")
+        outward = PurePosixPath(rest).is_absolute() or ".." in PurePosixPath(rest).parts
+        places = dict.fromkeys((folder, urdf.parent))
+        found = [place / rest if outward else inner_path(place, rest) for place in places]
+        looked = found[0]
+    for path in found:
+        if path.is_file():
+            return path
+    raise InputError(f"mesh file {shown(name)} is not there; looked in {shown(str(looked))}{hint}")
 
 
-def _beside(folder: Path, package: str, rest: str) -> list[Path]:
+def _beside(folder: Path, package: str) -> list[Path]:
     return [
-        place / rest if place.name == package else place / package / rest
-        for place in (folder, *folder.parents)
+        place if place.name == package else place / package for place in (folder, *folder.parents)
     ]

@@ -51,7 +51,12 @@ ENVIRONMENT = {
 
 
 def read_apart(
-    what: str, read: Callable[..., Result], *arguments: Any, by: str, limit_s: float = LIMIT_S
+    what: str,
+    read: Callable[..., Result],
+    *arguments: Any,
+    by: str,
+    limit_s: float = LIMIT_S,
+    pool: str = "",
 ) -> Result:
     """``read(*arguments)``, run in the readers' process.
 
@@ -61,12 +66,14 @@ def read_apart(
         arguments: And its result: anything that pickles.
         by: The foreign package that does it, by its import name; told where it crashes.
         limit_s: Seconds that it may take.
+        pool: Of the processes that may do it: a library that takes much of the memory itself, and
+            keeps it, has its own, so that others can read on.
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
     asked = _Asked(what, by, limit_s)
     for fresh in (False, True):
-        with _readers.use(fresh) as reader:
+        with _readers.use(fresh, pool) as reader:
             try:
                 return reader.ask(asked, read, arguments, False)
             except _Failed:
@@ -84,18 +91,22 @@ def stream_apart(
 ) -> Generator[Result, None, None]:
     """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
     asked = _Asked(what, by, limit_s)
+    given = 0
     for fresh in (False, True):
         with _readers.use(fresh) as reader:
+            number = 0
             try:
                 item, more = reader.ask(asked, read, arguments, True)
+                while more:
+                    number += 1
+                    if number > given:  # The others were given before the first process failed.
+                        given = number
+                        yield item
+                    item, more = reader.next_item(asked)
+                return
             except _Failed:
-                if reader.has_read:
-                    continue
-                raise
-            while more:
-                yield item
-                item, more = reader.next_item(asked)
-            return
+                if not reader.has_read:
+                    raise
 
 
 @dataclass(frozen=True)
@@ -114,7 +125,8 @@ class _Failed(InputError):
 class _Reader:
     """One readers' process."""
 
-    def __init__(self) -> None:
+    def __init__(self, pool: str) -> None:
+        self.pool = pool
         self.child = ChildProcess(
             _serve, memory_bytes=MEMORY_BYTES, environment=ENVIRONMENT, quiet=True
         )
@@ -222,9 +234,9 @@ class _Readers:
         self._lock = threading.Lock()
 
     @contextmanager
-    def use(self, fresh: bool = False) -> Iterator[_Reader]:
+    def use(self, fresh: bool = False, pool: str = "") -> Iterator[_Reader]:
         """A reader for one file; a ``fresh`` one has read none before."""
-        reader = _Reader() if fresh else self._take()
+        reader = _Reader(pool) if fresh else self._take(pool)
         try:
             yield reader
         finally:
@@ -235,13 +247,15 @@ class _Readers:
             if not reader.idle:
                 reader.end()
 
-    def _take(self) -> _Reader:
+    def _take(self, pool: str) -> _Reader:
         with self._lock:
             # A process that was forked off has its parent's list, but not its children.
             self._idle = [reader for reader in self._idle if reader.owner == os.getpid()]
-            if self._idle:
-                return self._idle.pop()
-        return _Reader()
+            for reader in reversed(self._idle):
+                if reader.pool == pool:
+                    self._idle.remove(reader)
+                    return reader
+        return _Reader(pool)
 
     def end(self) -> None:
         """End those that wait."""

@@ -81,7 +81,7 @@ def _require_newton(options: dict[str, Any]) -> None:
 def _apart(
     path: Path, read: Callable[..., Robot], source: Any, options: dict[str, Any], by: str
 ) -> Robot:
-    return read_apart(str(path), read, source, path.stem, options, by=by)
+    return read_apart(str(path), read, source, path.stem, options, by=by, pool="newton")
 
 
 def _of_mjcf(text: str, name: str, options: dict[str, Any]) -> Robot:

@@ -82,7 +82,9 @@ def checked_layers(path: Path) -> list[Any]:
     os.chdir(folder)
     while waiting:
         name = waiting.pop()
-        file = require_regular_file(inner_path(folder, name), MAX_BYTES, "a USD layer")
+        # What the user names may be a link, as tools that version data leave them.
+        file = path if name == path.name else inner_path(folder, name)
+        require_regular_file(file, MAX_BYTES, "a USD layer")
         if file.suffix.lower() not in LAYERS:
             raise InputError(
                 f"{file} is a layer of a kind that is not read; allowed are {', '.join(LAYERS)}, "

@@ -63,6 +63,14 @@ def harmed_stream(how: str) -> Iterator[int]:
     yield harm(how)
 
 
+def harmed_late(how: str) -> Iterator[int]:
+    """Items that come whole, until one is harmed."""
+    yield 1
+    yield 2
+    harm(how)
+    yield 3
+
+
 def count(n: int) -> Iterator[int]:
     yield from range(n)
 

@@ -255,9 +255,18 @@ def test_a_file_is_not_blamed_for_what_earlier_files_left(how: str) -> None:
     assert first != second
     (third,) = stream_apart("v", readers.harmed_stream, how)
     assert third != second
+    # Nor for what they took from the memory that its later items need: each item comes once.
+    assert list(stream_apart("v", readers.harmed_late, how)) == [1, 2, 3]
     # Nor for a process that ended while it waited, as where a system runs out of memory.
     os.kill(read_apart("a", readers.process_number), signal.SIGKILL)
     assert read_apart("a", readers.double, 2) == 4
+
+
+def test_a_library_of_its_own_pool_leaves_the_other_processes_alone() -> None:
+    common, own = (read_apart("a", readers.process_number, pool=pool) for pool in ("", "own"))
+    assert common != own
+    assert read_apart("a", readers.process_number) == common
+    assert read_apart("a", readers.process_number, pool="own") == own
 
 
 def test_arrays_come_back_where_there_are_no_files_in_memory(
