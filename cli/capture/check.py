@@ -75,11 +75,13 @@ def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]
     from taccel_lab.calibration.capture import load_capture_folder
     from taccel_lab.calibration.capture.importers import read_drafts
     from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+    from taccel_lab.files.inner_path import inner_path
 
     if not path.exists() or path.name == MANIFEST_NAME or (path / MANIFEST_NAME).is_file():
         yield [(load_capture_folder(path), ())]
         return
-    below = sorted(place.parent for place in path.glob(f"*/{MANIFEST_NAME}"))
+    found = sorted(place.relative_to(path).as_posix() for place in path.glob(f"*/{MANIFEST_NAME}"))
+    below = [inner_path(path, name).parent for name in found]
     if below:
         yield [(load_capture_folder(place), ()) for place in below]
         return

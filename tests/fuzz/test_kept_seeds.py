@@ -18,7 +18,9 @@ from tests.fuzz.readers import READERS
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome]]:
     found: dict[str, list[Outcome]] = {name: [] for name in READERS}
-    for outcome in campaign.run(list(kept()), 1, tmp_path_factory.mktemp("fuzz")):
+    # Some need a library that is not installed everywhere.
+    examples = [example for example in kept() if example[0] in READERS]
+    for outcome in campaign.run(examples, 1, tmp_path_factory.mktemp("fuzz")):
         found[outcome.reader].append(outcome)
     return found
 

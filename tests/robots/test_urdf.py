@@ -237,6 +237,20 @@ def test_packages_are_where_one_says(tmp_path: Path) -> None:
         load_urdf(path, packages={"my_robot": tmp_path})
 
 
+@pytest.mark.parametrize(
+    "name", ["package://pack/../mesh.obj", "package://pack//mesh.obj", "package://pack/link.obj"]
+)
+def test_meshes_of_a_package_lie_in_it(name: str, tmp_path: Path) -> None:
+    write(tmp_path, TETRAHEDRON, "mesh.obj")
+    folder = tmp_path / "pack" / "urdf"
+    path = write(folder, with_mesh(name))
+    (tmp_path / "pack" / "link.obj").symlink_to("../mesh.obj")
+    with pytest.raises(InputError, match="leads out of it|absolute path|is a link out of"):
+        load_urdf(path)
+    with pytest.raises(InputError, match="is a link out of"):
+        load_urdf(write(tmp_path / "pack", with_mesh("link.obj")))
+
+
 def test_collada_is_turned_to_z_up_unless_as_drawn(tmp_path: Path) -> None:
     """Of 2 x 3 x 4 mm, the longest edge along z of the file."""
     write(tmp_path, collada(place="", up="Y_UP"), "part.dae")

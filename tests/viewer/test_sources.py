@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,12 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.scene import Element
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.press_folder import STATES, read_press
 from taccel_lab.viewer.sources import Kind, find_source
-from taccel_lab.viewer.study_presses import read_design_press
+from taccel_lab.viewer.study_presses import press_files, read_design_press
 from tests.support.small_captures import write_profile
 
 
@@ -37,6 +41,33 @@ def test_folders_are_known_by_a_file(tmp_path: Path, files: list[str], kind: Kin
         (tmp_path / name).write_text("{}")
     found = find_source(str(tmp_path))
     assert (found.kind, found.path) == (kind, tmp_path)
+
+
+READ: dict[str, Callable[[Path], object]] = {
+    "press.json": read_press,
+    "states.npz": read_press,
+    "replay.json": read_replay,
+    "replay.npz": read_replay,
+    "designs/a/result.json": lambda folder: StudyFolder(folder).read("a"),
+    "designs/a/press_sphere.npz": lambda folder: press_files(
+        folder, DesignRow("a", "flat_pad", {}, "done")
+    ),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_a_link_leads_to_is_not_looked_at(name: str, tmp_path: Path) -> None:
+    """Of a press, a replay or a study of somebody else."""
+    (tmp_path / "elsewhere").write_text("secret = 1")
+    folder = tmp_path / "folder"
+    (folder / "designs" / "a").mkdir(parents=True)
+    for other in ("press.json", "replay.json"):
+        (folder / other).write_text("{}")
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=f"{name} is a link out of") as found:
+        READ[name](folder)
+    assert "secret" not in str(found.value)
 
 
 def test_the_profile_of_a_design_is_found_in_it(tmp_path: Path) -> None:
