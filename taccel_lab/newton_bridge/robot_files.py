@@ -6,6 +6,7 @@ What such a file names lies in its own folder: no absolute path, no ``..`` and n
 
 from __future__ import annotations
 
+import os
 import pickle
 import tempfile
 from collections.abc import Callable
@@ -86,11 +87,13 @@ def _apart(
 
 def _of_mjcf(text: str, name: str, options: dict[str, Any]) -> Robot:
     """The robot of an MJCF text; runs in the readers' process."""
+    _leave_no_traces()
     return _robot("add_mjcf", text, name, options)
 
 
 def _of_usd(layer: Path, name: str, options: dict[str, Any]) -> Robot:
     """The robot of a USD file; runs in the readers' process."""
+    _leave_no_traces()
     try:
         layers = checked_layers(layer)
     except ImportError as error:
@@ -98,6 +101,12 @@ def _of_usd(layer: Path, name: str, options: dict[str, Any]) -> Robot:
     robot = _robot("add_usd", str(layer), name, options)
     del layers  # Until now: they are not read twice.
     return robot
+
+
+def _leave_no_traces() -> None:
+    """USD, which newton loads, keeps where a fatal error of it would leave a file with the stack of
+    this process: nowhere."""
+    os.environ["TMPDIR"] = os.devnull
 
 
 def _robot(reader: str, source: str, name: str, options: dict[str, Any]) -> Robot:

@@ -90,18 +90,10 @@ def checked_layers(path: Path) -> list[Any]:
                 f"{file} is a layer of a kind that is not read; allowed are {', '.join(LAYERS)}, "
                 f"and {PACKAGE} as the file that is loaded"
             )
-        try:
-            layer = Sdf.Layer.FindOrOpen(str(file))
-        except MemoryError:
-            raise
-        except Exception as error:
-            words = _PLACE.sub("", words_of(error))
-            raise InputError(f"{file} is no readable USD layer: {words}") from None
-        if layer is None:
-            raise InputError(f"{file} is no readable USD layer")
+        layer, names = _read(file)
         layers.append(layer)
         at = os.path.dirname(name)
-        for other, is_layer in _names(layer):
+        for other, is_layer in names:
             try:
                 found = named_path(folder, at, other)
             except InputError as error:
@@ -116,6 +108,22 @@ def checked_layers(path: Path) -> list[Any]:
             if len(seen) > MAX_LAYERS:
                 raise InputError(f"{path} is made of more than {MAX_LAYERS:,} layers")
     return layers
+
+
+def _read(file: Path) -> tuple[Any, list[tuple[str, bool]]]:
+    """A layer, and the files that it names."""
+    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+
+    try:
+        layer = Sdf.Layer.FindOrOpen(str(file))
+        if layer is not None:
+            return layer, list(_names(layer))  # Values of a .usdc are read when they are asked for.
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        words = _PLACE.sub("", words_of(error))
+        raise InputError(f"{file} is no readable USD layer: {words}") from None
+    raise InputError(f"{file} is no readable USD layer")
 
 
 def _names(layer: Any) -> Iterator[tuple[str, bool]]:
