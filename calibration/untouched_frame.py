@@ -140,6 +140,14 @@ def _frames(
         image = _fitted(profile, frame.image, frame.name, fit)
         if image is not None:
             yield frame.name, image
+        elif not recording.names and isinstance(frame.image, np.ndarray):
+            # All that follow have its size.
+            height, width = frame.image.shape[:2]
+            camera = profile.camera
+            raise InputError(
+                f"{recording.source}: frame {frame.name} is {width}x{height} px; the profile's "
+                f"camera has {camera.width_px}x{camera.height_px} px"
+            )
 
 
 def _fitted(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.declared import require_held
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.regular_file import in_bytes
 from taccel_lab.files.text_file import shown
@@ -29,6 +30,8 @@ anything that a file holds."""
 SHARDS = "sharding_indexed"
 MAX_BLOCK_BYTES = 4 << 30
 """Of a chunk and of a row: 20 times eight images of 8 megapixels."""
+PACKED_TIMES = 1 << 15
+"""Of its files, what an array of more than a block may have unpacked: zstd's most."""
 MAX_ROWS = 1 << 24
 """Of an array; a part of 10,000 touches has some hundred thousand steps."""
 _TYPE_BYTES = {
@@ -91,6 +94,11 @@ def _array(path: Path) -> zarr.Array[Any]:
             raise InputError(
                 f"a {what} of {path} has {in_bytes(size)}; {in_bytes(MAX_BLOCK_BYTES)} is allowed"
             )
+    # Chunks of equal values need not be there, but some of a long recording are.
+    stated = math.prod(shape) * _TYPE_BYTES[kind]
+    if stated > MAX_BLOCK_BYTES:
+        held = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+        require_held(path, "values", stated, held, PACKED_TIMES)
     array: Any = zarr.open_array(path, mode="r", zarr_format=3)
     metadata = replace(array.metadata, codecs=_bounded(array.metadata.codecs))
     return zarr.Array(zarr.AsyncArray(metadata, array.store_path))

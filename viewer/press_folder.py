@@ -14,6 +14,7 @@ from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.files.tet_file import require_vtu_counts
 from taccel_lab.files.text_file import shown
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.section import linear_tets
@@ -110,6 +111,7 @@ def _end(folder: Path) -> GelStates:
     if not path.is_file():
         raise InputError(f"{folder} has neither {STATES} nor gel.vtu: press again, with --states")
     require_regular_file(path, LARGEST_BYTES, "the mesh of a press")
+    require_vtu_counts(path)
     found = read_apart(str(path), _gel_arrays, path, by="vtkmodules")
     moved = 1e3 * found["displacement_m"]
     fields = [

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.cad.gel_import.faces import PartFaces
 from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.gel_import.step_parts import require_step_file
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files import tet_file, triangle_file
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
 STEP = (".step", ".stp")
 SUFFIXES = (*STEP, *triangle_file.SUFFIXES, *tet_file.SUFFIXES)
 """Endings of files that a gel is read from."""
-MAX_BYTES = 50 << 20
-"""Of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces take
-0.5 MiB; the CAD kernel needs some 30 times the size of a file."""
 LIMIT_S = 120.0
 """For all that the CAD kernel does with a file: 271 faces take it 8 s."""
 MAX_FACETS = 1_000
@@ -52,7 +50,7 @@ def part_faces(path: Path | str, body: str = "", unit: str = "") -> PartFaces:
         from taccel_lab.cad.gel_import.triangle_gel import faces_of_tet_file
 
         return faces_of_tet_file(path, body, unit)
-    path = require_regular_file(path, MAX_BYTES, "a STEP file")
+    path = require_step_file(path)
     return read_apart(str(path), _faces_of_step, path, body, by="OCP", limit_s=LIMIT_S)
 
 
@@ -77,7 +75,7 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
             from taccel_lab.cad.gel_import.triangle_gel import gel_of_tet_file
 
             return gel_of_tet_file(path, selection)
-        path = require_regular_file(path, MAX_BYTES, "a STEP file")
+        path = require_step_file(path)
         return read_apart(str(path), _gel_of_step, path, selection, by="OCP", limit_s=LIMIT_S)
 
 

@@ -18,6 +18,9 @@ from OCP.BRepCheck import BRepCheck_Analyzer
 from taccel_lab.cad.gel_import.step_reader import StepBody
 from taccel_lab.errors import InputError
 
+_LISTED = 40
+"""Solids that a message names."""
+
 
 def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
     """The only solid of a file, or the one of a name, or of a number, from 1, where no solid has
@@ -33,8 +36,8 @@ def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> Ste
         )
     words = ", ".join(
         f"{number} {body.name or 'without a name'} ({body.shape.volume:.1f} mm^3)"
-        for number, body in enumerate(solids, 1)
-    )
+        for number, body in enumerate(solids[:_LISTED], 1)
+    ) + (f" and {len(solids) - _LISTED} more" if len(solids) > _LISTED else "")
     if name is not None:
         numbered = {str(number): [body] for number, body in enumerate(solids, 1)}
         named = [body for body in solids if body.name == name]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -97,11 +98,16 @@ def read_recorded(
         return f"rows of {of} stay in {kept_path}, and the same command goes on with them"
 
     with parents_made(out), keeping(what):
-        with errors_named(kept_path, out):
-            _read_further(recording, reader, rows, kept_path, key, progress)
-        if all(row["refused"] for row in rows):
-            kept_path.unlink()
-            raise InputError(f"no frame of {recording.source} can be read: {rows[0]['refused']}")
+        try:
+            with errors_named(kept_path, out):
+                _read_further(recording, reader, rows, kept_path, key, progress)
+            if all(row["refused"] for row in rows):
+                refused = rows[0]["refused"]
+                raise InputError(f"no frame of {recording.source} can be read: {refused}")
+        except InputError:
+            # The same command would end there again.
+            rows.clear()
+            raise
         _write(recording, rows, out)
     kept_path.unlink()
     return rows
@@ -117,11 +123,15 @@ def _read_further(
 ) -> None:
     """Read the frames behind ``rows``: each one's row goes to the file that keeps them, then to
     ``rows``."""
-    before, total = len(rows), recording.count()
+    before = len(rows)
+    height, width = reader.background.shape[:2]
+    frames = recording.frames((width, height))
+    first = list(islice(frames, 1))  # Before they are counted, which takes long of a video.
+    total = recording.count()
     with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
         if not before:
             kept.write(json.dumps({"key": key}) + "\n")
-        for number, frame in enumerate(recording.frames()):
+        for number, frame in enumerate(chain(first, frames)):
             if number < before:
                 if reader.relaxes and frame.time_s is not None:
                     _row(reader, frame)  # Its force hangs on the frames before.
@@ -193,12 +203,6 @@ def _row(reader: LiveReader, frame: RecordedFrame) -> dict[str, Any]:
     image = frame.image
     if isinstance(image, InputError):
         return {"refused": str(image)}
-    if image.shape != reader.background.shape:
-        height, width = reader.background.shape[:2]
-        return {
-            "refused": f"frame {frame.name} is {image.shape[1]}x{image.shape[0]} px; the profile's "
-            f"camera has {width}x{height} px"
-        }
     time_s = frame.time_s
     if time_s is not None:
         # Earlier than all frames of the episode before: what is followed begins anew.

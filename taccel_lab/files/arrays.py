@@ -20,11 +20,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import in_bytes, require_regular_file
+from taccel_lab.files.zip_sizes import require_small, require_small_directory
 
 MAX_ARRAY_BYTES = 768 << 20
 """Of all arrays of a file together: 800 colour images of 640 x 480 px, and room left in 1 GiB."""
-MAX_DIRECTORY_BYTES = 4 << 20
-"""Of a zip's list of contents, which is read whole: some 50,000 names."""
 PLAIN_KINDS = "biufcSU"
 """Kinds of NumPy's types that are read: truth values, numbers and texts."""
 _CHUNK_BYTES = 1 << 20
@@ -86,10 +85,15 @@ def finite_numbers(arrays: Mapping[str, np.ndarray], key: str, path: Path | str)
 def _unpacked(file: IO[bytes], needed: Sequence[str] | None, hint: str) -> dict[str, np.ndarray]:
     """Arrays of an archive; the errors continue its name."""
     try:
-        _check_directory(file)
+        try:
+            require_small_directory(file)
+        except InputError as error:
+            raise _unreadable(str(error)) from None
         with zipfile.ZipFile(file) as archive:
             members = _members(archive, needed, hint)
-            _check_sizes(members)
+            # Each has a header besides.
+            room = MAX_ARRAY_BYTES + 1024 * len(members)
+            require_small(members.values(), room, "arrays")
             arrays, left = {}, MAX_ARRAY_BYTES
             for name, member in members.items():
                 with archive.open(member) as stream:
@@ -108,25 +112,6 @@ def _unpacked(file: IO[bytes], needed: Sequence[str] | None, hint: str) -> dict[
 
 def _unreadable(why: str) -> InputError:
     return InputError(f"is not a readable .npz of plain arrays: {why}")
-
-
-def _check_directory(file: IO[bytes]) -> None:
-    """A zip's list of contents has to be one that can be read without much memory."""
-    # Its end: 22 bytes and a comment; a record in front of it stands for lists beyond 4 GiB.
-    size = file.seek(0, io.SEEK_END)
-    file.seek(max(0, size - 22 - 0xFFFF))
-    tail = file.read()
-    end = tail.rfind(b"PK\x05\x06")
-    if end < 0 or len(tail) - end < 22:
-        single = tail.startswith(b"\x93NUMPY") and size <= len(tail)
-        raise _unreadable("it is a single array (.npy)" if single else "it is no zip archive")
-    (listed,) = struct.unpack_from("<I", tail, end + 12)
-    if listed > MAX_DIRECTORY_BYTES or tail[max(0, end - 20) : end].startswith(b"PK\x06\x07"):
-        raise _unreadable(
-            f"its list of contents takes {in_bytes(listed)}; {in_bytes(MAX_DIRECTORY_BYTES)} is "
-            "allowed"
-        )
-    file.seek(0)
 
 
 def _members(
@@ -151,15 +136,6 @@ def _members(
     if missing:
         raise InputError(f"lacks {', '.join(missing)}" + (f"; {hint}" if hint else ""))
     return members
-
-
-def _check_sizes(members: dict[str, zipfile.ZipInfo]) -> None:
-    total = sum(member.file_size for member in members.values())
-    # Each has a header besides.
-    if total > MAX_ARRAY_BYTES + 1024 * len(members):
-        raise InputError(
-            f"unpacks to {in_bytes(total)}; {in_bytes(MAX_ARRAY_BYTES)} of arrays are allowed"
-        )
 
 
 def _array(stream: IO[bytes], size: int, limit: int) -> np.ndarray:

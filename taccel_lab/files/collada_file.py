@@ -19,8 +19,9 @@ import numpy as np
 
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.apart import read_apart
+from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.text_file import shown
-from taccel_lab.files.triangle_file import clean_triangles, without_idle_faces
+from taccel_lab.files.triangle_file import check_count, clean_triangles, without_idle_faces
 from taccel_lab.files.xml_file import read_xml
 
 SUFFIX = ".dae"
@@ -42,6 +43,11 @@ _LEFT_OUT = (
     "linestrips",
 )
 """Looks, and what else is no surface; parts of it may name other files."""
+
+
+MAX_PARTS, _PART_BYTES = 10_000, 6_400
+"""Of a scene, each counted as often as it is shown, and bytes of a surface that count as one."""
+_SHOWS = ("instance_node", "instance_geometry")
 
 
 def read_collada(path: Path, as_drawn: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -70,6 +76,7 @@ def read_collada(path: Path, as_drawn: bool = False) -> tuple[np.ndarray, np.nda
                 part.remove(child)
             elif _name(child) == "float_array":
                 _check_numbers(path, child)
+    _check_copies(path, root)
     points, faces = read_apart(
         str(path), _read_with_pycollada, path, ElementTree.tostring(root), by="collada"
     )
@@ -108,6 +115,29 @@ def _check_numbers(path: Path, array: ElementTree.Element) -> None:
         )
 
 
+def _check_copies(path: Path, root: ElementTree.Element) -> None:
+    """Refuse nodes of nodes that stand for a great many, before they are followed."""
+    parts: dict[Any, list[Any]] = {}
+    scenes, surfaces = [], {}
+    for element in root.iter():
+        kind = _name(element)
+        if kind in ("node", "visual_scene"):
+            name = element.get("id") or element
+            shown = [child for child in element if _name(child) in ("node", *_SHOWS)]
+            parts[name] = [
+                child.get("id") or child
+                if _name(child) == "node"
+                else str(child.get("url")).lstrip("#")
+                for child in shown
+            ]
+        elif kind == "geometry":
+            text = sum(len(inner.text or "") for inner in element.iter())
+            surfaces[element.get("id")] = 1 + text // _PART_BYTES
+        elif kind == "instance_visual_scene":
+            scenes.append(str(element.get("url")).lstrip("#"))
+    require_few_copies(path, parts, scenes, MAX_PARTS, own=surfaces)
+
+
 def _name(element: ElementTree.Element) -> str:
     return str(element.tag).rpartition("}")[2]
 
@@ -119,7 +149,11 @@ def _read_with_pycollada(path: Path, text: bytes) -> tuple[np.ndarray, np.ndarra
 
     try:
         found = Collada(io.BytesIO(text))
-        surfaces = [] if found.scene is None else list(_surfaces(found.scene))
+        surfaces, count = [], 0
+        for surface in () if found.scene is None else _surfaces(found.scene):
+            surfaces.append(surface)
+            count += len(surface[1])
+            check_count(path, count)
         unit = found.assetInfo.unitmeter if found.assetInfo else None
     except (DaeError, ValueError, LookupError, TypeError, AttributeError) as error:
         # pycollada follows what a damaged file says until something is not there.

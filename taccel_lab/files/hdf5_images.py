@@ -11,6 +11,7 @@ What an HDF5 file names elsewhere (links to other files, external and virtual da
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,9 +21,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart, stream_apart
+from taccel_lab.files.declared import PACKED_TIMES, require_held
 from taccel_lab.files.images import decoded_bgr
 from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.files.regular_file import LARGEST_BYTES, in_bytes, require_regular_file
 from taccel_lab.files.videos import MAX_FRAME_PIXELS, MAX_FRAMES
 
 if TYPE_CHECKING:
@@ -34,6 +36,10 @@ UNIVTAC = "tactile"
 """Group at the top of UniVTAC's files."""
 MAX_DEPTH, MAX_OBJECTS = 8, 10_000
 """Groups in groups, and objects."""
+BLOCK_BYTES = 1 << 30
+"""That are unpacked at a time: of all frames that a packed chunk goes over."""
+CACHE_BYTES = 64 << 20
+"""Of unpacked chunks that h5py keeps: those of a thousand streams each take 16 KiB."""
 
 
 def is_hdf5(path: Path) -> bool:
@@ -61,26 +67,60 @@ def hdf5_frames(path: Path, name: str) -> Iterator[RecordedFrame]:
 
 def _cameras(path: Path) -> dict[str, int]:
     with _opened(path) as file:
-        return {name: min(len(data), MAX_FRAMES) for name, data in _images(file)}
+        return {name: len(data) for name, data in _images(file)}
 
 
 def _frames(path: Path, name: str) -> Iterator[np.ndarray | InputError]:
     with _opened(path) as file:
-        data = dict(_images(file))[name]
-        for number in range(min(len(data), MAX_FRAMES)):
+        data, size, read = dict(_images(file))[name], path.stat().st_size, 0
+        block = _block(path, data, size)
+        for first in range(0, len(data), block):
+            last = min(first + block, len(data))
             try:
-                row = data[number]
-            except OSError as error:  # A damaged or unknown filter.
-                yield InputError(f"{path}: {name} {number} cannot be read: {error}")
+                rows = data[first:last]
+            except OSError as error:  # A damaged or unknown filter: all of the block need it.
+                for number in range(first, last):
+                    yield InputError(f"{path}: {name} {number} cannot be read: {error}")
                 continue
-            if data.ndim == 4:
-                yield row
-                continue
-            content = row if isinstance(row, bytes) else np.asarray(row, np.uint8).tobytes()
-            try:
-                yield decoded_bgr(content, f"{path}: {name} {number}")
-            except InputError as error:
-                yield error
+            for number, row in enumerate(rows, first):
+                if data.ndim == 4:
+                    yield row
+                    continue
+                content = row if isinstance(row, bytes) else np.asarray(row, np.uint8).tobytes()
+                read += len(content)
+                if data.dtype.kind == "O":  # They lie in the file as they are, each for itself.
+                    require_held(path, f"frames {name}", read, size, 1)
+                try:
+                    yield decoded_bgr(content, f"{path}: {name} {number}")
+                except InputError as error:
+                    yield error
+
+
+def _block(path: Path, data: h5py.Dataset, size: int) -> int:
+    """Frames that are read together, so that their chunks are unpacked once.
+
+    Raises InputError for too many frames, more than a file of ``size`` bytes holds, and chunks that
+    are too large.
+    """
+    what = f"frames {data.name}"
+    if len(data) > MAX_FRAMES:
+        raise InputError(f"{path} states {len(data):,} {what}; up to {MAX_FRAMES:,} are allowed")
+    frame = data.dtype.itemsize * math.prod(data.shape[1:])
+    held = min(data.id.get_storage_size(), size)
+    require_held(path, what, len(data) * frame, held, PACKED_TIMES if data.chunks else 1)
+    if not (data.chunks and data.id.get_create_plist().get_nfilters()):
+        return 1
+    streams = data.dtype.kind == "O"
+    chunk = data.id.get_type().get_size() * math.prod(data.chunks)
+    unpacked, limit = chunk, CACHE_BYTES
+    if not streams:  # All chunks beside one another are needed for one frame.
+        unpacked, limit = max(chunk, data.chunks[0] * frame), BLOCK_BYTES
+    if unpacked > limit:
+        raise InputError(
+            f"{path}: chunks of {data.chunks[0]:,} {what} unpack to {in_bytes(unpacked)} at a "
+            f"time; {in_bytes(limit)} is allowed: write chunks of fewer frames"
+        )
+    return 1 if streams else data.chunks[0]
 
 
 @contextmanager
@@ -94,7 +134,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         ) from None
     path = require_regular_file(path, LARGEST_BYTES, "an HDF5 file")
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES) as file:
             yield file
     except InputError:
         raise

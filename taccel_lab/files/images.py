@@ -17,6 +17,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import MAX_IMAGE_PIXELS, read_apart
+from taccel_lab.files.declared import require_held
 from taccel_lab.files.regular_file import read_regular_file
 
 MAX_FILE_BYTES = 512 << 20
@@ -27,8 +28,14 @@ _PNG_COLOR_TYPE = 25
 """Place of the colour type in a PNG's header."""
 _PNG_WITH_ALPHA = (4, 6)
 """Colour types of grey and of RGB with alpha."""
+_JPEG_FRAMES = tuple(bytes([kind]) for kind in range(0xC0, 0xC8) if kind != 0xC4)
+"""Kinds of segments that state a size, of Huffman codes."""
+_JPEG_PIXELS = 512
+"""Pixels that a byte of a JPEG stands for at most."""
 _TIFF_ORDER: dict[bytes, Literal["little", "big"]] = {b"II": "little", b"MM": "big"}
 _TIFF_HEADER_BYTES = 16
+_TIFF_ENTRIES = 0xFFFF
+"""Of a directory: what TIFF 6.0 has room to count. BigTIFF counts in 64 bits."""
 _ORIENTATION, _SHORT = 274, 3
 """Number of TIFF's tag, and of the type of its value."""
 LOW_16_BIT = 4096
@@ -114,11 +121,12 @@ def _decoded(data: bytes, path: Path | str, flags: int) -> np.ndarray:
     cv2.setNumThreads(1)  # Each takes address space, which counts as memory.
     if not data:
         raise InputError(f"{path} is empty (0 bytes); copy it again or leave it out")
+    _require_held(data, path)
     image = None
     if data.startswith(_BEGINNINGS):
         try:
             image = cv2.imdecode(
-                np.frombuffer(_not_turned(data), dtype=np.uint8),
+                np.frombuffer(_not_turned(data, path), dtype=np.uint8),
                 flags | cv2.IMREAD_IGNORE_ORIENTATION,
             )
         except cv2.error as error:
@@ -134,7 +142,20 @@ def _decoded(data: bytes, path: Path | str, flags: int) -> np.ndarray:
     return image
 
 
-def _not_turned(data: bytes) -> bytes:
+def _require_held(data: bytes, path: Path | str) -> None:
+    """Refuse a JPEG too short for its size, whose pixels OpenCV would make up: one bit a block of
+    64 is the least that a whole one has. Layout: ITU-T T.81, B.1."""
+    at = 2
+    while data.startswith(b"\xff\xd8") and data[at : at + 1] == b"\xff":
+        kind, length = data[at + 1 : at + 2], int.from_bytes(data[at + 2 : at + 4], "big")
+        if kind in _JPEG_FRAMES:
+            height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
+            require_held(path, "pixels", width * height, len(data), _JPEG_PIXELS)
+            return
+        at += 2 + max(length, 2)
+
+
+def _not_turned(data: bytes, path: Path | str) -> bytes:
     """The file with the orientation 1 in a TIFF's first directory: OpenCV turns TIFF whatever its
     flags say. Layout: TIFF 6.0 (Adobe, 1992), section 2, and libtiff's BigTIFF."""
     order = _TIFF_ORDER.get(data[:2])
@@ -146,6 +167,8 @@ def _not_turned(data: bytes) -> bytes:
     start = int.from_bytes(data[address], order)
     count = int.from_bytes(data[start : start + counted], order)
     first = start + counted
+    if count > _TIFF_ENTRIES:
+        raise InputError(f"{path} states {count:,} entries of a directory; it is damaged")
     for at in range(first, min(first + count * entry, len(data) - entry + 1), entry):
         if int.from_bytes(data[at : at + 2], order) == _ORIENTATION:
             stored = [_ORIENTATION.to_bytes(2, order), _SHORT.to_bytes(2, order)]

@@ -24,6 +24,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart, stream_apart
+from taccel_lab.files.declared import require_held
 from taccel_lab.files.images import MAX_FILE_BYTES, decoded_bgr
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.json_file import read_json
@@ -38,6 +39,10 @@ INFO = "meta/info.json"
 ROWS = 16
 """Rows of a Parquet file that are held at a time: each may have an image."""
 TIME = "timestamp"
+MAX_ROWS = 1 << 22
+"""Of a table: 38 hours at 30 frames a second."""
+MAX_EPISODES = 1 << 17
+"""Of a table."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,10 @@ def _stored(folder: Path, path: Path, name: str) -> Iterator[RecordedFrame]:
     columns = ["episode_index", "frame_index", name]
     with _parquet(path, columns) as file:
         timed = [*columns, TIME] if _is_timed(file) else columns
+        held, read = path.stat().st_size, 0
         for batch in file.iter_batches(batch_size=ROWS, columns=timed):
+            read += batch.nbytes
+            require_held(path, "rows", read, held)
             for row in batch.to_pylist():
                 episode = row["episode_index"]
                 place, time_s = _frame_name(episode, row["frame_index"]), row.get(TIME)
@@ -208,9 +216,12 @@ def _timestamps(path: Path) -> dict[int, np.ndarray]:
             return {}
         table = file.read(columns=[*columns, TIME])
         episodes, frames, times = (table[name].to_numpy() for name in (*columns, TIME))
+    order = np.argsort(episodes, kind="stable")
+    numbers, first = np.unique(episodes[order], return_index=True)
+    if len(numbers) > MAX_EPISODES:
+        raise InputError(f"{path} has more than {MAX_EPISODES:,} episodes")
     found = {}
-    for episode in np.unique(episodes):
-        own = np.flatnonzero(episodes == episode)
+    for episode, own in zip(numbers, np.split(order, first[1:]), strict=True):
         # Its frames one after another: otherwise nobody knows which time is whose.
         if (frames[own] == np.arange(len(own))).all():
             found[int(episode)] = times[own].astype(float)
@@ -281,6 +292,10 @@ def _parquet(path: Path, columns: list[str]) -> Iterator[ParquetFile]:
             missing = [name for name in columns if name not in file.schema_arrow.names]
             if missing:
                 raise InputError(f"{path} has no {', '.join(missing)}, as LeRobot's files do")
+            if file.metadata.num_rows > MAX_ROWS:
+                raise InputError(
+                    f"{path} states {file.metadata.num_rows:,} rows; {MAX_ROWS:,} are allowed"
+                )
             yield file
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path} is no Parquet file that can be read: {error}") from None

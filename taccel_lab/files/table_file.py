@@ -135,7 +135,10 @@ def read_table(path: Path) -> TextTable:
 def read_table_text(path: Path) -> str:
     """Text of a table, whose lines end with a line feed; InputError as ``read_table``."""
     text = read_text(path, TABLE_LIMIT_BYTES, "a table", latin_1=True)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if text.count("\n") > MAX_LINES:
+        raise InputError(f"{path} has more than {MAX_LINES:,} lines")
+    return text
 
 
 def numbered_lines(text: str, first: int, path: Path) -> Iterator[tuple[int, str]]:
@@ -143,8 +146,6 @@ def numbered_lines(text: str, first: int, path: Path) -> Iterator[tuple[int, str
     their size."""
     start, line = 0, first
     while start < len(text):
-        if line > MAX_LINES:
-            raise InputError(f"{path} has more than {MAX_LINES:,} lines")
         end = text.find("\n", start)
         end = len(text) if end < 0 else end
         if end - start > MAX_LINE_CHARACTERS:

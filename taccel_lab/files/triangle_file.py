@@ -17,6 +17,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.apart import read_apart
+from taccel_lab.files.package_file import read_package
 from taccel_lab.files.regular_file import require_regular_file
 
 SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
@@ -26,11 +27,8 @@ MAX_BYTES = 150 << 20
 """As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
 FLAT = 1e-10
 """Twice the area of a triangle over its longest edge squared, up to which it has none."""
-_MM_PER_UNIT = {
-    "MicroMeter": 1e-3, "MilliMeter": 1.0, "CentiMeter": 10.0, "Inch": 25.4, "Foot": 304.8,
-    "Meter": 1e3,
-}  # fmt: skip
-"""Of lib3mf's units."""
+MAX_CORNERS = 5_000
+"""Of a face: the time to cut one into triangles grows with the square."""
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """A triangle of a binary STL file."""
 _PLY_HEAD_BYTES = 1 << 16
@@ -60,7 +58,7 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if suffix == ".stl":
         _check_stl_numbers(path)
     if suffix == ".3mf":
-        points, faces = read_apart(str(path), _read_with_lib3mf, path, by="lib3mf")
+        points, faces = read_apart(str(path), _read_package, path, by="lib3mf")
     else:
         points, faces = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
     if not len(faces):
@@ -118,30 +116,10 @@ def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     return _cleaned(path, loaded)
 
 
-def _read_with_lib3mf(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """All that the file builds, where it puts it [mm]; runs in the readers' process."""
-    from lib3mf import Lib3MF
-
-    model: Any = Lib3MF.Wrapper().CreateModel()
-    try:
-        model.QueryReader("3mf").ReadFromFile(str(path))
-        merged = model.MergeToModel()
-    except Lib3MF.ELib3MFException as error:
-        raise InputError(f"{path} is not a 3MF file that lib3mf can read ({error})") from None
-    scale = _MM_PER_UNIT[model.GetUnit().name]
-    points, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
-    objects = merged.GetMeshObjects()
-    while objects.MoveNext():
-        mesh = objects.GetCurrentMeshObject()
-        _check_count(path, mesh.GetTriangleCount())
-        corners = np.array([tuple(v.Coordinates) for v in mesh.GetVertices()])
-        points.append(scale * corners.reshape(-1, 3))
-        indices = np.array([tuple(t.Indices) for t in mesh.GetTriangleIndices()], dtype=np.int64)
-        faces.append(indices.reshape(-1, 3) + count)
-        count += len(corners)
-    if len(faces) == 1:
-        return points[0], faces[0]
-    return clean_triangles(path, np.concatenate(points), np.concatenate(faces))
+def _read_package(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Its triangles cleaned; runs in the readers' process."""
+    points, faces = read_package(path, MAX_TRIANGLES)
+    return clean_triangles(path, points, faces) if len(faces) else (points, faces)
 
 
 def clean_triangles(
@@ -151,17 +129,26 @@ def clean_triangles(
     them."""
     import pyvista
 
-    _check_count(path, len(faces))
+    check_count(path, len(faces))
     return _cleaned(path, pyvista.PolyData.from_regular_faces(points, faces))
 
 
 def _cleaned(path: Path, loaded: Any) -> tuple[np.ndarray, np.ndarray]:
     # The filters follow an index wherever it points, and order points by coordinates.
     _check_numbers(path, loaded.points, loaded.GetPolys())
+    corners = loaded.GetPolys().GetMaxCellSize()
+    if corners > MAX_CORNERS:
+        raise InputError(
+            f"{path} has a face of {corners:,} corners; {MAX_CORNERS:,} are allowed: cut it"
+        )
+    check_count(
+        path,
+        loaded.GetPolys().GetNumberOfConnectivityIds() - 2 * loaded.GetPolys().GetNumberOfCells(),
+    )
     surface = loaded.triangulate().clean()
     assert surface is not None  # As it is for a filter in place only.
     faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    _check_count(path, len(faces))
+    check_count(path, len(faces))
     return np.asarray(surface.points, dtype=np.float64), faces.astype(np.int64)
 
 
@@ -169,6 +156,10 @@ def _check_ply_counts(path: Path) -> None:
     """Refuse counts that the file cannot hold, for which VTK would take memory first."""
     with path.open("rb") as file:
         head, end, _ = file.read(_PLY_HEAD_BYTES).partition(b"end_header")
+    if head.startswith(b"ply") and not end:
+        raise InputError(
+            f"{path} has no header that ends within {_PLY_HEAD_BYTES >> 10} KiB; it is damaged"
+        )
     size = path.stat().st_size
     for name, digits in re.findall(rb"^element\s+(\S+)\s+(\d+)", head if end else b"", re.M):
         # The shortest item takes a byte. More digits than that are no count either.
@@ -179,7 +170,7 @@ def _check_ply_counts(path: Path) -> None:
                 f"{name.decode('ascii', 'replace')!r}, but it has {size:,} bytes; it is damaged"
             )
         if name == b"face":
-            _check_count(path, count)
+            check_count(path, count)
 
 
 def _check_stl_numbers(path: Path) -> None:
@@ -197,7 +188,7 @@ def _check_stl_numbers(path: Path) -> None:
         )
 
 
-def _check_count(path: Path, count: int) -> None:
+def check_count(path: Path, count: int) -> None:
     if count > MAX_TRIANGLES:
         raise InputError(
             f"{path} has {count:,} faces; up to {MAX_TRIANGLES:,} are allowed: simplify it"

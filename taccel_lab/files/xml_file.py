@@ -14,7 +14,7 @@ XML_LIMIT_BYTES = 16 << 20
 MAX_DEPTH = 100
 """A robot description has six levels."""
 MAX_ELEMENTS = 500_000
-"""Each takes some 200 bytes; a mesh of 100,000 polygons of their own has as many elements."""
+"""Each takes some 200 bytes for four of a file; a mesh of 100,000 polygons has as many."""
 
 
 def read_xml(path: Path, what: str) -> ElementTree.Element:
@@ -50,10 +50,10 @@ class _ShallowTree(ElementTree.TreeBuilder):
     def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
         self._depth += 1
         self._count += 1
-        if self._count > MAX_ELEMENTS:
-            raise InputError(f"{self._path} has more than {MAX_ELEMENTS:,} elements")
         if self._depth > MAX_DEPTH:
             raise InputError(f"{self._path} is nested more than {MAX_DEPTH} deep")
+        if self._count > MAX_ELEMENTS:
+            raise InputError(f"{self._path} has more than {MAX_ELEMENTS:,} elements")
         return super().start(tag, attrs)
 
     def end(self, tag: str, /) -> ElementTree.Element:

@@ -42,6 +42,18 @@ def taken() -> int:
     return max(_of(process, "VmHWM") - _before.get(process, 0) for process in processes)
 
 
+def children_cpu_s() -> float:
+    """CPU time of the processes below this one that are alive [s]."""
+    ticks = 0
+    for process in _children():
+        try:
+            words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        ticks += int(words[11]) + int(words[12])  # proc(5): utime, stime.
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
 def _children() -> list[int]:
     found: list[int] = []
     for path in Path("/proc/self/task").glob("*/children"):

@@ -28,6 +28,8 @@ HELD_BY = (
 """What a recording may be."""
 MOST_FPS = 1e6
 """Frames a second that somebody may state, or seconds a frame."""
+MOST_REFUSED = 300
+"""Frames one after another that cannot be read: 10 s of 30 frames a second."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +95,22 @@ class Recording:
             tuple(path.name for path, _ in found),
         )
 
-    def frames(self) -> Iterator[RecordedFrame]:
+    def frames(self, size_px: tuple[int, int] | None = None) -> Iterator[RecordedFrame]:
         """The frames, their times since the first one of their episode [s], episodes counted.
 
         A time is None where the source has none, and where it is not later than the last one: the
         clock stood still or was set back, and how long the gel was held meanwhile is not known.
+
+        Args:
+            size_px: Width and height that they have to have; any, but all one, when None.
+
+        Raises:
+            InputError: A frame of another size: no camera's stream has two. An image among others
+                of a folder is refused by itself. ``MOST_REFUSED`` frames one after another cannot
+                be read.
         """
         episode, count, number, first_s, last_s = None, -1, 0, math.nan, -math.inf
-        for frame in self.raw():
+        for frame in self._readable(size_px):
             if frame.episode != episode:
                 episode, count, number, first_s, last_s = (
                     frame.episode,
@@ -118,6 +128,29 @@ class Recording:
                 else:
                     time_s = None
             yield frame._replace(time_s=time_s, episode=count)
+
+    def _readable(self, size_px: tuple[int, int] | None) -> Iterator[RecordedFrame]:
+        refused = 0
+        for frame in self.raw():
+            image = frame.image
+            if not isinstance(image, InputError):
+                found = image.shape[1], image.shape[0]
+                if size_px is not None and found != size_px:
+                    image = InputError(
+                        f"frame {frame.name} is {found[0]}x{found[1]} px; "
+                        f"{size_px[0]}x{size_px[1]} px are needed"
+                    )
+                    if not self.names:
+                        raise InputError(f"{self.source}: {image}")
+                elif not self.names:
+                    size_px = found
+            refused = refused + 1 if isinstance(image, InputError) else 0
+            if refused == MOST_REFUSED:
+                raise InputError(
+                    f"{self.source}: {refused} frames one after another cannot be read; the last "
+                    f"one: {image}"
+                )
+            yield frame._replace(image=image)
 
     @property
     def times_from(self) -> str:

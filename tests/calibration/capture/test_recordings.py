@@ -98,6 +98,93 @@ def test_hdf5_without_pictures_and_torn_ones_are_refused(tmp_path: Path) -> None
         Recording.of(tmp_path, "left")
 
 
+def streams(path: Path, images: Sequence[np.ndarray | bytes]) -> Path:
+    """Images of one finger, or bytes that are none."""
+    data = [i if isinstance(i, bytes) else cv2.imencode(".png", i)[1].tobytes() for i in images]
+    with h5py.File(path, "w") as file:
+        stored = file.create_dataset("tactile/rgb", (len(data),), h5py.vlen_dtype(np.uint8))
+        for number, content in enumerate(data):
+            stored[number] = np.frombuffer(content, np.uint8)
+    return path
+
+
+def test_a_stream_of_two_sizes_ends_at_the_second(tmp_path: Path) -> None:
+    recording = Recording.of(streams(tmp_path / "0.hdf5", [RED, b"torn", RED[:20], RED]))
+    frames = recording.frames()
+    assert isinstance(next(frames).image, np.ndarray)
+    assert isinstance(next(frames).image, InputError)
+    with pytest.raises(InputError, match=r"0\.hdf5: frame 2 is 32x20 px; 32x24 px are needed"):
+        next(frames)
+    with pytest.raises(InputError, match=r"0\.hdf5: frame 0 is 32x24 px; 64x48 px are needed"):
+        next(recording.frames((64, 48)))
+
+
+def test_images_of_a_folder_are_refused_one_by_one(tmp_path: Path) -> None:
+    for number, image in enumerate((RED[:20], RED, RED[:, :20])):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+    frames = [frame.image for frame in Recording.of(tmp_path).frames((32, 24))]
+    assert [isinstance(image, InputError) for image in frames] == [True, False, True]
+    assert "frame 2.png is 20x24 px; 32x24 px are needed" in str(frames[2])
+
+
+def test_frames_that_cannot_be_read_one_after_another_end_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("taccel_lab.calibration.capture.camera.recording.MOST_REFUSED", 3)
+    torn = [b"torn", b"torn"]
+    whole = Recording.of(streams(tmp_path / "0.hdf5", [*torn, RED, *torn]))
+    assert [isinstance(f.image, InputError) for f in whole.frames()].count(True) == 4
+    frames = Recording.of(streams(tmp_path / "1.hdf5", [RED, *torn, *torn, RED])).frames()
+    assert len([next(frames) for _ in range(3)]) == 3
+    with pytest.raises(
+        InputError, match=r"1\.hdf5: 3 frames one after another cannot be read; the"
+    ):
+        next(frames)
+
+
+@pytest.mark.parametrize("chunks", [(4, 5, 8, 1), (1, 24, 32, 3), (7, 24, 32, 3), (40, 24, 32, 3)])
+@pytest.mark.parametrize("packing", [None, "gzip", "lzf"])
+def test_packed_levels_are_those_that_were_written(
+    chunks: tuple[int, ...], packing: str | None, tmp_path: Path
+) -> None:
+    levels = np.random.default_rng(0).integers(0, 255, (10, 24, 32, 3), dtype=np.uint8)
+    with h5py.File(tmp_path / "0.hdf5", "w") as file:
+        file.create_dataset(
+            "a/levels", data=levels, chunks=chunks, maxshape=(None, 24, 32, 3), compression=packing
+        )
+    recording = Recording.of(tmp_path / "0.hdf5")
+    assert recording.count() == 10
+    np.testing.assert_array_equal(images_of(recording), levels)
+
+
+def test_chunks_of_too_many_frames_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with h5py.File(tmp_path / "0.hdf5", "w") as file:
+        noise = np.random.default_rng(0).integers(0, 255, (64, 24, 32, 3), dtype=np.uint8)
+        file.create_dataset("levels", data=noise, chunks=(64, 3, 4, 3), compression="gzip")
+        texts = file.create_dataset(
+            "tactile/rgb",
+            (3,),
+            h5py.vlen_dtype(np.uint8),
+            chunks=(1 << 23,),
+            maxshape=(None,),
+            compression="gzip",
+        )
+        texts[0] = np.frombuffer(b"torn", np.uint8)
+    with pytest.raises(InputError, match="8,388,608 frames /tactile/rgb unpack to 128 MiB"):
+        list(Recording.of(tmp_path / "0.hdf5", "rgb").frames())
+    monkeypatch.setattr("taccel_lab.files.hdf5_images.BLOCK_BYTES", 64 * 24 * 32 * 3 - 1)
+    monkeypatch.setattr("taccel_lab.files.hdf5_images.stream_apart", stream_here)
+    with pytest.raises(InputError, match="chunks of 64 frames /levels unpack to 144 KiB at a time"):
+        list(Recording.of(tmp_path / "0.hdf5", "levels").frames())
+
+
+def stream_here(what: str, read: Any, *arguments: Any, by: str) -> Any:
+    """Reads in this process, where limits are changed."""
+    return read(*arguments)
+
+
 def video(path: Path, levels: Sequence[int]) -> Path:
     """Grey frames, coded in AV1 as LeRobot codes them."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import av
 import cv2
+import h5py
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.recorded import draw_recorded, read_recorded
+from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.profile import BranchEntry
+from taccel_lab.profile import BranchEntry, SensorProfile
 from tests.calibration.depth.test_depth import grey_unit
 from tests.support.small_captures import write_image
 
@@ -169,3 +171,25 @@ def test_what_holds_no_frames_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no frame of"):
         read_recorded(torn, reader, tmp_path / "out", {})
     assert not (tmp_path / "out").exists()
+
+
+def test_a_stream_of_another_size_ends_at_its_first_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader = folder_and_reader(tmp_path / "frames")
+    with h5py.File(tmp_path / "0.hdf5", "w") as file:
+        file["levels"] = np.zeros((1000, 20, 30, 3), np.uint8)
+    recording = Recording.of(tmp_path / "0.hdf5")
+    height, width = reader.background.shape[:2]
+    said = f"frame 0 is 30x20 px; {width}x{height} px are needed"
+    with pytest.raises(InputError, match=said):
+        read_recorded(recording, reader, tmp_path / "out", {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0.hdf5", "frames"]
+    with pytest.raises(InputError, match="frame 0 is 30x20 px; the profile's camera has"):
+        UntouchedFrame.of(starter_like(reader.profile, monkeypatch), [tmp_path / "0.hdf5"])
+
+
+def starter_like(profile: SensorProfile, monkeypatch: pytest.MonkeyPatch) -> SensorProfile:
+    """The profile, taken for one of the catalogue: of another unit."""
+    monkeypatch.setattr("taccel_lab.calibration.untouched_frame.is_starter", lambda _: True)
+    return profile
