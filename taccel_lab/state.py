@@ -6,7 +6,6 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
-from weakref import ReferenceType, ref
 
 import numpy as np
 import warp as wp
@@ -140,10 +139,8 @@ class State(Summary):
     model: Model | None = None
     """The model that it was made for: it is read as one of that or of the same bodies. None where
     nobody said."""
-    _writer: dict[str, ReferenceType[object]] = field(
-        default_factory=dict, init=False, compare=False
-    )
-    """The solver that has steps of it at work."""
+    writers: dict[str, Any] = field(default_factory=dict, init=False, compare=False)
+    """The solver that has steps of it at work, see ``solvers.one_writer``."""
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """Return what ``repr`` shows."""
@@ -248,32 +245,6 @@ class State(Summary):
             return
         mask = device_mask(mask, len(self.unsearched), self.unsearched.device)
         copy_rows(mask, mask, self.unsearched)
-
-    def claim(self, solver: object) -> None:
-        """Let ``solver`` alone write this state until ``release``; a solver that is gone writes no
-        more.
-
-        Raises:
-            InputError: Another solver has steps of it at work.
-        """
-        owner = self._writer.setdefault("solver", ref(solver))()
-        if owner is None:
-            self._writer["solver"] = ref(solver)
-        elif owner is not solver:
-            raise InputError(
-                "another solver is stepping this state: give each solver its own state "
-                "(state.copy()), or let one finish its steps before the other begins"
-            )
-
-    def claimed_by(self, solver: object) -> bool:
-        """Return whether ``solver`` has steps of it at work."""
-        owner = self._writer.get("solver")
-        return owner is not None and owner() is solver
-
-    def release(self, solver: object) -> None:
-        """End what ``claim`` began."""
-        if self.claimed_by(solver):
-            self._writer.pop("solver", None)
 
     def complete(self, model: Model) -> None:
         """Add what steps of a model need and the state does not have: no past, joints at rest,

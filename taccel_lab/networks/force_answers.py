@@ -29,9 +29,9 @@ def require_forces(config: ForceModelConfig, weights: Mapping[str, np.ndarray]) 
     most_n = min(BEYOND * max(config.most[:2]), MOST_FORCE_N)
     if not answers.max() <= most_n:
         raise InputError(
-            f"the force model answers {answers.max():.3g} N to a faint dent, but no more than "
-            f"{most_n:.3g} N is possible (1000 N, or {BEYOND:g} times the most of its training): "
-            "its weights or its settings are those of another network, or scaled"
+            f"the force model answers {answers.max():.3g} N to a faint dent; at most "
+            f"{most_n:.3g} N is allowed (1000 N, or {BEYOND:g} times the most of its training). "
+            "Its weights or settings are those of another network, or scaled"
         )
 
 

@@ -81,7 +81,7 @@ class ReadySteps:
             progress.again[:] = solver.prepare_again(status)
             status[progress.again] = EnvStatus.RUNNING
             failed = progress.underway & ~np.isin(status, (EnvStatus.RUNNING, EnvStatus.CONVERGED))
-            status[list(solver.find_blocked(state, failed))] = EnvStatus.BLOCKED
+            status[list(solver.ways.of_step(state, solver.end_poses, failed))] = EnvStatus.BLOCKED
             progress.underway &= status == EnvStatus.RUNNING
             solver.end(state)
         status[overlapping] = EnvStatus.OVERLAP

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from threading import get_ident
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ import warp as wp
 
 from taccel_lab.bodies.scene_description import LONGEST_HOLD_S, check_dt
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.contact.blocked_ways import BlockedWay, BlockedWays
+from taccel_lab.ipc.contact.blocked_ways import BlockedWays
 from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
@@ -33,6 +33,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.measure import evaluate_forces
+from taccel_lab.solvers.one_writer import writing
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraph
@@ -116,7 +117,7 @@ class SolverIPC(SolverParts):
         to the start of the whole step and flagged.
         Environments whose bodies overlap before their first step are flagged and not stepped
         (``ipc.start_checks.check_start`` says what is wrong). Those that fail are not tried in
-        parts where ``find_blocked`` names what is held in their way.
+        parts where ``ways`` has what is held in their way.
 
         The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
         anything is taken again. After resets it also reads which environments overlap. All other
@@ -137,7 +138,7 @@ class SolverIPC(SolverParts):
             # The same array as in the step before where all go on: nothing to compare.
             able = separate if who is self._everyone else separate & who
             report = self._attempt(able, dt, whole=True)
-            blocked = self.find_blocked(state, able & ~report.converged)
+            blocked = self.ways.of_step(state, self.end_poses, able & ~report.converged)
             report = refused(report, ~separate & who, blocked)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
                 report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
@@ -220,25 +221,14 @@ class SolverIPC(SolverParts):
                 "state; models may be shared"
             )
         try:
-            if state is not None:
-                self._claim(state)
-            with TURNS:
+            with nullcontext() if state is None else writing(state, self), TURNS:
                 self.recover()
                 yield
         finally:
-            if state is not None and not self._goes_on():
-                state.release(self)
             self._thread.pop("at work", None)
 
-    def _claim(self, state: State) -> None:
-        if self._goes_on() and not state.claimed_by(self):
-            raise InputError(
-                "the solver has steps of another state underway (see ReadySteps): drop these "
-                "first, or step this state on another solver"
-            )
-        state.claim(self)
-
-    def _goes_on(self) -> bool:
+    @property
+    def underway(self) -> bool:
         """Whether steps are underway that the next call goes on with."""
         return not self._torn and bool(self.progress.underway.any())
 
@@ -299,15 +289,6 @@ class SolverIPC(SolverParts):
             wp.copy(state.unsearched, self._overlaps.find(state, state.unsearched))
             separate = state.separate = state.unsearched.numpy() == 0
         return separate
-
-    def find_blocked(self, state: State, failed: np.ndarray) -> dict[int, BlockedWay]:
-        """Find what is held in the way from a state to the targets of the latest step, in the
-        environments where that has ``failed`` (bool, [env_count]): no other pays for it."""
-        if not (failed.any() and self.ways):
-            return {}
-        start, end = (poses.numpy() for poses in (state.poses, self.end_poses))
-        shape = (self.model.env_count, -1, 7)
-        return self.ways.find(start.reshape(shape), end.reshape(shape), failed)
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the

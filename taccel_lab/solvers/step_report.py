@@ -44,7 +44,7 @@ class EnvStatus(IntEnum):
     """Neither residual nor energy has fallen in ``env_phase.STALL_AFTER`` iterations."""
     BLOCKED = 14
     """The step failed, and its way leads a kinematic body through bonded faces of a gel, see
-    ``SolverIPC.find_blocked``; it is not tried in parts."""
+    ``ipc.contact.blocked_ways``; it is not tried in parts."""
 
 
 _INTS = ("status", "newton_iterations", "cg_iterations", "friction_lags") + (

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.bodies.bodies import KinematicBody
 from taccel_lab.bodies.crossings import crossing_pairs
@@ -24,6 +25,7 @@ from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import rotate
 from taccel_lab.model.kinematics import interpolate_poses
+from taccel_lab.state import State
 
 _LEAST_PART = 0.02
 """Smallest extent of a body over its largest by which poses along its way are spaced."""
@@ -115,6 +117,17 @@ class BlockedWays:
 
     def __bool__(self) -> bool:
         return bool(self._held)
+
+    def of_step(
+        self, state: State, end_poses: wp.array, failed: np.ndarray
+    ) -> dict[int, BlockedWay]:
+        """Find the ways of a step from a state to its targets, in the environments where it has
+        ``failed`` (bool, [env_count]): no other pays for it."""
+        if not (failed.any() and self):
+            return {}
+        shape = (self._model.env_count, -1, 7)
+        start, end = (poses.numpy().reshape(shape) for poses in (state.poses, end_poses))
+        return self.find(start, end, failed)
 
     def find(self, start: np.ndarray, end: np.ndarray, who: np.ndarray) -> dict[int, BlockedWay]:
         """Ways from ``start`` to ``end`` (poses, [env_count, kinematic_count, 7]) that are blocked,

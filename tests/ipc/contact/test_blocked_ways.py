@@ -97,7 +97,7 @@ def test_a_step_is_refused_and_the_others_go_on() -> None:
     after = state.positions.numpy()
     assert np.array_equal(after[1], before[1]) and not np.array_equal(after[0], before[0])
     assert report.failures() == {"BLOCKED": [1]}
-    words = solver.find_blocked(state, ~report.converged)[1].words()
+    words = solver.ways.of_step(state, solver.end_poses, ~report.converged)[1].words()
     for part in ("a step of 502.1 mm", "'tool'", "'gel', 4 mm thick", "held", "shorter dt"):
         assert part in words
     # The next step is one like any other.
