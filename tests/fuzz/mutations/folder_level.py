@@ -74,10 +74,13 @@ def other_suffix(path: Path, draw: Draw, around: Surroundings) -> None:
 
 
 def deeper(path: Path, draw: Draw, around: Surroundings) -> None:
-    """A folder below with the file in it, or with a link back to the top."""
+    """A folder below with the file in it, or with a link back to the top; nothing where a file has
+    its name."""
     below = path.parent / draw.pick(("sub", "0", "labels", "gelsight", ".hidden"))
-    if not below.exists():
+    if not os.path.lexists(below):
         below.mkdir()
+    if not below.is_dir():
+        return
     if draw.chance(0.5):
         place = below / f"again{path.suffix}"
         if not place.exists():
