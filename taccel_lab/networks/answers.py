@@ -35,7 +35,8 @@ def forward(weights: Mapping[str, np.ndarray], inputs: np.ndarray, activation: s
 def require_answers(
     what: str, sizes: np.ndarray, least: float, most: float, unit: str, limit: str
 ) -> None:
-    """Refuse a network most of whose answers do not exist, or are none.
+    """Refuse a network most of whose answers do not exist, or are next to none. None at all is an
+    answer: of a sensor that shows its dots and nothing else.
 
     Args:
         what: The network, to begin a sentence with.
@@ -47,7 +48,7 @@ def require_answers(
     """
     finite = np.where(np.isfinite(sizes), sizes, np.inf)
     size = float(np.percentile(finite, SHARE_PERCENT, method="lower"))
-    if not least <= size <= most:
+    if size and not least <= size <= most:
         shown = limit if size > most else f"any touch shows {least:g} and more"
         raise InputError(
             f"{what} answers up to {size:.3g} {unit}, but {shown}: its weights or its settings "
