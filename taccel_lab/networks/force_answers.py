@@ -30,8 +30,8 @@ def require_forces(config: ForceModelConfig, weights: Mapping[str, np.ndarray]) 
     if not answers.max() <= most_n:
         raise InputError(
             f"the force model answers {answers.max():.3g} N to a faint dent; at most "
-            f"{most_n:.3g} N is allowed (1000 N, or {BEYOND:g} times the most of its training). "
-            "Its weights or settings are those of another network, or scaled"
+            f"{most_n:.3g} N are possible, {BEYOND:g} times the most of its training or 1000: its "
+            "weights or its settings are those of another network, or scaled"
         )
 
 
