@@ -55,6 +55,33 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
+LIBRARY_WRITERS = re.compile(
+    r"(?<!def )(?<![\w`])(?:[\w.]*\.)?"
+    r"(savefig|savez|savez_compressed|save_file|imwrite|VideoWriter"
+    r"|np\.save|torch\.save|onnx\.save|(?:pq|parquet)\.write_table|h5py\.File)"
+    r"\(\s*(?!(?:file|buffer|sink|stream|table, file|table, sink|listed, file|tasks, file)\b)"
+)
+"""Calls by which a library writes into a path."""
+READS_HDF5 = "taccel_lab/files/hdf5_images.py"
+
+
+def test_libraries_write_into_memory() -> None:
+    """``write_by`` puts what they wrote into the file: of a full disk they tell as they like."""
+    assert LIBRARY_WRITERS.search("    np.savez(path, a=a)") and LIBRARY_WRITERS.search(
+        "figure.savefig(\n    path)"
+    )
+    assert not LIBRARY_WRITERS.search("write_by(path, partial(np.savez, a=a)); np.save(file, a)")
+    found = {
+        name_of(path): [hit.group(0) for hit in LIBRARY_WRITERS.finditer(text)]
+        for path in SOURCES
+        if name_of(path) != READS_HDF5
+        for text in [path.read_text(encoding="utf-8")]
+    }
+    assert not {name: hits for name, hits in found.items() if hits}
+    paths = re.compile(r"\.(?:save|write|saveas|export)\(str\(")
+    assert not [name_of(path) for path in SOURCES if paths.search(path.read_text(encoding="utf-8"))]
+
+
 def test_there_is_something_to_check() -> None:
     assert len(SOURCES) > 20
     assert {path.relative_to(ROOT).parts[0] for path in SOURCES} == set(PACKAGES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,25 +41,34 @@ class CaptureCheckCommand:
     def run(self) -> None:
         from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.cli.console import notes, print_json, results
-        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
         from taccel_lab.progress import stage_progress
-        from taccel_lab.report.page import write_page
+        from taccel_lab.report.page import write_page, write_page_into
 
         console = notes()
         if self.report is not None:
             require_replaceable(self.report)
-        checks = []
-        with _opened(self.captures) as parts:
-            for folder, notes in parts:
+        checks, pages = [], []
+        with (
+            _opened(self.captures) as parts,
+            nullcontext() if self.report is None else atomic_directory(self.report) as staging,
+        ):
+            for name, folder, said in parts:
                 with stage_progress(console) as progress:
-                    check = check_captures(folder, notes=notes, progress=progress)
+                    check = check_captures(folder, notes=said, progress=progress)
                 checks.append(check)
                 if not self.json:
                     _print_check(results(), check)
-                if self.report is not None:
-                    place = self.report if len(parts) == 1 else self.report / folder.root.name
-                    write_page(check_page(check), place)
-                    console.print(f"wrote {place / 'report.html'}")
+                if self.report is None or staging is None:
+                    continue
+                if len(parts) == 1:
+                    write_page_into(check_page(check), staging)
+                    pages.append(self.report / "report.html")
+                else:
+                    write_page(check_page(check), staging / name)
+                    pages.append(self.report / name / "report.html")
+        for page in pages:
+            console.print(f"wrote {page}")
         if self.json:
             figures = [check.figures() for check in checks]
             print_json(figures[0] if len(figures) == 1 else {"parts": figures})
@@ -68,8 +77,9 @@ class CaptureCheckCommand:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]:
-    """The folders to check, with what an importer assumed where there is no manifest."""
+def _opened(path: Path) -> Iterator[list[tuple[str, CaptureFolder, tuple[str, ...]]]]:
+    """The folders to check by their names, with what an importer assumed where there is no
+    manifest: there the folder is a passing one, and its name is of what was read."""
     from contextlib import ExitStack
 
     from taccel_lab.calibration.capture import load_capture_folder
@@ -78,19 +88,19 @@ def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]
     from taccel_lab.files.inner_path import inner_path
 
     if not path.exists() or path.name == MANIFEST_NAME or (path / MANIFEST_NAME).is_file():
-        yield [(load_capture_folder(path), ())]
+        yield [(path.name, load_capture_folder(path), ())]
         return
     found = sorted(place.relative_to(path).as_posix() for place in path.glob(f"*/{MANIFEST_NAME}"))
     below = [inner_path(path, name).parent for name in found]
     if below:
-        yield [(load_capture_folder(place), ()) for place in below]
+        yield [(place.name, load_capture_folder(place), ()) for place in below]
         return
     with ExitStack() as stack:
         layout, drafts = read_drafts(path)
         parts = []
         for draft in drafts:
             notes = (f"read as {layout.name}: {layout.title}", *draft.remarks())
-            parts.append((stack.enter_context(draft.opened()), notes))
+            parts.append((draft.part, stack.enter_context(draft.opened()), notes))
         yield parts
 
 

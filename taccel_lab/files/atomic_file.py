@@ -18,6 +18,10 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import is_of_a_file
+from taccel_lab.processes.cache_place import cache_folder
+
+_ROOM_BYTES = 4096
+"""A block: what a disk that is full has not left."""
 
 
 @contextmanager
@@ -69,7 +73,8 @@ def parents_made(target: Path) -> Iterator[None]:
 def errors_named(staging: Path, target: Path) -> Iterator[None]:
     """Tell errors of files by the name that somebody gave, ``target``, where they have none, or one
     at or below ``staging``: Python tells of a full disk without a name, and copying by those of
-    both files."""
+    both files. Where there is room at ``staging``, it is the cache or the temporary folder, where
+    libraries write, too, that is full."""
     try:
         yield
     except OSError as error:
@@ -78,10 +83,26 @@ def errors_named(staging: Path, target: Path) -> Iterator[None]:
         inside = any(staging in (place, *place.parents) for place in places)
         if not is_of_a_file(error) or (places and not inside):
             raise
-        named = OSError(error.errno, error.strerror, str(target))
+        place = target
+        if not places and error.errno in (errno.ENOSPC, errno.EDQUOT) and _has_room(staging):
+            others = cache_folder(), Path(tempfile.gettempdir())
+            place = next((other for other in others if not _has_room(other)), target)
+        named = OSError(error.errno, error.strerror, str(place))
         for note in getattr(error, "__notes__", ()):
             named.add_note(note)
         raise named from None
+
+
+def _has_room(place: Path) -> bool:
+    """Whether bytes can be written into a folder, or beside a file."""
+    folder = next(path for path in (place, *place.absolute().parents) if path.is_dir())
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_ROOM_BYTES))
+            file.flush()
+    except OSError:
+        return False
+    return True
 
 
 def write_by(path: Path | str, write: Callable[[io.BytesIO], object]) -> None:

@@ -6,12 +6,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import load_capture_folder, video
+from taccel_lab.calibration.capture import importers, load_capture_folder, video
+from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.files.videos import count_frames
 from taccel_lab.profile import save_profile
@@ -115,6 +117,42 @@ def test_several_sets_are_checked_one_by_one(here: Path, cli: Cli) -> None:
     write_captures(here / "both" / "first")
     write_captures(here / "both" / "second")
     assert len(cli.json("capture check", "both")["parts"]) == 2
+
+
+def test_the_report_of_several_sets_is_one_output(here: Path, cli: Cli) -> None:
+    """It is replaced by the next one, and there as a whole or not at all."""
+    for name in ("a[green]", "b"):
+        write_captures(here / "both" / name)
+    for _ in range(2):
+        said = cli("capture check", "both", "--report", "page")
+        assert (
+            "both/a[green]/captures.toml (" in said.out and "wrote page/b/report.html" in said.err
+        )
+    pages = sorted(path.parent.name for path in (here / "page").rglob("report.html"))
+    assert pages == ["a[green]", "b"]
+    before = everything_below(here / "page")
+    (here / "both" / "b" / "captures.toml").write_text("torn")
+    cli("capture check", "both", "--report", "page", code=2)
+    assert everything_below(here / "page") == before
+
+
+def test_several_sets_of_a_layout_have_pages_of_their_own_names(here: Path, cli: Cli) -> None:
+    """Not those of the passing folders that they are read from."""
+    names = ["left", "right"]
+
+    def parts(drafts: list[Draft]) -> list[Draft]:
+        return [replace(draft, part=name) for name in names for draft in drafts]
+
+    (here / "captures" / "captures.toml").unlink()
+    read = importers.read_drafts
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            importers, "read_drafts", lambda *words: (read(*words)[0], parts(read(*words)[1]))
+        )
+        said = cli("capture check", "captures", "--report", "page", code=1)
+    assert sorted(path.parent.name for path in (here / "page").rglob("report.html")) == names
+    assert "taccel_lab_" not in said.out + said.err
+    assert "taccel_lab_" not in (here / "page" / "left" / "report.html").read_text()
 
 
 def test_guide_writes_a_manifest(here: Path, cli: Cli) -> None:

@@ -13,6 +13,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+from taccel_lab.processes.cache_place import CACHE_VARIABLE
 
 
 @pytest.mark.parametrize("how", ["file", "array"])
@@ -34,6 +35,20 @@ def test_a_full_disk_says_so_and_loses_nothing(small_drive: Path, how: str) -> N
     assert raised.value.filename == str(target)
     after = {path: path.is_file() and path.read_bytes() for path in small_drive.rglob("*")}
     assert after == before
+
+
+def test_a_cache_that_is_full_is_not_the_output(
+    small_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Libraries write into it without a word, such as Warp its kernels."""
+    cache = small_drive / "cache"
+    monkeypatch.setenv(CACHE_VARIABLE, str(cache))
+    with pytest.raises(OSError, match="No space left on device") as told:
+        with atomic_directory(tmp_path / "out") as folder:
+            (folder / "a.txt").write_text("there is room")
+            (small_drive / "kernel").write_bytes(bytes(1_000_000))
+    assert told.value.filename == str(cache)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_disk_that_is_full_already_is_refused_before_any_work(small_drive: Path) -> None:

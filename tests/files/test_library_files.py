@@ -37,7 +37,7 @@ def solid() -> Any:
 
     from taccel_lab.cad.parts.part import Part
 
-    return Part("box", Box(5, 4, 3).solid(), ["side"] * 6, (0.5, 0.5, 0.5), "steel")
+    return Part("box", Box(5, 4, 3).solid(), ("side",) * 6, (0.5, 0.5, 0.5), "steel")
 
 
 def step(path: Path) -> None:
