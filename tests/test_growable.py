@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.output_folder import may_hold, require_growable
+from taccel_lab.files.output_folder import (
+    atomic_directory,
+    may_hold,
+    require_growable,
+    sweep_up,
+)
 
 
 def test_a_folder_that_grows_is_refused_before_any_work(tmp_path: Path) -> None:
@@ -42,3 +48,14 @@ def test_a_folder_that_another_run_begins_at_this_moment_is_not_foreign(tmp_path
     assert not may_hold(tmp_path, "sign")
     (tmp_path / "sign").write_text("whole")
     assert may_hold(tmp_path, "sign")
+
+
+def test_what_ended_processes_left_is_swept_up(tmp_path: Path) -> None:
+    """Not what a living one is writing, nor a folder of somebody else."""
+    (tmp_path / ".a.taccel-lab-new-1" / "data").mkdir(parents=True)
+    (tmp_path / "mine.taccel-lab-new-1").mkdir()
+    with atomic_directory(tmp_path / "b") as staging:
+        sweep_up(tmp_path)
+        assert staging.is_dir()
+    assert sorted(os.listdir(tmp_path)) == ["b", "mine.taccel-lab-new-1"]
+    sweep_up(tmp_path / "none")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -376,3 +377,11 @@ def test_what_links_name_is_not_published(
             with pytest.raises(InputError, match=REFUSED):
                 write([copied], tmp_path / "out")
             assert not (tmp_path / "out").exists()
+
+
+def test_a_data_set_that_could_not_begin_leaves_nothing(tmp_path: Path) -> None:
+    root = tmp_path / "new" / "data"
+    with pytest.raises(OSError), DatasetFolder(root).locked("1/1"):
+        assert root.is_dir()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.iterdir()) == []
