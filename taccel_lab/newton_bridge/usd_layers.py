@@ -76,6 +76,7 @@ def checked_layers(path: Path) -> list[Any]:
     folder, waiting, seen, layers = path.parent, [path.name], {path.name}, []
     # What this process read before is out of date, and its stages would open what is read now.
     gc.collect()
+    gc.freeze()  # Newton's own objects, of which each collection would look at a million again.
     if any(not layer.anonymous for layer in Sdf.Layer.GetLoadedLayers()):
         os._exit(1)  # The file is read again in a fresh process.
     # A name that is not beside its layer is looked for where the process is.

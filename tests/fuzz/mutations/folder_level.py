@@ -74,13 +74,12 @@ def other_suffix(path: Path, draw: Draw, around: Surroundings) -> None:
 
 
 def deeper(path: Path, draw: Draw, around: Surroundings) -> None:
-    """A folder below with the file in it, or with a link back to the top; nothing where a file has
-    its name."""
+    """A folder below with the file in it, or with a link back to the top."""
     below = path.parent / draw.pick(("sub", "0", "labels", "gelsight", ".hidden"))
-    if not os.path.lexists(below):
-        below.mkdir()
-    if not below.is_dir():
+    if below.is_file():  # Chunks of arrays are called like this.
         return
+    if not below.exists():
+        below.mkdir()
     if draw.chance(0.5):
         place = below / f"again{path.suffix}"
         if not place.exists():
