@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import stat
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -57,7 +58,10 @@ class CachedFile(Generic[Result]):
     def read(self) -> Result | None:
         """What is kept; None without a file, or with a warning when it is damaged."""
         try:
-            if self.path.stat().st_size > LARGEST_BYTES:
+            status = self.path.stat()
+            if stat.S_ISFIFO(status.st_mode):  # To open it would wait for ever.
+                raise ValueError("it is a pipe")
+            if status.st_size > LARGEST_BYTES:
                 raise ValueError("far larger than any")
             data = self.path.read_bytes()
             return self.load(io.BytesIO(_checked(data)))

@@ -207,6 +207,10 @@ def test_what_cannot_be_read_is_told() -> None:
     file.path.mkdir(parents=True)
     with pytest.warns(UserWarning, match="Is a directory"):
         assert file.read() is None
+    file.path.rmdir()
+    os.mkfifo(file.path)
+    with pytest.warns(UserWarning, match="it is a pipe"):
+        assert file.read() is None
 
 
 _MANY = """
