@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ import numpy as np
 from taccel_lab.benchmarks.page import benchmark_page, flat
 from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_folder import require_growable
 from taccel_lab.report.html import format_number
 from taccel_lab.report.machine import describe_run
@@ -120,13 +120,8 @@ def result_path(suite: str, out: Path) -> Path:
 
 def read_result(path: Path) -> dict[str, Any]:
     """A result file, checked."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is no JSON file: {error}") from None
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+    document = read_json(path)
+    if document.get("schema") != SCHEMA:
         raise InputError(f"{path} is no result of this suite: its schema is not {SCHEMA!r}")
     missing = [name for name in REQUIRED if name not in document]
     if missing:

@@ -38,10 +38,10 @@ def calibration_key(
     only: Sequence[str],
     options: Mapping[str, Any],
 ) -> str:
-    """Stands for all that a calibration depends on: files of the captures by size and time, the
+    """Stands for all that a calibration depends on: files of the captures by size and times, the
     base, what is requested, and this version."""
     files = {
-        str(path.relative_to(captures.root)): [path.stat().st_size, path.stat().st_mtime_ns]
+        str(path.relative_to(captures.root)): _version(path)
         for path in sorted(captures.root.rglob("*"))
         if path.is_file()
     }
@@ -60,6 +60,13 @@ def calibration_key(
             "version": __version__,
         }
     )
+
+
+def _version(path: Path) -> list[int]:
+    """What changes with a file. Its own time is set by who copies it, or by a clock that went
+    back; the other one is the system's, of any change."""
+    about = path.stat()
+    return [about.st_size, about.st_mtime_ns, about.st_ctime_ns]
 
 
 @dataclass

@@ -223,7 +223,10 @@ def read_parquet(path: Path) -> Any:
                 "allowed"
             )
         return pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
+    except InputError:
+        raise
+    # A name that is no text is a ValueError of Python's.
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(
             f"{path} cannot be read as Parquet: {error}; a part or an index that is deleted is "
             "made again by the command that made it"

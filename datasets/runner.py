@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import math
 import os
 import time
@@ -302,6 +303,9 @@ def _here(
         waiting: list[Future[Done]] = []
         for group in groups:
             made = simulate_parts(plan, group, device, lambda what, done, total: None)
+            # Zarr leaves chunks that it wrote in circles, megabytes a touch, and commands look for
+            # such rarely. What a batch left is young, so that this takes milliseconds.
+            gc.collect(1)
             for future in waiting:
                 yield future.result()
             waiting = [pool.submit(_finish, plan, data, folder) for data in made]

@@ -56,7 +56,9 @@ def packed(files: list[Path], out: Path) -> tuple[str, bytes]:
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in files:
-            archive.write(path, path.relative_to(out))
+            # Without its own time, which a clock that is not set puts before what ZIP can say.
+            entry = zipfile.ZipInfo(path.relative_to(out).as_posix())
+            archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
     return f"{files[0].relative_to(out).parts[0]}.zip", memory.getvalue()
 
 

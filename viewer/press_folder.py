@@ -13,9 +13,10 @@ from taccel_lab.files.apart import read_apart
 from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
-from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.files.tet_file import require_vtu_counts
+from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.files.tet_file import MAX_BYTES
 from taccel_lab.files.text_file import shown
+from taccel_lab.files.vtk_mesh import TETRA, TRIANGLE, cells_of, read_vtk
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.section import linear_tets
 from taccel_lab.with_error import with_error
@@ -110,8 +111,7 @@ def _end(folder: Path) -> GelStates:
     path = folder / "gel.vtu"
     if not path.is_file():
         raise InputError(f"{folder} has neither {STATES} nor gel.vtu: press again, with --states")
-    require_regular_file(path, LARGEST_BYTES, "the mesh of a press")
-    require_vtu_counts(path)
+    require_regular_file(path, MAX_BYTES, "the mesh of a press")
     found = read_apart(str(path), _gel_arrays, path, by="vtkmodules")
     moved = 1e3 * found["displacement_m"]
     fields = [
@@ -138,20 +138,18 @@ def _end(folder: Path) -> GelStates:
 def _gel_arrays(path: Path) -> dict[str, np.ndarray]:
     """Points, cells and what a press keeps at the points of a VTU file; by VTK, which answers a
     file that is cut short with an empty grid."""
-    import pyvista
-
-    grid: Any = pyvista.read(path, force_ext=".vtu")
-    cells, kinds = grid.cells_dict, pyvista.CellType
+    grid: Any = read_vtk(path, ".vtu")
+    cells = cells_of(path, grid)
     needed = {"displacement_m", "contact_force_n"} - set(grid.point_data.keys())
-    if needed or kinds.TETRA not in cells or kinds.TRIANGLE not in cells:
+    if needed or TETRA not in cells or TRIANGLE not in cells:
         what = f"no {', '.join(sorted(needed))}" if needed else "no tets with their skin"
         raise InputError(f"{path} is damaged, or no mesh of a press: it has {what}")
     names = ("displacement_m", "contact_force_n", "contact_pressure_pa", "von_mises_pa")
     there = [name for name in names if name in grid.point_data]
     return {
         "points": np.asarray(grid.points, dtype=np.float64),
-        "tets": np.asarray(cells[kinds.TETRA], dtype=np.int64),
-        "faces": np.asarray(cells[kinds.TRIANGLE], dtype=np.int64),
+        "tets": cells[TETRA],
+        "faces": cells[TRIANGLE],
         **{name: np.asarray(grid.point_data[name], dtype=np.float64) for name in there},
     }
 

@@ -20,7 +20,7 @@ from taccel_lab.cad.gel_import.window_cut import with_window
 from taccel_lab.cad.mesh.repair import repair_surface
 from taccel_lab.cad.mesh.surface import LabelledSurface, enclosed_volume
 from taccel_lab.errors import InputError
-from taccel_lab.files.apart import read_apart
+from taccel_lab.files.apart import LIMIT_S, read_apart
 from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.files.triangle_file import read_triangle_file
 from taccel_lab.geometry import Region, TetMesh
@@ -151,7 +151,9 @@ def _clean(path: Path, points: np.ndarray, triangles: np.ndarray, body: str, uni
         check_surface(points, triangles, str(path), closed=True)
     except InputError as fault:
         try:
-            mended = read_apart(str(path), repair_surface, points, triangles, by="pymeshlab")
+            mended = read_apart(
+                str(path), repair_surface, points, triangles, by="pymeshlab", limit_s=LIMIT_S
+            )
         except InputError as error:
             raise InputError(f"{fault}. Mending it fails: {error}") from None
         points, triangles = mended.vertices, mended.triangles

@@ -27,7 +27,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.printable import words_of
-from taccel_lab.processes.child_process import ChildProcess
+from taccel_lab.processes.child_process import ChildProcess, allow_cpu
 from taccel_lab.processes.process_pool import THREAD_LIMITS
 
 Result = TypeVar("Result")
@@ -35,6 +35,9 @@ MEMORY_BYTES = 2 << 30
 """That a reader may take."""
 LIMIT_S = 120.0
 """Seconds that a reader may stay silent."""
+CPU_S, CPU_S_PER_MIB = 10.0, 2.0
+"""Of the processor, that a reader may take for a file, and for each MiB of it: libraries that are
+misled by a small file may never end. To load one takes up to 3 s."""
 KEPT_BYTES = 16 << 20
 """Of the place for arrays, when a reader waits; larger ones are given back."""
 MAX_IMAGE_PIXELS = 1 << 26
@@ -55,7 +58,7 @@ def read_apart(
     read: Callable[..., Result],
     *arguments: Any,
     by: str,
-    limit_s: float = LIMIT_S,
+    limit_s: float | None = None,
     pool: str = "",
 ) -> Result:
     """``read(*arguments)``, run in the readers' process.
@@ -65,13 +68,14 @@ def read_apart(
         read: A function of a module; its InputErrors are raised here.
         arguments: And its result: anything that pickles.
         by: The foreign package that does it, by its import name; told where it crashes.
-        limit_s: Seconds that it may take.
+        limit_s: Seconds that it may take. When None, ``LIMIT_S``, and processor time by the size
+            of the file ``what``.
         pool: Of the processes that may do it: a library that takes much of the memory itself, and
             keeps it, has its own, so that others can read on.
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
-    asked = _Asked(what, by, limit_s)
+    asked = _Asked.of(what, by, limit_s)
     for fresh in (False, True):
         with _readers.use(fresh, pool) as reader:
             try:
@@ -87,10 +91,10 @@ def stream_apart(
     read: Callable[..., Iterator[Result]],
     *arguments: Any,
     by: str,
-    limit_s: float = LIMIT_S,
+    limit_s: float | None = None,
 ) -> Generator[Result, None, None]:
     """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
-    asked = _Asked(what, by, limit_s)
+    asked = _Asked.of(what, by, limit_s)
     given = 0
     for fresh in (False, True):
         with _readers.use(fresh) as reader:
@@ -116,6 +120,18 @@ class _Asked:
     what: str
     by: str
     limit_s: float
+    cpu_s: float | None
+    """Of the processor, for an answer or an item; None: no limit."""
+
+    @classmethod
+    def of(cls, what: str, by: str, limit_s: float | None) -> _Asked:
+        if limit_s is not None:
+            return cls(what, by, limit_s, None)
+        try:
+            size = os.stat(what).st_size
+        except (OSError, ValueError):
+            size = 0
+        return cls(what, by, LIMIT_S, CPU_S + CPU_S_PER_MIB * size / 2**20)
 
 
 class _Failed(InputError):
@@ -149,7 +165,7 @@ class _Reader:
         self.idle = False
         try:
             # Paths are relative to where this process is now.
-            self.child.pipe.send((os.getcwd(), read, arguments, stream))
+            self.child.pipe.send((os.getcwd(), read, arguments, stream, asked.cpu_s))
         except (BrokenPipeError, ConnectionResetError):
             pass  # The answer says so.
         return self.next_item(asked) if stream else self._answer(asked)
@@ -180,6 +196,11 @@ class _Reader:
             kind, content, sizes = self.child.pipe.recv()
             content = pickle.loads(content, buffers=self._buffers(sizes))
         except (EOFError, ConnectionResetError):
+            if self.child.took_too_long():
+                raise InputError(
+                    f"{asked.what}: the reader did not finish within {asked.cpu_s:.0f} s of the "
+                    "processor; the file is damaged, or far more complex than large"
+                ) from None
             raise _Failed(
                 f"{asked.what}: {_version(asked.by)} crashed on it (the process "
                 f"{self.child.cause_of_death()}). The file may be sound. Save it again, from "
@@ -301,12 +322,14 @@ def _serve(pipe: Connection) -> None:
     """Answer requests for as long as there are any."""
     answers = _Answers(pipe)
     while True:
-        folder, read, arguments, stream = pipe.recv()
+        folder, read, arguments, stream, cpu_s = pipe.recv()
         try:
             os.chdir(folder)
+            allow_cpu(cpu_s)
             if stream:
                 for item in read(*arguments):
                     answers.send("item", item)
+                    allow_cpu(cpu_s)
                 answers.send("end", None)
             else:
                 answers.send("result", read(*arguments))

@@ -155,7 +155,9 @@ def _read_with_pycollada(path: Path, text: bytes) -> tuple[np.ndarray, np.ndarra
             count += len(surface[1])
             check_count(path, count)
         unit = found.assetInfo.unitmeter if found.assetInfo else None
-    except (DaeError, ValueError, LookupError, TypeError, AttributeError) as error:
+    except InputError:
+        raise
+    except (DaeError, ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
         # pycollada follows what a damaged file says until something is not there.
         raise InputError(f"{path} is no readable Collada file: {error}") from None
     if not surfaces:

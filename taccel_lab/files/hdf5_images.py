@@ -26,6 +26,7 @@ from taccel_lab.files.images import decoded_bgr
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.regular_file import LARGEST_BYTES, in_bytes, require_regular_file
 from taccel_lab.files.videos import MAX_FRAME_PIXELS, MAX_FRAMES
+from taccel_lab.processes.child_process import no_more_memory
 
 if TYPE_CHECKING:
     import h5py
@@ -36,8 +37,10 @@ UNIVTAC = "tactile"
 """Group at the top of UniVTAC's files."""
 MAX_DEPTH, MAX_OBJECTS = 8, 10_000
 """Groups in groups, and objects."""
-BLOCK_BYTES = 1 << 30
+BLOCK_BYTES = 384 << 20
 """That are unpacked at a time: of all frames that a packed chunk goes over."""
+SPARE_BYTES = 512 << 20
+"""That h5py may take to read some frames, besides the size of the file."""
 CACHE_BYTES = 64 << 20
 """Of unpacked chunks that h5py keeps: those of a thousand streams each take 16 KiB."""
 
@@ -77,8 +80,12 @@ def _frames(path: Path, name: str) -> Iterator[np.ndarray | InputError]:
         for first in range(0, len(data), block):
             last = min(first + block, len(data))
             try:
-                rows = data[first:last]
-            except OSError as error:  # A damaged or unknown filter: all of the block need it.
+                with no_more_memory(size + SPARE_BYTES):  # A stream may state any length.
+                    rows = data[first:last]
+            except (
+                OSError,
+                MemoryError,
+            ) as error:  # A damaged or unknown filter: all of the block need it.
                 for number in range(first, last):
                     yield InputError(f"{path}: {name} {number} cannot be read: {error}")
                 continue

@@ -297,7 +297,10 @@ def _parquet(path: Path, columns: list[str]) -> Iterator[ParquetFile]:
                     f"{path} states {file.metadata.num_rows:,} rows; {MAX_ROWS:,} are allowed"
                 )
             yield file
-    except (pa.ArrowException, OSError) as error:
+    except InputError:
+        raise
+    # A name that is no text is a ValueError of Python's, a damaged page any of them.
+    except (pa.ArrowException, OSError, ValueError, TypeError, LookupError) as error:
         raise InputError(f"{path} is no Parquet file that can be read: {error}") from None
 
 

@@ -3,28 +3,19 @@
 
 from __future__ import annotations
 
-import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart
-from taccel_lab.files.declared import require_held
 from taccel_lab.files.gmsh_file import MAX_BYTES, read_gmsh
 from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.files.vtk_mesh import QUADRATIC_TETRA, TETRA, cells_of, read_vtk
 
 SUFFIXES = (".msh", ".vtu", ".vtk")
 MAX_TETS = 500_000
 """Of a gel; those of the catalogue have a tenth of it."""
-_VTU_HEAD_BYTES = 1 << 16
-"""Where the first piece of a .vtu file begins, within a kilobyte as a rule."""
-_VTU_COUNT = re.compile(rb"""NumberOf(Points|Cells)\s*=\s*["']\s*(\d+)""")
-_VTU_ITEM_BYTES = {b"Points": 12, b"Cells": 17}
-"""Three coordinates; a type and four corners."""
-_TETRA, _QUADRATIC_TETRA = 10, 24
-"""VTK's numbers of the cells."""
 
 
 def read_tet_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -42,8 +33,6 @@ def read_tet_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if suffix == ".msh":
         nodes, tets = read_apart(str(path), read_gmsh, path, by="numpy")
     else:
-        if suffix == ".vtu":
-            require_vtu_counts(path)
         nodes, tets = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
     if not len(tets):
         raise InputError(f"{path} holds no tets, or is not a readable mesh file")
@@ -68,28 +57,14 @@ def read_tet_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return nodes, tets
 
 
-def require_vtu_counts(path: Path) -> None:
-    """Refuse a .vtu file whose counts it cannot hold: VTK takes memory for them first."""
-    with path.open("rb") as file:
-        head = file.read(_VTU_HEAD_BYTES)
-    for what, digits in _VTU_COUNT.findall(head):
-        stated = int(digits[:20]) * _VTU_ITEM_BYTES[what]
-        require_held(path, what.decode().lower(), stated, path.stat().st_size)
-
-
 def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     """What VTK makes of the file; runs in the readers' process."""
     import pyvista
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # VTK's own words about a broken file.
-        loaded = pyvista.read(path, force_ext=suffix)
+    loaded = read_vtk(path, suffix)
     if not isinstance(loaded, pyvista.UnstructuredGrid) or not loaded.n_cells:
         return np.zeros((0, 3)), np.zeros((0, 4), np.int64)
-    tets = [
-        np.asarray(cells)[:, :4]
-        for kind, cells in loaded.cells_dict.items()
-        if int(kind) in (_TETRA, _QUADRATIC_TETRA)
-    ]
-    found = np.concatenate(tets) if tets else np.zeros((0, 4))
-    return np.asarray(loaded.points, dtype=np.float64), found.astype(np.int64)
+    cells = cells_of(path, loaded)
+    tets = [cells[kind][:, :4] for kind in (TETRA, QUADRATIC_TETRA) if kind in cells]
+    found = np.concatenate(tets) if tets else np.zeros((0, 4), np.int64)
+    return np.asarray(loaded.points, dtype=np.float64), found

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Triangle surfaces of other programs: STL, PLY and OBJ files, read by VTK in its own process,
 and 3MF files, by lib3mf.
-
-VTK believes what a file says of its counts and indices and crashes where that is wrong.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.package_file import read_package
 from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.files.vtk_mesh import read_vtk
 
 SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
 MAX_TRIANGLES = 500_000
@@ -106,11 +105,7 @@ def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     """What VTK makes of the file; runs in the readers' process."""
     import pyvista
 
-    with warnings.catch_warnings():
-        # VTK's own words about a broken file; what is wrong is said by whoever gets nothing.
-        warnings.simplefilter("ignore")
-        # It would go by the file that a link leads to, which git-annex and DVC name by its digest.
-        loaded = pyvista.read(path, force_ext=suffix)
+    loaded = read_vtk(path, suffix)
     if not isinstance(loaded, pyvista.PolyData) or loaded.n_cells == 0 or loaded.n_points == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     return _cleaned(path, loaded)

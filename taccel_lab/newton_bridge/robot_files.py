@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from taccel_lab.errors import InputError, naming
-from taccel_lab.files.apart import read_apart
+from taccel_lab.files.apart import LIMIT_S, read_apart
 from taccel_lab.files.regular_file import require_regular_file
 from taccel_lab.newton_bridge.importing import import_model
 from taccel_lab.newton_bridge.mjcf_file import whole_mjcf
@@ -82,7 +82,10 @@ def _require_newton(options: dict[str, Any]) -> None:
 def _apart(
     path: Path, read: Callable[..., Robot], source: Any, options: dict[str, Any], by: str
 ) -> Robot:
-    return read_apart(str(path), read, source, path.stem, options, by=by, pool="newton")
+    # Meshes lie in files beside it: its own size says nothing of the time.
+    return read_apart(
+        str(path), read, source, path.stem, options, by=by, limit_s=LIMIT_S, pool="newton"
+    )
 
 
 def _of_mjcf(text: str, name: str, options: dict[str, Any]) -> Robot:

@@ -7,6 +7,7 @@ needs no ``if __name__ == "__main__"``.
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -14,7 +15,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -77,6 +79,10 @@ class ChildProcess:
         self._process.kill()
         self._process.wait()
 
+    def took_too_long(self) -> bool:
+        """Whether a process whose pipe has closed was ended by ``allow_cpu``."""
+        return self._process.wait() == -getattr(signal, "SIGXCPU", 0)
+
     def cause_of_death(self) -> str:
         """How a process whose pipe has closed came to its end, for "the process ..."."""
         code = self._process.wait()
@@ -98,6 +104,18 @@ def _main(handle: int, parent: int, memory_bytes: int | None) -> None:
         pass  # The parent is done with this process.
 
 
+def allow_cpu(seconds: float | None) -> None:
+    """End this process once it has taken so much more processor time; never, when None."""
+    import resource
+
+    if not hasattr(signal, "SIGXCPU"):
+        return
+    taken = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    limit = resource.RLIM_INFINITY if seconds is None else math.ceil(taken + seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit if hard == -1 else min(limit, hard), hard))
+
+
 def _limit_memory(count: int) -> None:
     import resource
 
@@ -108,6 +126,28 @@ def _limit_memory(count: int) -> None:
     resource.setrlimit(limit, (allowed, hard))
     # No image of its memory for each crash.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+@contextmanager
+def no_more_memory(count: int) -> Iterator[None]:
+    """Let this process take ``count`` bytes besides what it has, no more; where Linux tells what
+    it has."""
+    try:
+        with open("/proc/self/statm") as file:
+            data = int(file.read().split()[5]) * os.sysconf("SC_PAGESIZE")
+    except OSError:
+        yield
+        return
+    import resource
+
+    # The fifth number counts what the limit counts: heap, stacks and private maps.
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    lower = data + count if soft == resource.RLIM_INFINITY else min(soft, data + count)
+    resource.setrlimit(resource.RLIMIT_DATA, (lower, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def _end_with_parent(parent: int) -> None:

@@ -221,7 +221,7 @@ def test_results_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="schema"):
         read_result(path)
     path.write_text("{")
-    with pytest.raises(InputError, match="no JSON"):
+    with pytest.raises(InputError, match="not valid JSON"):
         read_result(path)
 
 

@@ -41,6 +41,20 @@ def sleep() -> None:
     time.sleep(60)
 
 
+def spin() -> None:
+    while True:
+        pass
+
+
+def items_of_work(count: int) -> Iterator[int]:
+    """Items that each take 0.6 s of the processor."""
+    for number in range(count):
+        end = time.process_time() + 0.6
+        while time.process_time() < end:
+            pass
+        yield number
+
+
 def take_memory() -> int:
     return len(bytearray(8 << 30))
 

@@ -249,6 +249,20 @@ def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
     assert read_apart("a", readers.double, 2) == 4
 
 
+def test_a_reader_that_never_ends_takes_what_its_file_is_worth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(apart, "CPU_S", 1.0)
+    path = tmp_path / "a.ply"
+    path.write_bytes(bytes(1000))
+    said = rf"{path}: the reader did not finish within 1 s of the processor"
+    with pytest.raises(InputError, match=said):
+        read_apart(str(path), readers.spin)
+    # Each item anew; so does each file.
+    assert list(stream_apart(str(path), readers.items_of_work, 4)) == [0, 1, 2, 3]
+    assert read_apart("a", readers.double, 2) == 4
+
+
 @pytest.mark.parametrize("how", ["crash", "memory"])
 def test_a_file_is_not_blamed_for_what_earlier_files_left(how: str) -> None:
     first, second = (read_apart("a", readers.harm, how) for _ in range(2))

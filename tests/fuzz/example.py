@@ -108,7 +108,9 @@ class Bench:
         if seed is not None:
             files = [file for file in sample if reader.damages(file)]
             draw = Draw(f"{name} {seed}")
-            words = mutate(guard.given, files, draw, guard.outside, reader.seal)
+            words = mutate(
+                guard.given, files, draw, guard.outside, reader.seal, larger_counts=reader.counts
+            )
         self._note.write_text(words, encoding="utf-8")
         own = None if reader.own is None else guard.given / reader.own
         before = guard.listing(own)

@@ -29,6 +29,8 @@ class Reader:
     """Options that it is called with: a refusal may be about one of them instead of a file."""
     named: tuple[str, ...] = ()
     """Patterns of files that the user names: these may be links, and what they lead to is read."""
+    counts: bool = False
+    """Whether counts and sizes that its files state are made larger, and nothing else is done."""
     own: str | None = None
     """Folder of the sample, if any, that the reader may change: its own output of earlier."""
 

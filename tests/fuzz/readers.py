@@ -217,6 +217,36 @@ def _recorded(source: str, name: str | None) -> Callable[[Path, Path], None]:
     return call
 
 
+def _read_press(given: Path, out: Path) -> None:
+    from taccel_lab.viewer.press_folder import read_press, summary
+
+    for name in ("steps", "end"):
+        summary(given / name)
+        read_press(given / name)
+
+
+def _load_training(given: Path, out: Path) -> None:
+    from taccel_lab.learning.force.training_file import TrainingFile
+
+    TrainingFile(given / "training.pt").load("a")
+
+
+def _compare_results(given: Path, out: Path) -> None:
+    from taccel_lab.benchmarks.compare import compare
+    from taccel_lab.benchmarks.page import benchmark_page
+    from taccel_lab.benchmarks.results import read_result
+
+    first, second = (read_result(given / name) for name in ("first.json", "second.json"))
+    compare(first, second)
+    benchmark_page(first)
+
+
+def _read_task(given: Path, out: Path) -> None:
+    from taccel_lab.tasks.catalogue import read_task
+
+    read_task(given / "task.toml")
+
+
 def _list_step(given: Path, out: Path) -> None:
     from taccel_lab.cli.import_gel import ImportGel
 
@@ -319,14 +349,48 @@ READERS: dict[str, Reader] = {
     "camera-replay": Reader(captures.frames, _replay),
     "recording-hdf5": Reader(recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb")),
     "recording-lerobot": Reader(recordings.lerobot, _recorded("set", None)),
+    "recording-lerobot-2": Reader(recordings.lerobot_2, _recorded("set", None)),
+    "recording-lerobot-3": Reader(recordings.lerobot_3, _recorded("set", None)),
     "step-list": Reader(shapes.step, _list_step, ("gel.step",)),
     "step-import": Reader(shapes.step, _import_step, named=("faces.toml",)),
     "gel-msh": Reader(shapes.tets, _gel("gel.msh", "mm")),
+    "gel-3mf": Reader(shapes.box_3mf, _gel("gel.3mf", "mm")),
+    "gel-vtu": Reader(shapes.vtu, _gel("gel.vtu", "mm"), ("gel.vtu",)),
+    "gel-vtk": Reader(shapes.vtu, _gel("gel.vtk", "mm"), ("gel.vtk",)),
     "gel-stl": Reader(shapes.stl, _gel("bytes.stl", "cm")),
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
     "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
     "indenter-obj": Reader(shapes.obj, _indenter("box.obj")),
     "robot-urdf": Reader(shapes.urdf, _robot("gripper.urdf"), ("gripper.urdf", "words.stl")),
+    "robot-collada": Reader(shapes.collada, _robot("gripper.urdf"), ("box.dae", "gripper.urdf")),
+    "press-folder": Reader(results.press, _read_press),
+    "training": Reader(results.training, _load_training),
+    "bench-results": Reader(results.bench, _compare_results),
+    "task-file": Reader(results.task, _read_task),
+    **{
+        f"counts-{name}": Reader(make, call, files, counts=True)
+        for name, make, call, files in (
+            ("hdf5", recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb"), ("*",)),
+            ("hdf5-levels", recordings.univtac_packed, _recorded("0.hdf5", "levels"), ("*",)),
+            ("hdf5-streams", recordings.univtac_packed, _recorded("0.hdf5", "tactile/rgb"), ("*",)),
+            ("lerobot", recordings.lerobot, _recorded("set", None), ("*",)),
+            ("lerobot-2", recordings.lerobot_2, _recorded("set", None), ("*",)),
+            ("lerobot-3", recordings.lerobot_3, _recorded("set", None), ("*",)),
+            ("videos", captures.videos, _load_captures, ("*.avi",)),
+            ("images", captures.presses, _load_captures, ("*.png", "*.jpg")),
+            ("maps", captures.raw_with_maps, _rectify, ("maps.npz",)),
+            ("dataset", touches.folder, _check_dataset, ("*",)),
+            ("3mf", shapes.box_3mf, _gel("gel.3mf", "mm"), ("*",)),
+            ("msh", shapes.tets, _gel("gel.msh", "mm"), ("*",)),
+            ("vtu", shapes.vtu, _gel("gel.vtu", "mm"), ("gel.vtu",)),
+            ("vtk", shapes.vtu, _gel("gel.vtk", "mm"), ("gel.vtk",)),
+            ("stl", shapes.stl, _indenter("words.stl", "bytes.stl"), ("*",)),
+            ("ply", shapes.ply, _indenter("words.ply", "bytes.ply"), ("*",)),
+            ("obj", shapes.obj, _indenter("box.obj"), ("*",)),
+            ("collada", shapes.collada, _robot("gripper.urdf"), ("box.dae", "gripper.urdf")),
+            ("press", results.press, _read_press, ("*",)),
+        )
+    },
     "taxim-table": Reader(results.table, _read_table),
     "kept-results": Reader(results.kept, _kept, own="."),
     "earlier-output": Reader(results.output, _replace_output, own="."),

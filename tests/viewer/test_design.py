@@ -241,6 +241,7 @@ def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path: Path) -> N
     for file in files:
         file.write_text(file.name)
     assert packed(files[:1], tmp_path) == ("pad.step", b"pad.step")
+    os.utime(files[1], (0, 0))  # Where no clock is set, 1970 is now.
     name, content = packed(files, tmp_path)
     assert name == "pad.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

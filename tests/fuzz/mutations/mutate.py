@@ -6,7 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
-from tests.fuzz.mutations import array_level, byte_level, folder_level, picture_level, text_level
+from tests.fuzz.mutations import (
+    array_level,
+    byte_level,
+    counts,
+    folder_level,
+    picture_level,
+    text_level,
+)
 from tests.fuzz.mutations.draw import Draw, Surroundings
 
 Mutator = Callable[[bytes, Draw, Surroundings], bytes]
@@ -26,10 +33,13 @@ def mutate(
     draw: Draw,
     outside: Path,
     seal: Callable[[Path], None] | None = None,
+    *,
+    larger_counts: bool = False,
 ) -> str:
     """Damage some of the files ``names`` of ``root``; returns what was done, in words.
 
     ``seal`` mends what says that a file is unchanged, such as a hash, so that readers go on.
+    ``larger_counts``: whether counts and sizes are made larger, and nothing else is done.
     """
     words = []
     for _ in range(1 if draw.chance(0.7) else 2 + draw.below(2)):
@@ -38,7 +48,10 @@ def mutate(
             break
         name = draw.pick(present)
         path = root / name
-        if draw.chance(_FOLDER_SHARE):
+        if larger_counts:
+            change = draw.pick(counts.MUTATORS)
+            path.write_bytes(change(path.read_bytes(), draw, Surroundings(outside)))
+        elif draw.chance(_FOLDER_SHARE):
             change = draw.pick(folder_level.MUTATORS)
             change(path, draw, Surroundings(outside))
         else:

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import av
 import cv2
 import h5py
 import numpy as np
@@ -30,13 +32,79 @@ def univtac(given: Path) -> None:
             gel.create_dataset("rgb", data=streams, dtype=f"S{max(map(len, streams))}")
 
 
-def lerobot(given: Path) -> None:
-    """A data set of version 3 whose images lie in its table and beside it."""
+def univtac_packed(given: Path) -> None:
+    """Levels in packed chunks and streams of any length, of which the streams are read."""
+    with h5py.File(given / "0.hdf5", "w") as file:
+        levels = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 3), dtype=np.uint8)
+        file.create_dataset("head/levels", data=levels, chunks=(4, 12, 32, 3), compression="gzip")
+        stored = file.create_dataset(
+            "tactile/rgb", (3,), h5py.vlen_dtype(np.uint8), chunks=(2,), compression="gzip"
+        )
+        for number, stream in enumerate(_pngs()):
+            stored[number] = np.frombuffer(stream, np.uint8)
+
+
+def _set(given: Path, version: str, kind: str) -> Path:
     folder = given / "set"
     (folder / "meta").mkdir(parents=True)
-    features = {TOUCH: {"dtype": "image", "shape": [24, 32, 3]}}
-    about = {"codebase_version": "v3.0", "total_frames": 3, "fps": 10, "features": features}
+    features = {TOUCH: {"dtype": kind, "shape": [24, 32, 3]}}
+    about = {"codebase_version": version, "total_frames": 3, "fps": 10, "features": features}
     (folder / "meta" / "info.json").write_text(json.dumps(about))
+    return folder
+
+
+def _table(path: Path, **columns: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path)
+
+
+def _video(path: Path) -> None:
+    path.parent.mkdir(parents=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
+        for level in (40, 90, 140):
+            still = np.full((24, 32, 3), level, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(still, "rgb24")))
+        container.mux(stream.encode())
+
+
+def lerobot_2(given: Path) -> None:
+    """A data set of version 2.1: a video and a table an episode."""
+    folder = _set(given, "v2.1", "video")
+    _video(folder / f"videos/chunk-000/{TOUCH}/episode_000000.mp4")
+    _table(
+        folder / "data/chunk-000/episode_000000.parquet",
+        episode_index=[0] * 3,
+        frame_index=[0, 1, 2],
+        timestamp=[0.0, 0.1, 0.2],
+    )
+
+
+def lerobot_3(given: Path) -> None:
+    """A data set of version 3: two episodes in one video."""
+    folder, of = _set(given, "v3.0", "video"), f"videos/{TOUCH}/"
+    _video(folder / f"videos/{TOUCH}/chunk-000/file-000.mp4")
+    _table(
+        folder / "data/chunk-000/file-000.parquet",
+        episode_index=[0, 0, 1],
+        frame_index=[0, 1, 0],
+        timestamp=[0.0, 0.1, 0.0],
+    )
+    indices = {f"{of}{name}_index": [0, 0] for name in ("chunk", "file")}
+    starts = {f"{of}from_timestamp": [0.0, 0.2]}
+    _table(
+        folder / "meta/episodes/chunk-000/file-000.parquet",
+        episode_index=[0, 1],
+        length=[2, 1],
+        **indices,
+        **starts,
+    )
+
+
+def lerobot(given: Path) -> None:
+    """A data set of version 3 whose images lie in its table and beside it."""
+    folder = _set(given, "v3.0", "image")
     inside, beside, other = _pngs()
     (folder / "images").mkdir()
     (folder / "images" / "1.png").write_bytes(beside)

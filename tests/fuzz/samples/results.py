@@ -113,3 +113,65 @@ def output(given: Path) -> None:
         (folder / "press.json").write_text("{}")
         (folder / "more").mkdir()
         (folder / "more" / "a.csv").write_text("1,2\n")
+
+
+def press(given: Path) -> None:
+    """A press of two states on a box of five tets, and its end alone."""
+    from taccel_lab.geometry import TetMesh
+    from taccel_lab.geometry.vtu import write_mesh_vtu
+
+    corners = 1e-3 * np.array([[x, y, z] for z in (0, 2) for y in (0, 3) for x in (0, 4)], float)
+    tets = np.array([[0, 1, 2, 4], [1, 3, 2, 7], [1, 4, 5, 7], [2, 6, 4, 7], [1, 2, 4, 7]])
+    faces = np.array([[0, 2, 1], [1, 2, 3], [4, 5, 7], [4, 7, 6]])
+    mesh = TetMesh(corners, tets, faces, np.zeros(4, dtype=np.int64))
+    zeros, vectors = np.zeros((2, 8)), np.zeros((2, 8, 3))
+    arrays = {
+        "nodes_m": corners, "tets": tets, "faces": faces, "depth_mm": np.array([0.0, 0.1]),
+        "force_n": np.zeros((2, 3)), "indenter_poses": np.zeros((2, 7)), "moved_m": vectors,
+        "contact_forces_n": vectors, "contact_pressures_pa": zeros, "von_mises_pa": zeros,
+        "indenter_vertices_m": corners, "indenter_faces": faces,
+        "images": np.zeros((2, 6, 8, 3), np.uint8), "markers_px": np.zeros((2, 3, 2)),
+        "image_px": np.array([8, 6]),
+    }  # fmt: skip
+    about = {
+        "sensor": "box", "indenter": "sphere:2", "friction_coefficient": 0.3,
+        "press": {"force_n": 1.0, "force_error_n": 0.1, "contact_radius_mm": 1.0},
+    }  # fmt: skip
+    fields = {"displacement_m": vectors[0], "contact_force_n": vectors[0], "von_mises_pa": zeros[0]}
+    for name in ("steps", "end"):
+        folder = given / name
+        folder.mkdir()
+        (folder / "press.json").write_text(json.dumps(about))
+        if name == "steps":
+            np.savez_compressed(folder / "states.npz", **arrays)
+        else:
+            write_mesh_vtu(folder / "gel.vtu", mesh, point_data=fields)
+
+
+def training(given: Path) -> None:
+    """A training that was interrupted."""
+    import torch
+
+    state = {
+        "key": "a",
+        "step": 3,
+        "seconds": 1.5,
+        "weights": {"w": torch.zeros(4, 4)},
+        "curve": [],
+    }
+    torch.save(state, given / "training.pt")
+
+
+def bench(given: Path) -> None:
+    """Two results of a suite of benchmarks."""
+    from taccel_lab.benchmarks.results import FOLDER
+
+    for name in ("first.json", "second.json"):
+        (given / name).write_bytes((FOLDER / "captures_material.json").read_bytes())
+
+
+def task(given: Path) -> None:
+    """A task of the package."""
+    from taccel_lab.tasks.catalogue import FILES
+
+    (given / "task.toml").write_bytes((FILES / "peg-insertion.toml").read_bytes())

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,65 @@ def tets(given: Path) -> None:
         "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 8 1 8\n3 1 0 8\n1\n2\n3\n4\n5\n6\n7\n8\n"
         f"{nodes}\n$EndNodes\n$Elements\n1 5 1 5\n3 1 4 5\n{cells}\n$EndElements\n"
     )
+
+
+def box_3mf(given: Path) -> None:
+    """A box of 24 x 18 x 12 mm built of two bodies of one, as lib3mf and the workshop write it."""
+    from lib3mf import Lib3MF
+
+    model: Any = Lib3MF.Wrapper().CreateModel()
+    mesh = model.AddMeshObject()
+    for corner in 6 * _CORNERS:
+        position = Lib3MF.Position()
+        position.Coordinates[:] = corner.tolist()
+        mesh.AddVertex(position)
+    for corners in _TRIANGLES:
+        triangle = Lib3MF.Triangle()
+        triangle.Indices[:] = corners.tolist()
+        mesh.AddTriangle(triangle)
+    whole = model.AddComponentsObject()
+    whole.AddComponent(mesh, Lib3MF.Wrapper().GetIdentityTransform())
+    model.AddBuildItem(whole, Lib3MF.Wrapper().GetIdentityTransform())
+    model.QueryWriter("3mf").WriteToFile(str(given / "gel.3mf"))
+
+
+def vtu(given: Path) -> None:
+    """Five tets as VTK's XML and as its older format, in words."""
+    _write_grid(given, "gel.vtu")
+    _write_grid(given, "gel.vtk")
+
+
+def _write_grid(given: Path, name: str) -> None:
+    import pyvista
+
+    five = np.array([[1, 2, 3, 5], [2, 4, 3, 8], [2, 6, 5, 8], [3, 5, 7, 8], [2, 3, 5, 8]]) - 1
+    cells = np.column_stack([np.full(5, 4), five]).ravel()
+    grid = pyvista.UnstructuredGrid(cells, np.full(5, pyvista.CellType.TETRA), 6 * _CORNERS)
+    grid.save(given / name, binary=name.endswith("u"))
+
+
+def collada(given: Path) -> None:
+    """A gripper with a box of Collada on one finger, by way of a node of its library."""
+    urdf(given)
+    numbers = " ".join(f"{x:g}" for x in (0.01 * _CORNERS).ravel())
+    corners = " ".join(map(str, _TRIANGLES.ravel()))
+    (given / "box.dae").write_text(
+        '<?xml version="1.0"?>\n<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
+        'version="1.4.1">\n<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>\n'
+        '<library_geometries><geometry id="g"><mesh><source id="p">\n<float_array id="a" '
+        f'count="24">{numbers}</float_array>\n<technique_common><accessor source="#a" count="8" '
+        'stride="3"><param name="X" type="float"/><param name="Y" type="float"/><param name="Z" '
+        'type="float"/></accessor></technique_common></source>\n<vertices id="v"><input '
+        'semantic="POSITION" source="#p"/></vertices>\n<triangles count="12"><input '
+        f'semantic="VERTEX" source="#v" offset="0"/><p>{corners}</p></triangles></mesh></geometry>'
+        '</library_geometries>\n<library_nodes><node id="n"><instance_geometry url="#g"/></node>'
+        '</library_nodes>\n<library_visual_scenes><visual_scene id="s"><node id="top">'
+        '<instance_node url="#n"/></node></visual_scene></library_visual_scenes>\n<scene>'
+        '<instance_visual_scene url="#s"/></scene>\n</COLLADA>\n'
+    )
+    path = given / "gripper.urdf"
+    text = path.read_text(encoding="utf-8").replace('filename="words.stl"', 'filename="box.dae"')
+    path.write_text(text, encoding="utf-8")
 
 
 def stl(given: Path) -> None:
