@@ -17,6 +17,7 @@ from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_folder import require_growable
+from taccel_lab.files.text_file import shown
 from taccel_lab.report.html import format_number
 from taccel_lab.report.machine import describe_run
 from taccel_lab.report.page import write_page_file
@@ -126,7 +127,16 @@ def read_result(path: Path) -> dict[str, Any]:
     missing = [name for name in REQUIRED if name not in document]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}")
+    tables = [document["run"], document["settings"], *_as_list(document["rows"])]
+    if not all(isinstance(table, dict) for table in tables):
+        raise InputError(f"{path} is no result of this suite: its rows have to be tables")
+    if not isinstance(document["suite"], str):
+        raise InputError(f"{path}: suite is {shown(document['suite'])}; a name is needed")
     return document
+
+
+def _as_list(rows: Any) -> list[Any]:
+    return rows if isinstance(rows, list) else [rows, None]
 
 
 def spread(values: list[float]) -> dict[str, float]:

@@ -30,6 +30,7 @@ from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.regular_file import LARGEST_BYTES, read_regular_file, require_regular_file
+from taccel_lab.files.text_file import shown
 from taccel_lab.files.videos import MAX_FRAMES, read_frames
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _version(folder: Path, info: dict[str, Any]) -> int:
     if version.startswith(("v2.", "v3.")):
         return int(version[1])
     raise InputError(
-        f"{folder / INFO} is of version {version!r}; LeRobot's v2.0, v2.1 and v3.0 are read"
+        f"{folder / INFO} is of version {shown(version)}; LeRobot's v2.0, v2.1 and v3.0 are read"
     )
 
 
@@ -216,6 +217,8 @@ def _timestamps(path: Path) -> dict[int, np.ndarray]:
             return {}
         table = file.read(columns=[*columns, TIME])
         episodes, frames, times = (table[name].to_numpy() for name in (*columns, TIME))
+    if not (episodes.dtype.kind in "iu" and frames.dtype.kind in "iu"):
+        raise InputError(f"{path}: episode_index and frame_index have to be whole numbers")
     order = np.argsort(episodes, kind="stable")
     numbers, first = np.unique(episodes[order], return_index=True)
     if len(numbers) > MAX_EPISODES:
