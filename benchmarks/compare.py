@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from taccel_lab.benchmarks.results import read_result
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 
 IDENTITY = {
     "speed": ("scene", "source", "envs", "lag", "steps"),
@@ -130,7 +130,9 @@ class Compare:
     """Result of after, of the same suite."""
 
     def run(self) -> None:
-        remarks, changes = compare(read_result(self.first), read_result(self.second))
+        before, after = read_result(self.first), read_result(self.second)
+        with naming(self.second):
+            remarks, changes = compare(before, after)
         for remark in remarks:
             print(f"note: {remark}")
         for change in changes:
