@@ -19,7 +19,7 @@ from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.viewer.ball_press import PressAnswer
 
 SOURCES = (
-    "bodies", "cad", "geometry", "ipc", "model", "networks", "outputs", "presses", "scene",
+    "bodies", "cad", "geometry", "ipc", "model", "outputs", "presses", "scene",
     "sensors", "signals", "solvers", "state.py", "viewer/ball_press.py", "viewer/design_press.py",
 )  # fmt: skip
 """Of this package, the code that presses are made by."""

@@ -22,8 +22,9 @@ from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock
 _MOST_IMAGE = 3.0
 """Times the gel: a camera sees no more than its housing beside it; 1.5 is the most of the
 catalogue."""
-_OFF_IMAGE, _OFF_MM = 0.4, 1.0
-"""Share of the image, or mounting, by which optics and grid may differ; designs do by 0.03."""
+_OFF_IMAGE, _OFF_MM = 0.5, 1.0
+"""Share of the image, or mounting, by which optics and grid may differ: one of two cameras that
+look aslant at an eye's distance does by 0.44, others by 0.03."""
 _SCALES = Bound(0.2, 5.0, "", "the same camera has one scale, but for windows and curved gels")
 _STIFFNESS = Bound(0.02, 50, "", "forces of a far softer or harder gel are no touches of this one")
 _PIVOT_LEVELS = 64.0

@@ -129,7 +129,7 @@ PROFILES: list[tuple[Change, list[str]]] = [
     ),
     (
         profile("hidden = [\n    8,\n]", "hidden = [\n    9,\n]"),
-        ["color model weights have shapes", "expected"],
+        ["color model weights do not fit its settings", "expected"],
     ),
     (
         profile('family = "gelsight"', 'family = "gelsite"'),

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -71,14 +70,6 @@ def vtk(path: Path) -> None:
     mesh_files.write_vtk(path, mesh_files.tet_grid(points, np.arange(900).reshape(-1, 4)))
 
 
-def film(path: Path) -> None:
-    from taccel_lab.tasks import film as module
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "film_pictures", lambda _: iter([NOISE] * 5))
-        module.write_film_files(SimpleNamespace(), path.parent)  # type: ignore[arg-type]
-
-
 WRITERS: dict[str, Callable[[Path], object]] = {
     "a.npy": partial(write_by, write=lambda file: np.save(file, NOISE)),
     "a.npz": partial(write_by, write=partial(np.savez_compressed, noise=NOISE)),
@@ -93,7 +84,6 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "a.pdf": sheet,
     "a.svg": sheet,
     "a.parquet": partial(write_table, columns={"noise": NOISE.ravel()}),
-    "film.mp4": film,
 }
 
 

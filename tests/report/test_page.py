@@ -67,6 +67,7 @@ def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path)
     profile = catalogue_profile("gelsight_mini")
     material = profile.material.replace(
         young_modulus_pa=2e5,
+        poisson_ratio=0.48,
         provenance=Provenance(
             kind="calibrated",
             method="fit",

@@ -54,9 +54,13 @@ def box_3mf(given: Path) -> None:
         triangle = Lib3MF.Triangle()
         triangle.Indices[:] = corners.tolist()
         mesh.AddTriangle(triangle)
-    whole = model.AddComponentsObject()
-    whole.AddComponent(mesh, Lib3MF.Wrapper().GetIdentityTransform())
-    model.AddBuildItem(whole, Lib3MF.Wrapper().GetIdentityTransform())
+    whole, nowhere = model.AddComponentsObject(), Lib3MF.Wrapper().GetIdentityTransform()
+    part = whole.AddComponent(mesh, nowhere)
+    item = model.AddBuildItem(whole, nowhere)
+    # Drawn anew for each file otherwise: seeds would damage another one in every run.
+    for number, named in enumerate((mesh, whole, part, item)):
+        named.SetUUID(f"00000000-0000-4000-8000-{number:012d}")
+    model.SetBuildUUID(f"00000000-0000-4000-8000-{9:012d}")
     model.QueryWriter("3mf").WriteToFile(str(given / "gel.3mf"))
 
 
