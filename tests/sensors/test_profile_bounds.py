@@ -190,7 +190,7 @@ def _evidence(**tables: Any) -> Provenance:
         ("coating", {"thickness_mm": 4.9}, "coating.thickness_mm: at most the gel's"),
         ("gel", {"provenance": _evidence(spread={"thickness_mm": -1.0})}, "at least 0"),
         ("gel", {"provenance": _evidence(spread={"thickness_mm": 900.0})}, "the range of"),
-        ("gel", {"provenance": _evidence(interval={"thickness_mm": (0.01, 0.02)})}, "within a decade"),
+        ("gel", {"provenance": _evidence(interval={"thickness_mm": (0.01, 0.02)})}, "a decade"),
         ("gel", {"provenance": _evidence(residuals={"off_deg": 900.0})}, "off_deg: must lie in"),
     ],
 )  # fmt: skip
