@@ -73,8 +73,10 @@ class StrictModel(BaseModel):
 
 
 def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
-    """One readable line per wrong key: its path, what was found and what is allowed."""
-    lines = []
+    """One readable line per wrong key: its path, what was found and what is allowed; the keys of a
+    kind of table once."""
+    lines: list[str] = []
+    named: set[type[BaseModel]] = set()
     faults = error.errors(include_url=False)
     for item in faults[:MAX_FAULTS]:
         path = ".".join(map(printable, item["loc"])) or model.__name__
@@ -83,7 +85,8 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
         message = _WORDS.get(item["type"], message)
         if item["type"] == "extra_forbidden":
             owner = _model_at(model, item["loc"][:-1])
-            keys = [] if owner is None else list(owner.model_fields)
+            keys = [] if owner is None or owner in named else list(owner.model_fields)
+            named |= set() if owner is None else {owner}
             keys = sorted(keys) if len(item["loc"]) == 1 else keys
             message = "unknown key" + (f"; allowed: {', '.join(keys)}" if keys else "")
         elif item["type"] != "missing" and not isinstance(item["input"], (dict, BaseModel)):

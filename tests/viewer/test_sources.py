@@ -208,7 +208,9 @@ def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
     assert replay.pressure_pa[pressed].ravel()[deepest] > 0
     change = np.abs(replay.rgb[pressed].astype(int) - replay.rgb[0]).max(axis=2)
     assert change[replay.pressure_pa[pressed] > 0].mean() > 2 * change.mean()
-    assert np.abs(replay.markers_px[pressed] - replay.markers_px[0]).max() > 0.5
+    # By 0.09 mm as it begins to roll, of which half is left where it presses most.
+    moved = np.abs(replay.markers_px - replay.markers_px[0]).max(axis=(1, 2))
+    assert moved.max() > 0.4 and moved[pressed] > 0.2
     np.testing.assert_array_equal(replay.times_s, recording.times_s)
     last = surfaces(recording.episode.scene, recording.episode.model, recording.positions_m[-1])
     for body, (kind, vertices, faces) in zip(replay.bodies, last, strict=True):

@@ -78,7 +78,9 @@ def seal_views(given: Path) -> None:
     """Let ``profile.toml`` state the hashes of the views and their files as they are now."""
     seal(given / "profile" / "views", "left")
     path, view = (given / "profile" / one for one in ("profile.toml", "views/left/profile.toml"))
-    if isfile(path) and not path.is_symlink() and isfile(view) and view.stat().st_size < 1 << 24:
+    if isfile(path) and not path.is_symlink() and isfile(view):
+        if max(path.stat().st_size, view.stat().st_size) > 1 << 24:
+            return
         text = path.read_bytes().decode("utf-8", errors="surrogateescape")
         digest = hashlib.sha256(view.read_bytes()).hexdigest()
         text = re.sub(r'left = "[0-9a-f]{64}"', f'left = "{digest}"', text)
