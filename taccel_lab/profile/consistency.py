@@ -19,9 +19,8 @@ from taccel_lab.profile.optics_blocks import CoatingBlock, LightsBlock, MarkersB
 from taccel_lab.profile.response_blocks import DepthResponseBlock, ForceBlock, PerturbationBlock
 from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock
 
-_MOST_IMAGE = 3.0
-"""Times the gel: a camera sees no more than its housing beside it; 1.5 is the most of the
-catalogue."""
+_MOST_IMAGE = 8.0
+"""Times the gel: 1.5 is the most of the catalogue, but pictures of a webcam may be uncropped."""
 _OFF_IMAGE, _OFF_MM = 0.5, 1.0
 """Share of the image, or mounting, by which optics and grid may differ: one of two cameras that
 look aslant at an eye's distance does by 0.44, others by 0.03."""
