@@ -130,8 +130,9 @@ def read_result(path: Path) -> dict[str, Any]:
     tables = [document["run"], document["settings"], *_as_list(document["rows"])]
     if not all(isinstance(table, dict) for table in tables):
         raise InputError(f"{path} is no result of this suite: its rows have to be tables")
-    if not isinstance(document["suite"], str):
-        raise InputError(f"{path}: suite is {shown(document['suite'])}; a name is needed")
+    for name in ("suite", "what"):
+        if not isinstance(document.get(name, ""), str):
+            raise InputError(f"{path}: {name} is {shown(document[name])}; words are needed")
     return document
 
 

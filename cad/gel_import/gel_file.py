@@ -51,7 +51,8 @@ def part_faces(path: Path | str, body: str = "", unit: str = "") -> PartFaces:
 
         return faces_of_tet_file(path, body, unit)
     path = require_step_file(path)
-    return read_apart(str(path), _faces_of_step, path, body, by="OCP", limit_s=LIMIT_S)
+    with naming(path):
+        return read_apart(str(path), _faces_of_step, path, body, by="OCP", limit_s=LIMIT_S)
 
 
 def import_gel(path: Path | str, selection: FaceSelection | None = None) -> ImportedGel:

@@ -232,13 +232,12 @@ def _load_training(given: Path, out: Path) -> None:
 
 
 def _compare_results(given: Path, out: Path) -> None:
-    from taccel_lab.benchmarks.compare import compare
+    from taccel_lab.benchmarks.compare import Compare
     from taccel_lab.benchmarks.page import benchmark_page
     from taccel_lab.benchmarks.results import read_result
 
-    first, second = (read_result(given / name) for name in ("first.json", "second.json"))
-    compare(first, second)
-    benchmark_page(first)
+    Compare(given / "first.json", given / "second.json").run()
+    benchmark_page(read_result(given / "first.json"))
 
 
 def _read_task(given: Path, out: Path) -> None:
