@@ -42,6 +42,10 @@ def naming(source: object) -> Iterator[None]:
         raise InputError(f"{source}: {error}") from None
 
 
+class _Kept(str):
+    """What stays; other notes of an error, such as where a library raised it, are programmers'."""
+
+
 @contextmanager
 def keeping(what: Callable[[], str]) -> Iterator[None]:
     """Note ``what`` stays for the same command to go on with, unless it is empty, on whatever ends
@@ -50,14 +54,14 @@ def keeping(what: Callable[[], str]) -> Iterator[None]:
         yield
     except BaseException as error:
         if words := what():
-            error.add_note(words)
+            error.add_note(_Kept(words))
         raise
 
 
 def kept_notes(error: BaseException) -> str:
     """What was noted of state that stays, see ``keeping``; by what the error came of, too."""
     found = [note for one in causes(error) for note in getattr(one, "__notes__", ())]
-    return "; ".join(dict.fromkeys(found))
+    return "; ".join(dict.fromkeys(note for note in found if isinstance(note, _Kept)))
 
 
 def causes(error: BaseException | None) -> Iterator[BaseException]:

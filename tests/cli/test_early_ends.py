@@ -131,6 +131,8 @@ def test_what_stays_is_said(
             with keeping(lambda: ""), keeping(lambda: "rows stay in a"):
                 super().run()
 
+    # As readers' processes note where a library raised it.
+    error.add_note("Traceback (most recent call last):\n  File ...")
     monkeypatch.setattr(app, "parse", lambda arguments: Keeps(error))
     assert app.main([]) == code
     assert capsys.readouterr().err == f"{told}\n"
