@@ -11,6 +11,7 @@ import json
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 import textwrap
@@ -225,7 +226,9 @@ HELP = """
 
 
 def started(*command: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    """A process of its own, with what it printed."""
+    """A process of its own, with what it printed. Ctrl-C reaches it, also where these tests run in
+    the background of a shell, which ignores it for all that they start."""
+    options.setdefault("preexec_fn", lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     return subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=ROOT, **options)
 
 
