@@ -13,7 +13,7 @@ from taccel_lab.errors import keeping
 
 @contextmanager
 def kept_blocks(folder: Path) -> Iterator[Path]:
-    """The place beside ``folder``; what ends the command early is told what is kept there."""
+    """The place beside ``folder``; an early end says what is kept there."""
     beside = Path(os.path.abspath(folder))  # "." has no name.
     unfinished = beside.with_name(f"{beside.name}_unfinished")
 

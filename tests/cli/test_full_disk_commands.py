@@ -79,7 +79,7 @@ def test_a_block_stands_with_its_report_or_not_at_all(
 ) -> None:
     words = ("calibrate background", "captures", "--out")
     cli(*words, "whole")
-    # A second one is no other by its text alone: what stands is told by its time, too.
+    # A second one may have the same text: files are compared by their times, too.
     before = everything_below(here), (here / "whole").stat().st_ino
     for out in ("new", "whole"):
         with monkeypatch.context() as patch:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that libraries write: a place without room is told by its name, and nothing stays."""
+"""Files that libraries write: an error names the file that finds no room, and nothing stays."""
 
 from __future__ import annotations
 
