@@ -99,7 +99,7 @@ def remark_table(*packages: ModuleType) -> str:
         "# Remarks of calibrations and checks",
         "",
         "<!-- Made by `tools/list_remarks.py`; edit the tables in `calibration/<block>/remarks.py`",
-        "and `learning/force/remarks.py` instead. -->",
+        "and `taccel_lab/learning/force/remarks.py` instead. -->",
         "",
         "Look up a remark of a calibration or a finding of a check, by its code.",
         "",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -12,7 +13,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = sorted(link.name for link in (ROOT / "taccel_lab").iterdir() if link.is_symlink())
+ROOMS = ("cad", "calibration", "sensors")
+"""They stand at the top of a checkout; links in the package lead to them."""
+PACKAGES = sorted(
+    path.name for path in (ROOT / "taccel_lab").iterdir() if (path / "__init__.py").is_file()
+)
 SCRIPT = """
 import importlib, sys
 import {names}
@@ -43,49 +48,95 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
     return done.stdout
 
 
-def test_every_folder_at_the_top_is_a_part_of_the_package() -> None:
-    assert PACKAGES == ["benchmarks", "cad", "calibration", "cli"] + [
-        "datasets",
-        "learning",
-        "robots",
-        "sensors",
-        "studies",
-        "tasks",
-        "viewer",
-    ]
-    for package in PACKAGES:
-        assert (ROOT / "taccel_lab" / package).resolve() == ROOT / package
+def test_three_rooms_at_the_top_are_parts_of_the_package() -> None:
+    links = sorted(path for path in (ROOT / "taccel_lab").iterdir() if path.is_symlink())
+    assert [link.name for link in links] == list(ROOMS)
+    assert [link.resolve() for link in links] == [ROOT / name for name in ROOMS]
+    assert len(PACKAGES) > 25
 
 
 def test_a_users_own_modules_do_no_harm_to_a_checkout(tmp_path: Path) -> None:
     assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, ROOT)
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel's files, unpacked."""
-    folder = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+def build(checkout: Path, folder: Path, target: str) -> Path:
+    """An archive of a checkout, unpacked."""
+    command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
+    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     (path,) = folder.glob("*.whl")
     with zipfile.ZipFile(path) as archive:
+        assert len(archive.namelist()) == len(set(archive.namelist()))
         archive.extractall(folder / "unpacked")
     return folder / "unpacked"
 
 
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel's files, unpacked."""
+    return build(ROOT, tmp_path_factory.mktemp("wheel"), "wheel")
+
+
+def names(folder: Path) -> set[str]:
+    """Files below a folder, links followed, without what Python leaves there."""
+    return {
+        str((Path(place) / file).relative_to(folder))
+        for place, _, files in os.walk(folder, followlinks=True)
+        for file in files
+        if "__pycache__" not in place
+    }
+
+
 def test_the_wheel_installs_one_name(wheel: Path) -> None:
-    names = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
-    assert names == {"taccel_lab"}
-    for package in PACKAGES:
-        ours = {str(p.relative_to(ROOT / package)) for p in (ROOT / package).rglob("*.py")}
-        assert ours == {
-            str(p.relative_to(wheel / "taccel_lab" / package))
-            for p in (wheel / "taccel_lab" / package).rglob("*.py")
-        }
+    top = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
+    assert top == {"taccel_lab"}
+    assert names(wheel / "taccel_lab") == names(ROOT / "taccel_lab")
     assert not list(wheel.rglob("test_*.py"))
-    for files in ("robots/models", "tasks/files", "calibration/capture/importers/recipes"):
-        ours = {path.name for path in (ROOT / files).iterdir()}
-        assert ours == {path.name for path in (wheel / "taccel_lab" / files).iterdir()}
+
+
+@pytest.mark.parametrize("links", ["text", "none"])
+def test_the_wheel_of_a_checkout_without_links_is_whole(
+    wheel: Path, tmp_path: Path, links: str
+) -> None:
+    """Windows checks a link out as a file that holds its target; some archives drop it."""
+    checkout = tmp_path / "checkout"
+    for name in ("taccel_lab", *ROOMS):
+        shutil.copytree(
+            ROOT / name,
+            checkout / name,
+            symlinks=True,
+            ignore=shutil.ignore_patterns("__pycache__"),
+        )
+    for name in ROOMS:
+        link = checkout / "taccel_lab" / name
+        link.unlink()
+        if links == "text":
+            link.write_text(f"../{name}")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, checkout / name)
+    found = build(checkout, tmp_path / "dist", "wheel")
+    assert names(found / "taccel_lab") == names(wheel / "taccel_lab")
+
+
+def test_an_editable_installation_gives_one_name(tmp_path: Path) -> None:
+    site = build(ROOT, tmp_path, "wheel:editable")
+    code = f"""
+import importlib.util, site, sys
+site.addsitedir({str(site)!r})
+for name in ("benchmarks", "cad", "calibration", "datasets", "sensors", "tasks", "tests"):
+    assert importlib.util.find_spec(name) is None, name
+import taccel_lab.cad.parameters, taccel_lab.studies
+print(taccel_lab.cad.parameters.__file__)
+"""
+    # Neither this environment's own editable installation nor the checkout is on the path.
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    shutil.copytree(Path(sys.modules["editables"].__path__[0]), site / "editables")
+    done = subprocess.run(
+        [sys.executable, "-S", "-I", "-c", code], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(ROOT / "taccel_lab" / "cad" / "parameters.py")
 
 
 def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:

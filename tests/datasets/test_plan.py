@@ -27,7 +27,7 @@ from taccel_lab.presses import parse_indenter
 from taccel_lab.profile import save_profile
 from tests.support.small_data_sets import plan, small_profile, table
 
-EXAMPLES = Path(__file__).parents[2] / "datasets" / "examples"
+EXAMPLES = Path(__file__).parents[2] / "taccel_lab" / "datasets" / "examples"
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)

@@ -265,7 +265,7 @@ def test_an_optimised_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 
 def test_slopes_are_the_default_for_smooth_figures_alone() -> None:
-    examples = Path(__file__).parents[2] / "studies" / "examples"
+    examples = Path(__file__).parents[2] / "taccel_lab" / "studies" / "examples"
     methods = {
         name: read_study(examples / f"{name}.toml", default_kit()).spec.sweep.method
         for name in ("mini_optimised", "led_angles", "softest_gel")

@@ -23,7 +23,7 @@ from taccel_lab.report.machine import describe_run
 from taccel_lab.report.page import write_page_file
 
 SCHEMA = "taccel-lab benchmark 1"
-FOLDER = Path(__file__).parent / "results"
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 REQUIRED = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
 
 

@@ -17,7 +17,7 @@ from taccel_lab.benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.report.markdown import with_parts
 
-_ROOT = Path(__file__).resolve().parents[2]
+_ROOT = Path(__file__).resolve().parents[3]
 PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
 PAGES: dict[Path, dict[str, Section]] = {
     PAGE: SECTIONS,

@@ -35,7 +35,7 @@ class DatasetMake:
     one process a GPU. The files do not depend on shards or processes; on the CPU they are equal to
     the byte.
 
-    Example: taccel-lab dataset datasets/examples/mini_touches.toml --out out/mini
+    Example: taccel-lab dataset taccel_lab/datasets/examples/mini_touches.toml --out out/mini
     """
 
     spec: Positional[Path]

@@ -25,7 +25,7 @@ IMPORT_NAMES = {
 }
 DISTRIBUTION = "taccel-lab"
 SYSTEM_LIBRARIES = ("libGL.so.1",)
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
