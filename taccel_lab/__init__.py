@@ -10,7 +10,7 @@ from pathlib import Path
 from taccel_lab.lazy_names import lazy_names
 
 # In a checkout ``cad``, ``calibration`` and ``sensors`` stand beside this folder, and links in here
-# lead to them. Where links are not checked out (Windows, some archives) they are found there instead.
+# lead to them. Where links are not checked out (Windows, some archives) they are found there.
 _checkout = Path(__file__).resolve().parents[1]
 if not (Path(__file__).parent / "cad").is_dir() and (_checkout / "cad" / "__init__.py").is_file():
     __path__.append(str(_checkout))

@@ -241,7 +241,9 @@ def test_text_formats_are_read_in_one_place() -> None:
     for path in SOURCES:
         name = name_of(path)
         text = path.read_text(encoding="utf-8")
-        if name.startswith(("taccel_lab/files/", "taccel_lab/benchmarks/")) or not MENTIONED.search(text):
+        if name.startswith(("taccel_lab/files/", "taccel_lab/benchmarks/")) or not MENTIONED.search(
+            text
+        ):
             continue
         for node in ast.walk(ast.parse(text)):
             modules = {

@@ -3,7 +3,7 @@
 
 Motion is that of blocks of the picture: one step of Lucas and Kanade ("An iterative image
 registration technique", IJCAI 1981) in each, exact for motions well below the size of a dot, which
-are the ones to be distinguished from none. On the GelSight Mini video of docs/ablations.md
+are the ones to be distinguished from none. On the GelSight Mini video of docs/evidence/ablations.md
 it agrees with the fitted dots to 0.02 px at the median and 0.05 px at the 90th percentile.
 """
 

@@ -2,7 +2,7 @@
 """Presses of gels of 1 MPa, each kept in the cache by all that its forces depend on.
 
 They are taken one by one. Those of a table as environments of one scene gained 3 s of 7 on an H200
-(docs/ablations.md) and nothing on a core.
+(docs/evidence/ablations.md) and nothing on a core.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ presses something else on a sensor presses about as hard as he did balls.
 LEAST, MOST = 0.03, 0.3
 """Of the thickness of the gel: depths begin at the first at the latest, and end at the second.
 Networks that train on deeper tools read shallow ones half as far off again, and deep ones no
-better (``docs/ablations.md``)."""
+better (``docs/evidence/ablations.md``)."""
 SOLVED_TO = 2e-2
 """Share of the depth that presses are solved to: heights are then within 0.8 um (rms), slopes in
 the mean within 0.07 degrees."""

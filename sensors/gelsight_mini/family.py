@@ -64,8 +64,8 @@ class GelSightMiniParameters(RectangleSensorParameters):
     young_modulus_mpa: float = restated(
         0.46,
         source="fit: identified with this solver (ten-node tets, nu 0.48) from press forces that "
-        "FEATS measured, see docs/verification.md; Gent's formula gives 0.41 to 0.47 for the "
-        "vendor's 55 Shore 00. Simulators of this gel use 0.01 to 1.0 MPa",
+        "FEATS measured, see docs/evidence/verification.md; Gent's formula gives 0.41 to 0.47 for "
+        "the vendor's 55 Shore 00. Simulators of this gel use 0.01 to 1.0 MPa",
     )
     width_px: int = restated(320, source="gsrobotics default_config.json")
     height_px: int = restated(240, source="gsrobotics default_config.json")

@@ -34,7 +34,7 @@ COMMANDS = {
 """Modules below ``taccel_lab.benchmarks`` and their classes of options, suites first."""
 DESCRIPTION = """Measure speed at a stated error, and compare results.
 
-Suites write a JSON file and a page into --out; `report` makes docs/benchmarks.md from
+Suites write a JSON file and a page into --out; `report` makes docs/evidence/benchmarks.md from
 benchmarks/results."""
 
 

@@ -30,7 +30,7 @@ class StudyCommand:
     changed file adds. Exit code 1: no design meets the constraints; the report names the nearest
     one.
 
-    Example: taccel-lab study taccel_lab/studies/examples/mini_thickness_hardness.toml --out out/mini
+    Example: taccel-lab study taccel_lab/studies/examples/softest_gel.toml --out out/softest
     """
 
     study: Positional[Path | None] = None

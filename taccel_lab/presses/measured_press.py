@@ -5,8 +5,8 @@ From one level of resolution to the next elements are 2^0.5 times as many along 
 is halved, and so is the length of the steps, in path and time. Errors of dhat and steps halve, and
 those of the mesh at least. The change from the level below has their sign: half of it is taken off
 the force, half is stated, with what a battery of presses shows to be left
-(docs/verification.md, Presses by default). ``--accuracy 3%`` goes up level by level, where each
-press is the one beside the next.
+(docs/evidence/verification.md, Presses by default). ``--accuracy 3%`` goes up level by level, where
+each press is the one beside the next.
 """
 
 from __future__ import annotations

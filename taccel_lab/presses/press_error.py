@@ -3,7 +3,7 @@
 
 Mesh, contact range ``dhat`` and steps part a press from the exact solution of its equations.
 ``measured_press`` measures them for one press; batches and previews take what a battery of presses
-says of their grade (docs/verification.md, Presses by default).
+says of their grade (docs/evidence/verification.md, Presses by default).
 """
 
 from __future__ import annotations

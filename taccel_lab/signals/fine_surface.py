@@ -10,7 +10,7 @@ worse, as nodes hang below faces that touch.
 
 The one answer to what touches, too: samples with pressure. Contact radii of balls of 2 and 2.92 mm,
 0.25 to 1.2 mm deep, are 0 to 2.5 % larger than on a mesh of six times as many nodes, where
-different estimates differ by 1 to 2 %; docs/ablations.md has figures of tools with edges.
+different estimates differ by 1 to 2 %; docs/evidence/ablations.md has figures of tools with edges.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators

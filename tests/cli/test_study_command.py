@@ -141,7 +141,7 @@ def test_lists(cli: Cli) -> None:
 
 def test_help_teaches(cli: Cli) -> None:
     text = cli("study --help").out
-    assert "taccel-lab study studies/examples/mini_thickness_hardness.toml" in text
+    assert "taccel-lab study taccel_lab/studies/examples/softest_gel.toml" in text
     assert "docs/studies.md" in text and "--report-only" in text
 
 

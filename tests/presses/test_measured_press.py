@@ -92,7 +92,7 @@ def test_coarser_settings_state_more_and_finer_ones_no_less() -> None:
 def test_presses_of_the_battery_are_inside_what_they_state(
     setting: str, least: float, room: float
 ) -> None:
-    """Measured on a GPU against meshes of twice the elements, docs/verification.md."""
+    """Measured on a GPU against meshes of twice the elements, docs/evidence/verification.md."""
     rows = [
         row
         for row in json.loads(BATTERY.read_text())["rows"]

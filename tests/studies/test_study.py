@@ -23,7 +23,9 @@ from tests.support.fake_kit import study, table
 # Files --------------------------------------------------------------------------------------------
 
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "taccel_lab" / "studies" / "examples").glob("*.toml"))
+EXAMPLES = sorted(
+    (Path(__file__).parents[2] / "taccel_lab" / "studies" / "examples").glob("*.toml")
+)
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def _mesh_error(results: Results) -> list[str]:
     return [
         "Mesh error of the force of a default `press`",
         "; ".join(said),
-        "[against eight times as many nodes](docs/verification.md), ten sensors",
+        "[against eight times as many nodes](docs/evidence/verification.md), ten sensors",
     ]
 
 
@@ -105,8 +105,8 @@ def _speed(results: Results) -> list[str]:
         f"{in_step[many]:,.0f} all in one phase; over the whole motion with resets "
         f"{together['fps']['median']:,.0f} together, {own['fps']['median']:,.0f} at their own pace "
         f"({failed:.2%} of those steps fail)",
-        "[two gels push a peg into a hole](docs/benchmarks.md#speed), residual 1e-4 of the contact "
-        "force, forces read",
+        "[two gels push a peg into a hole](docs/evidence/benchmarks.md#speed), residual 1e-4 of "
+        "the contact force, forces read",
     ]
 
 

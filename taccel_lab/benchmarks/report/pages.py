@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page ``docs/benchmarks.md``, its pictures and tables of other pages, made from result files.
+"""The page ``docs/evidence/benchmarks.md``, its pictures and tables of other pages.
 
 Each page has text of its own; what stands between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
 is replaced. Only files that follow the schema of ``taccel_lab.benchmarks.results`` are read.
@@ -18,14 +18,14 @@ from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.report.markdown import with_parts
 
 _ROOT = Path(__file__).resolve().parents[3]
-PAGE, README = _ROOT / "docs" / "benchmarks.md", _ROOT / "README.md"
+PAGE, README = _ROOT / "docs" / "evidence" / "benchmarks.md", _ROOT / "README.md"
 PAGES: dict[Path, dict[str, Section]] = {
     PAGE: SECTIONS,
     README: HEADLINE,
     PAGE.with_name("verification.md"): VERIFICATION,
 }
 """Generated parts of each page."""
-IMAGES = PAGE.parent / "images" / "benchmarks"
+IMAGES = _ROOT / "docs" / "images" / "benchmarks"
 Results = dict[str, list[dict[str, Any]]]
 
 
@@ -46,7 +46,7 @@ def render(text: str, sections: dict[str, Section], results: Results) -> str:
 
 @dataclass(frozen=True)
 class Report:
-    """Make docs/benchmarks.md, its pictures and the tables of other pages from the results."""
+    """Make docs/evidence/benchmarks.md, its pictures and other pages' tables from the results."""
 
     results: Path = FOLDER
     """Folder of the results."""

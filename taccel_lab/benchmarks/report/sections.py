@@ -258,14 +258,14 @@ def stress(document: Document) -> Iterator[str]:
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
-    return f"![{title}](images/benchmarks/{kind}_{name}.png)"
+    return f"![{title}](../images/benchmarks/{kind}_{name}.png)"
 
 
 def speed_pictures(results: Results) -> str:
     """FPS by environments, all results in one picture."""
     if not any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
         return NOTHING
-    return "![Frames a second by environments](images/benchmarks/speed.png)"
+    return "![Frames a second by environments](../images/benchmarks/speed.png)"
 
 
 VERIFICATION: dict[str, Section] = {

@@ -23,7 +23,7 @@ SAVE_EVERY_S = 60.0
 
 @dataclass(frozen=True)
 class Stress(Suite):
-    """Hundreds of random scenes over extremes; no failure may be silent (taccel_lab/benchmarks/stress).
+    """Hundreds of random scenes over extremes; no failure may be silent (benchmarks/stress).
 
     The exit code is 1 when a case was silent or broken, or when too many stayed unsolved.
     """

@@ -116,7 +116,7 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
 def _method(
     pattern: BlockPattern, clusters: list[tuple[int, int]], env_count: int, device: wp.Device
 ) -> str:
-    """The solver that suits the device and the size; docs/ablations.md has the times of each."""
+    """The solver that suits device and size; docs/evidence/ablations.md has the times of each."""
     if device.is_cpu:
         # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
         return "ssor"
