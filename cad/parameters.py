@@ -354,7 +354,7 @@ def parse_value(text: str) -> float | str | list[float | str]:
 
 
 def value_text(value: Any, digits: int = 9) -> str:
-    """As ``parse_value`` reads it: ``2.5``, ``fillet``, ``-90,30,150``."""
+    """Text as ``parse_value`` reads it: ``2.5``, ``fillet``, ``-90,30,150``."""
     if isinstance(value, (tuple, list)):
         return ",".join(value_text(one, digits) for one in value)
     return f"{value:.{digits}g}" if isinstance(value, float) else f"{value}"

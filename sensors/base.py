@@ -18,7 +18,7 @@ from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 STIFFNESS = ("young_modulus_mpa", "shore_00", "shore_a")
 """Parameters of which one says how stiff the gel is."""
 HARDNESSES = STIFFNESS[1:]
-"""Those of them that are a durometer's reading."""
+"""Names of those that are a durometer's reading."""
 INCOMPRESSIBLE = 0.499
 """Poisson's ratio of a solid rubber: a bulk modulus of 1 GPa makes it 0.4999."""
 OF_A_HARDNESS = ("poisson_ratio", "skin_poisson_ratio")
@@ -38,7 +38,7 @@ class GelMaterial:
     friction_coefficient: float
     """Coulomb friction coefficient."""
     young_interval_pa: tuple[float, float] | None = None
-    """Between which the modulus lies, where it stands for a Shore hardness; None otherwise."""
+    """Interval of the modulus, where it stands for a Shore hardness; None otherwise."""
     branches: tuple[tuple[float, float], ...] = ()
     """Relative modulus and time [s] of each Maxwell branch."""
 
@@ -80,7 +80,7 @@ class FamilyParameters(ParameterSet, ABC):
         return None
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """As of any set; what follows from a hardness is not said to be the user's."""
+        """Sources as of any set; what follows from a hardness is not said to be the user's."""
         found = super().describe()
         if hardness_of(self.values()):
             for name in OF_A_HARDNESS:

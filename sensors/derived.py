@@ -169,7 +169,7 @@ def field_of_view_deg(camera: DesignedCamera) -> tuple[float, float]:
 
 
 def lens_difference(parameters: CameraParameters) -> float:
-    """By how much the scale that focal length and distance give exceeds the image's: 0.01 is 1 %.
+    """Share by which the scale of focal length and distance exceeds the image's: 0.01 is 1 %.
 
     The stated focal length stands beside a stated scale, whichever rules.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a family and its parameters to files: CAD, moulds, drawings, mesh, quality, profile."""
+"""Files of a family and its parameters: CAD, moulds, drawings, mesh, quality, profile."""
 
 from __future__ import annotations
 

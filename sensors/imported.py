@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 LIKE = "flat_pad"
 """Family that an imported gel is like where nothing else is said."""
 EDGE_MM = 2.0
-"""Of the tets of an imported gel where nobody asks for another [mm]."""
+"""Size of the tets of an imported gel where nobody asks for another [mm]."""
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
 
@@ -153,7 +153,7 @@ class _Meshed:
     gel: ImportedGel
     mesh: TetMesh
     mesher: str
-    """Of ``imported_profile.MESHERS``."""
+    """Mesher, one of ``imported_profile.MESHERS``."""
     edge_mm: float
     quality: MeshQuality
     passed: GateResult

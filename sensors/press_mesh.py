@@ -60,7 +60,7 @@ NARROWER = (1.0, 0.7, 0.5, 0.35)
 """Widths of a ball's focus over the usual one, in the order in which they are tried: beside a pad's
 corner the cells of a wide one fold. Counts and with them the connectivity stay."""
 BISECTED_EDGES, BISECTED_RADII, BISECTED_GROWTH = 1.8, 1.3, 1.0
-"""Of an imported gel: longest edge of a tet over the elements' size, extent of the fine part in
+"""Mesh of an imported gel: longest edge of a tet over the elements' size, extent of the fine part in
 contact radii, and how fast edges grow from there with the distance. A ball 0.5 mm deep in a Mini of
 2 mm edges takes 10,400 quadratic nodes; its force is within a per cent of that of 74,000."""
 _ROOM_SIDES = 64
@@ -92,9 +92,9 @@ def profile_press_mesh(
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
     refinement: float = 1.0,
 ) -> TetMesh:
-    """As ``press_mesh``, of a profile, with more rings and layers where a ball's contact is small
-    beside the pad: connectivity depends on the contact, too. Then with ``refinement`` times as many
-    elements along every side."""
+    """Meshes a profile as ``press_mesh``, with more rings and layers where a ball's contact is
+    small beside the pad: connectivity depends on the contact, too. Then with ``refinement`` times
+    as many elements along every side."""
     pad = profile_parameters(profile).pad()
     return refined_press_mesh(pad, at_mm, contact, options, refinement)
 
@@ -106,7 +106,7 @@ def refined_press_mesh(
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
     refinement: float = 1.0,
 ) -> TetMesh:
-    """As ``profile_press_mesh``, of a pad."""
+    """Meshes a pad as ``profile_press_mesh``."""
     if isinstance(pad, HeightPad) and not isinstance(contact, ToolSection) and contact > 0:
         low, high = pad.outline.bounds_mm()
         radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
@@ -175,7 +175,7 @@ def pad_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
-    """As ``press_mesh``, of a pad that need not be in the catalogue.
+    """Meshes as ``press_mesh`` a pad that need not be in the catalogue.
 
     The tets of a pad that is a mesh are bisected around the contact, which keeps no connectivity.
     """

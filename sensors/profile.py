@@ -220,8 +220,8 @@ def _sound_mesh(pad: Pad) -> tuple[TetMesh, MeshQuality]:
 
 
 def stock_sensor(name: str) -> SensorProfile:
-    """As ``load_sensor``, for who reads images: a catalogue sensor has the blocks of its starter
-    where there is one (``sensors.starters``)."""
+    """Loads as ``load_sensor``, for who reads images: a catalogue sensor has the blocks of its
+    starter where there is one (``sensors.starters``)."""
     profile = load_sensor(name)
     return with_starter(profile) if name in sensor_families() else profile
 

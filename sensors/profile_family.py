@@ -52,7 +52,7 @@ class ProfileFamily(SensorFamily):
     """A family whose defaults are the values of a profile."""
 
     like: SensorFamily
-    """Of the catalogue."""
+    """Family of the catalogue."""
     defaults: Mapping[str, Any]
     """Values other than those of ``like``."""
     gel: SurfacePad | None = None
@@ -68,7 +68,7 @@ class ProfileFamily(SensorFamily):
         return self.like.name if self.gel is None else f"{self.like.name} {self.gel.digest}"
 
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
-        """As of any family; an imported gel refuses the parameters of a shape."""
+        """Parameters as of any family; an imported gel refuses those of a shape."""
         given = dict(overrides or {})
         if self.gel is not None:
             require_no_shape(self.like, given)

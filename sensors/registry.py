@@ -64,9 +64,9 @@ class Catalogue:
     """All families, and the entry points that give none."""
 
     families: dict[str, SensorFamily]
-    """By name, sorted."""
+    """Families by name, sorted."""
     broken: dict[str, BrokenFamily]
-    """By name of the entry point, sorted."""
+    """Faults by name of the entry point, sorted."""
 
 
 def catalogue() -> Catalogue:
@@ -118,7 +118,7 @@ def sensor_family(name: str) -> SensorFamily:
 
 
 def known_sensor(name: str) -> SensorFamily | None:
-    """As ``sensor_family``, None where nothing is called so."""
+    """Finds as ``sensor_family``; None where nothing is called so."""
     if name not in catalogue().families and profile_folder(name) is None:
         return None
     return sensor_family(name)

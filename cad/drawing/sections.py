@@ -28,7 +28,7 @@ class SectionEdge:
     points: np.ndarray
     """[n, 2] [mm]."""
     radius_mm: float
-    """Of a circular arc; 0 for anything else."""
+    """Radius of a circular arc; 0 for anything else."""
     middle: tuple[float, float, float]
     """A point of it in the gel frame."""
 

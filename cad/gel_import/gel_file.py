@@ -28,7 +28,7 @@ STEP = (".step", ".stp")
 SUFFIXES = (*STEP, *triangle_file.SUFFIXES, *tet_file.SUFFIXES)
 """Endings of files that a gel is read from."""
 LIMIT_S = 120.0
-"""For all that the CAD kernel does with a file: 271 faces take it 8 s."""
+"""Time limit of the CAD kernel with a file: 271 faces take it 8 s."""
 MAX_FACETS = 1_000
 """Triangles of a gel that get a solid."""
 _ORIGINS = ("center", "file")

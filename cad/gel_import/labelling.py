@@ -43,7 +43,7 @@ class Labelling:
     assumed: dict[str, str]
     """What was not stated, by the field's name, in words."""
     regions: list[Region]
-    """Of each face."""
+    """Label of each face."""
     rectangle: tuple[float, float] | None
     """Window to split off the bond [mm]."""
     outline: np.ndarray | None
@@ -107,7 +107,7 @@ def _level(corners: np.ndarray) -> np.ndarray:
 
 
 def propose(faces: PartFaces, selection: FaceSelection, path: Path) -> tuple[Labelling | None, str]:
-    """As ``label_faces``, or None and the first line of why not."""
+    """Labels faces as ``label_faces``; or gives None and the first line of why not."""
     try:
         return label_faces(faces, selection, path), ""
     except InputError as error:

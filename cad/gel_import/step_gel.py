@@ -33,7 +33,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
 TOLERANCE_MM, ANGLE_RAD = 0.01, 0.1
-"""Of the triangles that stand for a gel's faces."""
+"""Tolerances of the triangles that stand for a gel's faces."""
 
 
 def faces_of_step(path: Path, body: str) -> PartFaces:
@@ -136,7 +136,8 @@ def _transformed(solid: Solid, matrix: np.ndarray, shift: np.ndarray) -> Solid:
 
 
 def _shift(part: LabelledSolid) -> np.ndarray:
-    """From the body's place to the gel frame: its middle in plan, the apex of its contact face."""
+    """Transform from the body's place to the gel frame: its middle in plan, the apex of its contact
+    face."""
     box = part.solid.bounding_box()
     apex = max(face.bounding_box().max.Z for face in part.faces(Region.CONTACT))
     return -np.array([(box.min.X + box.max.X) / 2, (box.min.Y + box.max.Y) / 2, apex])

@@ -14,8 +14,8 @@ from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.regular_file import read_regular_file
 
 MAX_BYTES = 50 << 20
-"""Of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces take
-0.5 MiB; the CAD kernel needs some 30 times the size of a file."""
+"""Limit of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces
+take 0.5 MiB; the CAD kernel needs some 30 times the size of a file."""
 MAX_PARTS = 1_000
 """Bodies and assemblies of a file, each counted as often as it is placed: of a sensor that is
 assembled with its housing, screws and all."""

@@ -34,7 +34,7 @@ class StepBody:
     name: str
     shape: Shape
     face_names: tuple[str, ...]
-    """In the order of ``shape.faces()``; "" where the file has none."""
+    """Names in the order of ``shape.faces()``; "" where the file has none."""
     face_colors: tuple[str, ...]
     """"rrggbb" of each face, sRGB; "" where the file has none."""
 

@@ -28,7 +28,7 @@ from taccel_lab.geometry.connectivity import compacted, piece_of_cells
 from taccel_lab.geometry.tet_mesh import boundary_faces, tet_volumes
 
 MAX_TRIANGLES = 50_000
-"""Of a gel's surface; fTetWild takes minutes for it."""
+"""Most triangles of a gel's surface; fTetWild takes minutes for it."""
 _DEBRIS_SHARE = 0.01
 """Pieces with less than this share of the area are no bodies; repair cuts them out."""
 _MOST_PIECES = 1000

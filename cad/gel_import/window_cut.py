@@ -39,7 +39,7 @@ def with_window(
 
 
 def no_room(path: Path, size_mm: tuple[float, float]) -> InputError:
-    """Of a window that the bond does not hold."""
+    """Refusal of a window that the bond does not hold."""
     return InputError(
         f"{path}: no plane bond face, square to the normal, takes a window of {size_mm[0]:g} x "
         f"{size_mm[1]:g} mm in its middle; choose a smaller one or select window faces"

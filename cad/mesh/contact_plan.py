@@ -46,7 +46,7 @@ class ContactOutline:
     points_mm: np.ndarray
     """Counter-clockwise about the focus, which is the origin, shape [n, 2]."""
     step_mm: float
-    """From the outline to the next ring outside."""
+    """Distance from the outline to the next ring outside."""
     inner: int
     """Rings between core and outline, those on it included."""
 
@@ -186,7 +186,7 @@ class EllipticMap:
 
     @staticmethod
     def of(outline: np.ndarray) -> EllipticMap:
-        """With the ellipse that is as long and wide as an outline about the origin."""
+        """Plan with the ellipse that is as long and wide as an outline about the origin."""
         values, vectors = np.linalg.eigh(second_moments(outline))
         along = vectors[:, 1]
         ends = where_rays_leave(outline, np.stack([along, -along]))

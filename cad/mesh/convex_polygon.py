@@ -24,7 +24,7 @@ def thickened_hull(points: np.ndarray, width_mm: float) -> np.ndarray:
 
 
 def without_short_sides(polygon: np.ndarray) -> np.ndarray:
-    """Without corners that lie within 1e-4 of the one before."""
+    """Drops corners that lie within 1e-4 of the one before."""
     length = np.linalg.norm(polygon - np.roll(polygon, 1, axis=0), axis=1)
     return polygon[length > 1e-4]
 

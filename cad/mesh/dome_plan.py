@@ -51,7 +51,7 @@ class DomeCounts:
     """Rings on the glued part of the wall."""
     layers: int
     halved_layers: int = 0
-    """Of these, the lowest, in which the plan is halved."""
+    """Lowest of these, in which the plan is halved."""
 
     @property
     def rings(self) -> int:
@@ -132,8 +132,8 @@ def outside_outline_mm(
     focus: FocusOptions,
     outline: ContactOutline,
 ) -> np.ndarray:
-    """About how far disc points lie outside an outline about the focus, in its plane [mm], [n] ->
-    [n]; exact to first order around the focus."""
+    """Approximate distance of disc points outside an outline about the focus, in its plane [mm],
+    [n] -> [n]; exact to first order around the focus."""
     center, per_mm = _focus_in_disc(pad, focus.at_mm)
     zeta = disc_automorphism(disc, -center) * (1 - abs(center) ** 2) / per_mm
     return outline.distance_mm(np.stack([np.real(zeta), np.imag(zeta)], axis=1))

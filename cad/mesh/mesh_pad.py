@@ -109,7 +109,7 @@ class SurfacePad(Pad):
 
     @cached_property
     def _normals(self) -> np.ndarray:
-        """At the corners of each triangle that looks up, [m, 3, 3]."""
+        """Values at the corners of each triangle that looks up, [m, 3, 3]."""
         return corner_normals(1e-3 * self.surface.vertices_mm, self._faces)[self._facing]
 
     @cached_property
@@ -152,7 +152,8 @@ class MeshPad(SurfacePad):
 
 
 def _over(points: np.ndarray, corners: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """For each triangle in plan that has points over it: its number, which ones, their weights."""
+    """Yields each triangle in plan that has points over it: its number, which ones, their
+    weights."""
     order = np.argsort(points[:, 0], kind="stable")
     x = points[order, 0]
     slack = 1e-9 * max(1.0, float(np.abs(corners).max(initial=0.0)))

@@ -35,7 +35,7 @@ _SIDE_SAMPLES = 400
 
 @dataclass(frozen=True)
 class _Sight:
-    """In which direction things are seen from a focus."""
+    """Direction in which things are seen from a focus."""
 
     center: complex
     around: EllipticMap | None
@@ -48,7 +48,7 @@ class _Sight:
 
 
 def rim_distances_mm(pad: HeightPad) -> np.ndarray:
-    """Inside distance of the rings along the edge [mm]: inner first, the outline (0) last.
+    """Distances of the rings inside the edge [mm]: inner first, the outline (0) last.
 
     The first is the border of the conformal grid. Arcs and bevels wider than the corner radius have
     no rings: their nodes lie on the formula, their edges between nodes.

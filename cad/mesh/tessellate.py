@@ -37,8 +37,8 @@ def tessellate_solid(
 def tessellated_faces(
     part: LabelledSolid, *, tolerance_mm: float, angle_rad: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As ``tessellate_solid``: vertices [mm], [n, 3], triangles, [m, 3], and the number of each
-    one's face, [m]; a shell may be open."""
+    """Gives, as ``tessellate_solid``, vertices [mm], [n, 3], triangles, [m, 3], and the number of
+    each one's face, [m]; a shell may be open."""
     if not (1e-4 <= tolerance_mm <= 1 and 0.01 <= angle_rad <= 1):
         raise InputError(
             f"tolerance_mm = {tolerance_mm:g}, angle_rad = {angle_rad:g}: allowed are 1e-4 to 1 mm "

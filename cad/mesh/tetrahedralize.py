@@ -42,12 +42,12 @@ RECIPE = "tetwild-3"
 _ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 EDGE_BOUNDS_MM = (0.2, 20.0)
 MAX_TETS = 1e6
-"""Beyond this fTetWild takes hours: 20 million were not made in 10 min, and took 14 GB."""
+"""Limit beyond which fTetWild takes hours: 20 million were not made in 10 min, and took 14 GB."""
 EPSILON_BOUNDS = (1e-4, 1e-2)
 _TRIES = ((1.0, 1.0), (1.0, 0.4), (0.75, 0.4))
 """Edge and epsilon of each run over those asked for."""
 _ROUNDS = 2
-"""Of a small pad one round in 20 ends without a mesh."""
+"""Rounds: one in 20 of a small pad ends without a mesh."""
 _FLAT = "min_dihedral_deg"
 _ON_SURFACE_MM = 1e-3
 

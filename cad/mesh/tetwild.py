@@ -40,7 +40,7 @@ class TetWildInput:
     inner_mm: np.ndarray
     """Triangles inside, between layers, as points [mm], shape [n, 3, 3]; none for one layer."""
     project: Projection
-    """Onto the glued surface."""
+    """Projects onto the glued surface."""
 
 
 def run_tetwild(

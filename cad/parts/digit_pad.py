@@ -155,7 +155,7 @@ class DigitPad(HeightPad):
 
     @cached_property
     def _slope_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the derivatives by u^2 and by w."""
+        """Coefficients of the derivatives by u^2 and by w."""
         c = self._coefficients_mm
         return polynomial.polyder(c, axis=0), polynomial.polyder(c, axis=1)
 

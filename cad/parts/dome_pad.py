@@ -184,7 +184,7 @@ class SolidDomePad(DomePad):
 
     @property
     def total_height_mm(self) -> float:
-        """From the base to the apex [mm]."""
+        """Height from the base to the apex [mm]."""
         return self.dome_radius_mm + self.wall_height_mm
 
     @property

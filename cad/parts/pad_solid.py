@@ -49,7 +49,7 @@ _BAND_LINES = 8
 _MARGIN_MM = 0.5
 _PLANE_TOLERANCE_MM = 1e-6
 _VOLUME_TOLERANCE, _GRID_TOLERANCE = 1e-6, 0.01
-"""Of a dome's exact volume, and of one that is summed over the height map."""
+"""Relative errors of a dome's exact volume, and of one that is summed over the height map."""
 _KERNEL_ERRORS = (ValueError, Standard_Failure, StdFail_NotDone)
 
 
@@ -194,7 +194,7 @@ def _banded(pad: GelPad, block: Solid) -> Solid:
 
 
 def _frustum(pad: GelPad, spread: float) -> Solid:
-    """Under four planes that widen by ``spread`` per height, from the inner outline down."""
+    """Solid under four planes that widen by ``spread`` per height, from the inner outline down."""
     half = np.array([pad.length_x_mm, pad.length_y_mm]) / 2
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     depth = pad.thickness_mm + 1

@@ -16,7 +16,7 @@ from taccel_lab.cad.parts.part import Part, Rgb
 from taccel_lab.profile.optical_design import DesignedCamera, Light
 
 LENS_DIAMETER_MM, LENS_LENGTH_MM = 6.0, 4.0
-"""Of a small board camera; the length from the centre of projection back to the board."""
+"""Sizes of a small board camera; the length from the centre of projection back to the board."""
 BOARD_MM = (8.0, 8.0, 2.0)
 LED_DEPTH_MM = 0.6
 LEAST_LED_MM = 0.5

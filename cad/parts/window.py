@@ -28,7 +28,7 @@ _FACE_COLORS = {
 }
 _ON_FACE_MM = 1e-6
 CORNER_RADIUS_MM = 1.0
-"""Of a plate that does not follow the gel's outline."""
+"""Corner radius of a plate that does not follow the gel's outline."""
 MIN_BOND_MM = 0.05
 """Least width of the bond around the optical patch for the patch to be a separate face."""
 SAME_OUTLINE_MM = 0.1

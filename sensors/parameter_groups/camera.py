@@ -128,7 +128,7 @@ class CameraParameters(ParameterSet):
         description="the same towards +y",
     )  # fmt: skip
     lens_distortion: ClassVar[tuple[float, ...]] = ()
-    """Of ``DesignedCamera``, with the family's own ``lens_model``."""
+    """Parameters of ``DesignedCamera``, with the family's own ``lens_model``."""
 
     def camera_count(self) -> int:
         """Cameras; InputError where two parameters speak of different numbers of them."""

@@ -26,7 +26,7 @@ Scale = Literal["00", "A"]
 READINGS = {"00": (5.0, 90.0), "A": (3.0, 90.0)}
 """Readings that are converted. Near both ends of a scale a point means ever more."""
 FACTOR = 1.7
-"""By how much the conversions in use differ, and with them the interval on both sides: at A 10
+"""Factor by which the conversions in use differ, and with it the interval on both sides: at A 10
 from 0.39 MPa (Qi, Joyce and Boyce 2003, log10 E = 0.0235 S - 0.6403) to 0.67 MPa (the same with a
 natural logarithm, as some tables print it)."""
 POINTS = 5.0

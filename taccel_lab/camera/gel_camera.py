@@ -40,9 +40,9 @@ class GelCamera:
     """A camera that sees the gel in perspective."""
 
     camera: DesignedCamera
-    """With the intrinsics of the image."""
+    """Camera with the intrinsics of the image."""
     media: Media
-    """Between it and the gel."""
+    """Interfaces between it and the gel."""
     face: PixelGrid
     """Pixels over the gel, along its normal, that hold all that the image shows: what surfaces are
     computed on before they are looked at."""
@@ -102,7 +102,7 @@ class GelCamera:
         return GelCamera(changed, self.media, self.face)
 
     def record(self) -> dict[str, Any]:
-        """As JSON; ``of_record`` reads it."""
+        """Gives it as JSON; ``of_record`` reads it."""
         media: dict[str, Any] = {"shape": "flat" if isinstance(self.media, FlatMedia) else "dome"}
         return {
             "camera": asdict(self.camera),
@@ -256,7 +256,8 @@ def _apparent_depth_mm(optics: OpticsBlock, profile: SensorProfile) -> float:
 
 
 def apparent_distance_mm(optics: OpticsBlock, profile: SensorProfile) -> float:
-    """From the centre of projection to the gel along the optical axis, as it seems from the lens.
+    """Distance from the centre of projection to the gel along the optical axis, as the lens sees
+    it.
 
     Focal length times mm/px, of the mean of both axes. The intrinsics may be of another image than
     the tactile one, which was then cut out of it or made smaller; which of the two is decided by

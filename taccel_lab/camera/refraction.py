@@ -148,7 +148,7 @@ class DomeMedia:
 
     centre_mm: tuple[float, float, float]
     radii_mm: tuple[float, ...]
-    """Of the interfaces, ascending; the camera lies inside the first."""
+    """Radii of the interfaces, ascending; the camera lies inside the first."""
     indices: tuple[float, ...]
 
     def __post_init__(self) -> None:

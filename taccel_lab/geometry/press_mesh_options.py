@@ -37,7 +37,7 @@ class OutlineMeshOptions:
     widths and the gel's thickness."""
 
     def refined(self, factor: float) -> OutlineMeshOptions:
-        """With ``factor`` times as many elements along every side; all rings together stay even, as
+        """Multiplies the elements along every side by ``factor``; all rings together stay even, as
         domes need it."""
         inner = max(1, round(factor * self.inner))
         both = 2 * max(2, round(factor * (self.inner + self.outer) / 2))
@@ -79,7 +79,7 @@ class PressMeshOptions:
     def for_ball(
         self, radius_mm: float, thickness_mm: float, to_edge_mm: float
     ) -> PressMeshOptions:
-        """With as many rings and layers more as keep them from growing by more than
+        """Adds as many rings and layers as keep them from growing by more than
         ``LARGEST_GROWTH`` where the contact's radius is small beside the gel: a ball of 1 mm on a
         gel of 10 mm took 10 % too much force.
 
@@ -92,7 +92,7 @@ class PressMeshOptions:
         return replace(self, rings=max(self.rings, rings), layers=max(self.layers, layers))
 
     def refined(self, factor: float) -> PressMeshOptions:
-        """With ``factor`` times as many elements along every side; rings and the core stay even, as
+        """Multiplies the elements along every side by ``factor``; rings and the core stay even, as
         domes need it."""
         return replace(
             self,

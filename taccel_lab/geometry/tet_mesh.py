@@ -119,7 +119,7 @@ class TetMesh(Summary):
 
 
 def _indices(values: np.ndarray, name: str) -> np.ndarray:
-    """As int32; other numbers would come out as the index of something else."""
+    """Converts to int32; other numbers would come out as the index of something else."""
     given = np.asarray(values)
     with np.errstate(invalid="ignore"):
         indices = np.ascontiguousarray(given, dtype=np.int32)

@@ -19,7 +19,7 @@ class ToolSection:
     filled: float
     """Part of the outline's area that the tool fills: 1 of a punch, a half of a grating."""
     depth_mm: float
-    """Of the press."""
+    """Depth of the press."""
 
     def __post_init__(self) -> None:
         outline = self.outline_mm
@@ -33,7 +33,8 @@ class ToolSection:
 
     @staticmethod
     def of(vertices_m: np.ndarray, faces: np.ndarray, depth_mm: float) -> ToolSection:
-        """Of a closed surface [m] whose -z side goes first, [n, 3] and [m, 3] turning outwards."""
+        """Section of a closed surface [m] whose -z side goes first, [n, 3] and [m, 3] turning
+        outwards."""
         from scipy.spatial import ConvexHull
 
         level = vertices_m[:, 2].min() + 0.5e-3 * depth_mm

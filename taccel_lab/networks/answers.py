@@ -16,7 +16,8 @@ from taccel_lab.errors import InputError
 
 QUESTIONS = 256
 SHARE_PERCENT = 95
-"""Of the answers that have to exist: a network may go wild in a corner that no capture reached."""
+"""Share of the answers that have to exist: a network may go wild in a corner that no capture
+reached."""
 
 
 def forward(weights: Mapping[str, np.ndarray], inputs: np.ndarray, activation: str) -> np.ndarray:

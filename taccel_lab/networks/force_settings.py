@@ -18,8 +18,8 @@ TARGETS = ("fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm", "area_mm2")
 LEVELS = 32.0
 """Change of colour that counts as one in the network [levels of 255]."""
 STATISTICS = 13
-"""Of the change of colour: by channel mean, logarithms of the standard deviation and of that of the
-Laplacian; correlations of channels; logarithm of the largest change."""
+"""Statistics of the change of colour: by channel mean, logarithms of the standard deviation and of
+that of the Laplacian; correlations of channels; logarithm of the largest change."""
 MARKER_PLANES = 3
 """Motion along x and y, and how many markers tell it."""
 MARKER_UNIT_MM = 0.2
@@ -35,10 +35,10 @@ class ForceModelConfig:
     """Everything besides the weights that is needed to rebuild a ``ForceModel``."""
 
     width_px: int
-    """Of the camera's images."""
+    """Width of the camera's images."""
     height_px: int
     columns: int
-    """Of patches, side by side over the image."""
+    """Number of patches, side by side over the image."""
     rows: int
     patch_px: int = 16
     """Pixels across a patch that the network sees; a power of two."""
@@ -59,15 +59,15 @@ class ForceModelConfig:
     sigma_factor: tuple[float, ...] = (1.0,) * len(TARGETS)
     """Factor on the standard deviations, found on objects that the training did not see."""
     young_modulus_pa: float = 1e5
-    """Of the gel that forces are predicted for."""
+    """Modulus of the gel that forces are predicted for."""
     stiffness_relative: float = 0.0
     """Standard deviation of a unit's modulus, as a part of it."""
     most: tuple[float, ...] = (math.inf,) * 4
     """Largest force along z [N], force along the face [N], area [mm2] and force of a patch along z
     [N] of the training."""
     distance_limits: tuple[float, ...] = (math.inf,) * 3
-    """From which an image is outside: Mahalanobis distances of features and of statistics, and
-    ``color_reach`` over the training's largest."""
+    """Limits from which an image is outside: Mahalanobis distances of features and of statistics,
+    and ``color_reach`` over the training's largest."""
 
     def __post_init__(self) -> None:
         sizes = (self.width_px, self.height_px, self.columns, self.rows, self.patch_px, self.hidden)

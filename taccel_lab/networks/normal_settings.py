@@ -23,7 +23,7 @@ from taccel_lab.networks.settings import (
 )
 
 MOST_UNITS = 8.0
-"""Of a change of colour: 255 levels, of which a unit has 32."""
+"""Largest change of colour: 255 levels, of which a unit has 32."""
 _LEAST_WINDOW_PX = 0.1
 """A narrower one is the pixel itself."""
 OUTPUTS = 3

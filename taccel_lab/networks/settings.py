@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 LEAST_SCALE = 9e-4
-"""Of an input: fits take 0.001 for what hardly varies."""
+"""Least spread of an input: fits take 0.001 for what hardly varies."""
 LEAST_CONE_DEG = 0.1
 """A flatter surface than that shows no light."""
 

@@ -37,7 +37,7 @@ class BodyGel:
     pose: Any = field(default_factory=lambda: np.array([0.0, 0, 0, 0, 0, 0, 1]))
     """body_from_gel, [7]."""
     name: str = ""
-    """Of the soft body; "gel of" the body when empty."""
+    """Name of the soft body; "gel of" the body when empty."""
 
 
 class GelScene:

@@ -24,9 +24,9 @@ from taccel_lab.robots.transforms import matrix_of
 WORLD = "world"
 """Name of the link that stands for newton's world."""
 NO_LIMIT = 1e9
-"""Beyond it a coordinate has no limit: newton writes 1e10."""
+"""Bound beyond which a coordinate has no limit: newton writes 1e10."""
 NO_EFFORT_LIMIT = 1e6
-"""From it on a drive has no limit, which is newton's default."""
+"""Force from which a drive has no limit, newton's default."""
 
 
 def joint_chain(source: NewtonModel, joint: int) -> tuple[list[Link], list[RobotJoint]]:

@@ -22,9 +22,10 @@ from taccel_lab.files.triangle_file import MAX_BYTES
 from taccel_lab.files.xml_file import MAX_DEPTH, XML_LIMIT_BYTES, read_xml
 
 MAX_ELEMENTS = 50_000
-"""Of the robot with all that it includes; a humanoid with hands and muscles has 4,000."""
+"""Most elements of the robot with all that it includes; a humanoid with hands and muscles has
+4,000."""
 MAX_FILES = 1000
-"""That are included, each as often as it is."""
+"""Most files that are included, each as often as it is."""
 _NUMBERS = (
     "axis", "axisangle", "density", "diaginertia", "euler", "fromto", "fullinertia", "mass", "pos",
     "quat", "range", "scale", "size", "xyaxes", "zaxis",
@@ -32,7 +33,7 @@ _NUMBERS = (
 """Attributes whose numbers newton would make its own of where they are none: no mass for a
 negative one, no limit for NaN."""
 _LARGEST = 3e38
-"""Of FP32, in which newton computes."""
+"""Largest number of FP32, in which newton computes."""
 _ROOTS = ("mujoco", "mujocoinclude")
 _MESHES = (".stl", ".obj", ".msh")
 """MuJoCo's own."""
@@ -73,7 +74,7 @@ class _Folders:
     """Whether folders in names are left out."""
 
     def within(self, root: Element) -> _Folders:
-        """Those of a file that is included here, or that begins here."""
+        """Elements of a file that is included here, or that begins here."""
         found = self
         for compiler in root.iter("compiler"):
             taken = {key: compiler.attrib.pop(key, None) for key in _SETTINGS}

@@ -133,7 +133,7 @@ def _shape(source: NewtonModel, shape: int) -> Shape:
 
 
 def _welded(points: np.ndarray, faces: np.ndarray) -> TriangleMesh:
-    """With vertices at the same place made one: newton splits them along seams of textures."""
+    """Joins vertices at the same place: newton splits them along seams of textures."""
     unique, where = np.unique(points, axis=0, return_inverse=True)
     faces = where.reshape(-1)[faces]
     flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)

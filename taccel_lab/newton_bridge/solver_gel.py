@@ -77,18 +77,18 @@ class SolverGel(newton.solvers.SolverBase):
         self.rigid = rigid
         self.gel_scene = GelScene(source, gels, touched, inside, 0.01)
         self.gel_model = self.gel_scene.scene.finalize(model.device)
-        """Of our bodies: gels, bodies inside, frames."""
+        """Model of our bodies: gels, bodies inside, frames."""
         self.gel_solver = SolverIPC(self.gel_model, config)
         self.outputs = Outputs(self.gel_solver)
-        """Of the gels after each step."""
+        """Forces of the gels after each step."""
         self.wrenches = np.zeros((model.body_count, 6))
-        """Of the latest step: force [N] and torque about the centre of mass [N m] that gels and
-        what they touch put on newton's bodies, world axes, float64, [body, 6]. Of bodies inside
+        """Loads of the latest step: force [N] and torque about the centre of mass [N m] that gels
+        and what they touch put on newton's bodies, world axes, float64, [body, 6]. Of bodies inside
         too, where they have acted already."""
         self.gel_state: State | None = None
-        """Of our bodies; made from newton's state by the first step, or ``reset``."""
+        """State of our bodies; made from newton's by the first step, or ``reset``."""
         self.report: StepReport | None = None
-        """Of the latest step."""
+        """Statistics of the latest step."""
         self._worlds = source.world_count
         self._centers = source.array("body_com").reshape(-1, 3)
         self._written: tuple[np.ndarray, np.ndarray] | None = None

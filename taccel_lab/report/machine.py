@@ -50,7 +50,7 @@ def _describe_device(device: Any) -> dict[str, Any]:
 
 
 def _driver_version() -> str | None:
-    """Of the kernel module, as nvidia-smi names it; None where it does not say."""
+    """Version of the kernel module, as nvidia-smi names it; None where it does not say."""
     path = Path("/proc/driver/nvidia/version")
     if not path.is_file():
         return None
@@ -73,7 +73,7 @@ def _packages() -> dict[str, str]:
 
 
 def _commit() -> str:
-    """Of the checkout, or what TACCEL_LAB_COMMIT says where there is no repository."""
+    """Commit of the checkout, or what TACCEL_LAB_COMMIT says where there is no repository."""
     try:
         run = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12"],

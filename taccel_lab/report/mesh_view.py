@@ -13,7 +13,7 @@ from taccel_lab.geometry import Region
 from taccel_lab.report.figures_mesh import REGION_COLORS
 
 MOST_FACES = 16_000
-"""About 220 KB of text. A surface of more is drawn with fewer."""
+"""Most triangles, 220 KB of text. A surface of more is drawn with fewer."""
 
 
 @dataclass(frozen=True)

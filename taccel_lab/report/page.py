@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MOST_TO_DO = 3
 VERDICT_CODES = ("block_state",)
-"""Of remarks that only repeat a block's verdict."""
+"""Codes of remarks that only repeat a block's verdict."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Table:
     """Whether it comes after the pictures, under its title until somebody opens it."""
 
     def shown(self) -> Table:
-        """Without columns that hold nothing."""
+        """Drops columns that hold nothing."""
         keep = [
             i
             for i, name in enumerate(self.columns)
@@ -80,7 +80,7 @@ class Page:
     files: dict[str, Callable[[Path], None]] = field(default_factory=dict)
     """Other files beside the page: name, and what writes it."""
     headline: str = ""
-    """In place of "Verdict: good"."""
+    """Words in place of "Verdict: good"."""
 
     @property
     def verdict(self) -> Verdict:
