@@ -66,10 +66,10 @@ from taccel_lab import (
     KinematicBody,
     MarkerLayout,
     Outputs,
-    Scene,
     SignalTactile,
     SolverIPC,
     initial_state,
+    profile_scene,
     to_torch,
 )
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
@@ -80,7 +80,7 @@ ENVS, RADIUS_M = 8, 3e-3
 mesh = gel_mesh(sensor_family("gelsight").parameters(base.sensor.parameters).pad(), edge_mm=4)
 ball = KinematicBody(Ball(RADIUS_M), name="ball")
 coarse = {"mesh": mesh, "gel": {"element": Element.LINEAR}, "kinematic_bodies": ball}
-scene = Scene.from_profile(profile, **coarse, env_count=ENVS)
+scene = profile_scene(profile, **coarse, env_count=ENVS)
 dots_mm = np.stack(np.meshgrid(np.linspace(-6, 6, 9), np.linspace(-5, 5, 7)), axis=-1).reshape(
     -1, 2
 )
@@ -142,9 +142,10 @@ figure.tight_layout()
 # force over the depth, beside a difference of two runs.
 
 # %%
-from taccel_lab.gradients.torch_motion import TorchMotion, marker_places
+from taccel_lab.gradients.torch_motion import TorchMotion
+from taccel_lab.signals.torch_signals import marker_places
 
-moving = TorchMotion(Scene.from_profile(profile, **coarse, env_count=ENVS).finalize("cpu"))
+moving = TorchMotion(profile_scene(profile, **coarse, env_count=ENVS).finalize("cpu"))
 
 
 def press(depths_mm):

@@ -28,6 +28,7 @@ from taccel_lab.presses import PressOutcome as PressOutcome
 from taccel_lab.presses import PressPath as PressPath
 from taccel_lab.presses import parse_indenter as parse_indenter
 from taccel_lab.presses import profile_material as profile_material
+from taccel_lab.presses import profile_scene as profile_scene
 from taccel_lab.profile.io import load_profile as load_profile
 from taccel_lab.profile.io import save_profile as save_profile
 from taccel_lab.profile.io import validate_profile as validate_profile

@@ -19,7 +19,7 @@ STEPS, RADIUS_M = 5, 4e-3
 def run(envs: int, rank: int, devices: list[str]) -> float:
     """Press a ball into the gels of part ``rank``; returns the seconds of its steps."""
     gel, ball = tl.load_sensor("flat_pad"), tl.KinematicBody(tl.Ball(RADIUS_M), name="ball")
-    scene = tl.Scene.from_profile(gel, kinematic_bodies=ball, env_count=envs)
+    scene = tl.profile_scene(gel, kinematic_bodies=ball, env_count=envs)
     model = shard_of(scene, rank, len(devices)).finalize(devices[rank])
     top_m = gel.mesh.nodes_m[:, 2].max() + RADIUS_M + 2e-5
     poses = np.tile([0, 0, top_m, 0, 0, 0, 1], (model.env_count, 1, 1))

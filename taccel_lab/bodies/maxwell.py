@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile.bounds import MOST_BRANCHES
+
+MOST_BRANCHES = 3
+"""Of a material: each is one more evaluation of all elements, and three span as many decades of
+time."""
 
 
 @dataclass(frozen=True, order=True)

@@ -15,5 +15,6 @@ from taccel_lab.presses.press_outcome import PressOutcome as PressOutcome
 from taccel_lab.presses.press_outcome import PressStep as PressStep
 from taccel_lab.presses.press_outcome import simulate_press as simulate_press
 from taccel_lab.presses.press_path import PressPath as PressPath
-from taccel_lab.scene.profile_gel import layered_material as layered_material
-from taccel_lab.scene.profile_gel import profile_material as profile_material
+from taccel_lab.presses.profile_gel import layered_material as layered_material
+from taccel_lab.presses.profile_gel import profile_material as profile_material
+from taccel_lab.presses.profile_gel import profile_scene as profile_scene

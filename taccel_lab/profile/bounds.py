@@ -148,8 +148,7 @@ _TABLE: dict[str, dict[str, Bound]] = {
     },
 }
 MOST_BRANCHES = 3
-"""Of a viscoelastic gel: each is one more evaluation of all elements, and three span as many
-decades of time."""
+"""Of a viscoelastic gel, as the solver has it (``bodies.maxwell``)."""
 BOUNDS: Mapping[str, Mapping[str, Bound]] = MappingProxyType(_TABLE)
 """By the table of ``profile.toml`` and the key in it; of lists and triples each entry."""
 

@@ -18,10 +18,10 @@ from taccel_lab.bodies.bodies import ALL_LAYERS
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.frames import LINK_FROM_GEL
 from taccel_lab.geometry import TetMesh
+from taccel_lab.presses.profile_gel import profile_gel
 from taccel_lab.robots.description import Link
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, SoftBody, Surface
-from taccel_lab.scene.profile_gel import profile_gel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile

@@ -206,7 +206,7 @@ class SignalTactile:
         Args:
             profile: Sensor.
             env_count: Number of environments; that of the solver.
-            solver: Of ``Scene.from_profile``; signals of contact need it. ``update`` then takes the
+            solver: Of ``profile_scene``; signals of contact need it. ``update`` then takes the
                 state. Without it positions are those of the profile's mesh.
             options: Further arguments of ``SignalTactile``, such as ``gel`` and ``device``; with
                 ``markers`` or ``color_model`` of one's own, ``dots`` are those that are given.

@@ -12,9 +12,10 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.gradients.torch_motion import MovedGels, TorchMotion, height_map, marker_places
+from taccel_lab.gradients.torch_motion import MovedGels, TorchMotion
 from taccel_lab.scene import Ball
 from taccel_lab.signals import MarkerLayout
+from taccel_lab.signals.torch_signals import height_map, marker_places
 from tests.gradients.gel_scenes import MESH, TIGHT, Case, press_and_shear
 
 CASE = Case(Ball(3e-3), press_and_shear(3.0, 0.3)[:, None, None], friction=0.3)

@@ -164,7 +164,7 @@ def test_a_command_without_a_home_folder_says_nothing_of_fonts(tmp_path: Path) -
 
 
 BEGUN_WITH = {
-    "a scene": "tl.Scene.from_profile(tl.load_sensor('flat_pad'), env_count=1).finalize('cpu')",
+    "a scene": "tl.profile_scene(tl.load_sensor('flat_pad'), env_count=1).finalize('cpu')",
     "the optical model": (
         "p = tl.load_sensor('digit')\n"
         "tl.OpticalModel(p.optical_design(), p.mesh, size_px=(40, 30)).render()"

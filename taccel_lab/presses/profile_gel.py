@@ -1,21 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gel of a profile, and its material: uniform, or layers such as a core under a skin."""
+"""The gel of a profile as a scene, as a body and as a material: uniform, or layers such as a core
+under a skin."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.material import Material, MaterialField, MaterialModel
-from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.scene import (
+    Material,
+    MaterialField,
+    MaterialModel,
+    MaxwellBranch,
+    Scene,
+    SoftBody,
+)
 
 if TYPE_CHECKING:
     from taccel_lab.profile import MaterialBlock, SensorProfile
+
+
+def profile_scene(
+    profile: SensorProfile,
+    *,
+    mesh: TetMesh | None = None,
+    gel: Mapping[str, Any] | None = None,
+    **scene: Any,
+) -> Scene:
+    """Make a scene whose soft body is the gel of a profile.
+
+    ``SignalTactile.from_profile(profile, solver=...)`` then shows what that sensor sees.
+
+    Args:
+        profile: Sensor: mesh, material, friction.
+        mesh: Of the same gel, coarser for many environments (``taccel_lab.cad.mesh.gel_mesh``,
+            or a profile of ``taccel-lab design --edge-mm 2``); the profile's own when None.
+        gel: Further fields of its ``SoftBody``, such as ``mount`` and ``element``.
+        scene: Arguments of ``Scene``: ``kinematic_bodies``, ``env_count``, ...
+
+    Raises:
+        InputError: What ``SoftBody`` and ``Scene`` refuse.
+    """
+    return Scene(profile_gel(profile, mesh, **(gel or {})), **scene)
 
 
 def profile_gel(profile: SensorProfile, mesh: TetMesh | None = None, **options: Any) -> SoftBody:
@@ -43,6 +73,7 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
         InputError: The mesh has a layer that the block states no material for.
     """
     solids = (block, *block.layers)
+    branches = tuple(MaxwellBranch(one.relative_modulus, one.time_s) for one in block.branches)
     # Layers share the law, damping and branches of the gel, as the solver asks of one body.
     materials = [
         Material(
@@ -52,16 +83,11 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
             model=MaterialModel(block.model),
             mooney_ratio=block.mooney_ratio,
             damping_time_s=block.damping_time_s,
-            branches=profile_branches(block),
+            branches=branches,
         )
         for solid in solids
     ]
     return layered_material(materials, mesh)
-
-
-def profile_branches(block: MaterialBlock) -> tuple[MaxwellBranch, ...]:
-    """Maxwell branches of a profile's gel."""
-    return tuple(MaxwellBranch(entry.relative_modulus, entry.time_s) for entry in block.branches)
 
 
 def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | MaterialField:

@@ -6,7 +6,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_state, to_torch
+from taccel_lab import (
+    KinematicBody,
+    SignalTactile,
+    SolverIPC,
+    initial_state,
+    profile_scene,
+    to_torch,
+)
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.camera.gel_camera import camera_of, in_image
 from taccel_lab.errors import InputError
@@ -28,7 +35,7 @@ def pressed():
     """Mini, ball, three environments; the middle one is not touched."""
     profile = catalogue_profile("gelsight_mini")
     mesh = gel_mesh(sensor_family("gelsight_mini").parameters().pad(), edge_mm=4)
-    scene = Scene.from_profile(
+    scene = profile_scene(
         profile,
         mesh=mesh,
         gel={"element": Element.LINEAR},
