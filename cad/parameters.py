@@ -301,13 +301,14 @@ class ParameterSet:
             object.__setattr__(found, name, getattr(self, name))
         return found
 
-    def with_values(self, overrides: Mapping[str, Any]) -> Self:
-        """A copy with other values; unknown names raise InputError."""
-        known = self.parameters()
-        for name in overrides:
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """A set with these values and the defaults of others; unknown names raise InputError."""
+        known = cls.parameters()
+        for name in values:
             if name not in known:
                 raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
-        return dataclasses.replace(self, **overrides)  # type: ignore[type-var]
+        return cls(**values)
 
     def values(self) -> dict[str, Any]:
         """Name -> value; several values as a list, as in files."""

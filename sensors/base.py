@@ -133,7 +133,7 @@ class SensorFamily:
             if hardness_of(values):
                 known = self.parameters_type.parameters()
                 values = {n: INCOMPRESSIBLE for n in OF_A_HARDNESS if n in known} | values
-            found = self.parameters_type().with_values(values)
+            found = self.parameters_type.of(values)
             for part in ("pad", "grid", "layer_materials", "optics", "markers", "housing"):
                 getattr(found, part)()
             for view in found.views().values():

@@ -172,7 +172,7 @@ def family_like(like: str, overrides: Mapping[str, Any]) -> SensorFamily:
     parameters that it lacks or that the gel's file gives."""
     family = sensor_family(like)
     require_no_shape(family, overrides)
-    family.parameters_type().with_values(overrides)
+    family.parameters_type.of(overrides)
     return family
 
 

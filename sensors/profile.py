@@ -36,6 +36,7 @@ from taccel_lab.profile import (
     load_profile,
     split_view,
 )
+from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.registry import (
@@ -105,13 +106,13 @@ def designed_profile(
         ),
         camera=_camera_block(parameters, origin),
         mesh=mesh,
+        # All at once: each profile checks its blocks against one another.
+        **{block.key: block for block in _optional_blocks(parameters, origin)},  # type: ignore[arg-type]
     )
-    for block in _optional_blocks(parameters, origin):
-        profile = profile.with_block(block)
     for name, seen in parameters.views().items():
         view = profile.with_block(profile.sensor.replace(parameters=seen.values()))
         view = view.with_block(_camera_block(seen, origin))
-        optics = _optics_block(seen, origin)
+        optics = _optics_block(seen, seen.optics(), origin)
         profile = profile.with_view(name, view if optics is None else view.with_block(optics))
     return profile
 
@@ -134,8 +135,9 @@ def _camera_block(parameters: FamilyParameters, origin: _Origin) -> CameraBlock:
     return CameraBlock.from_grid(parameters.grid(), origin.of("camera", names=_GRID))
 
 
-def _optics_block(parameters: FamilyParameters, origin: _Origin) -> OpticsBlock | None:
-    design = parameters.optics()
+def _optics_block(
+    parameters: FamilyParameters, design: OpticalDesign | None, origin: _Origin
+) -> OpticsBlock | None:
     if design is None:
         return None
     crop = {}
@@ -150,7 +152,7 @@ def _optics_block(parameters: FamilyParameters, origin: _Origin) -> OpticsBlock 
 def _optional_blocks(parameters: FamilyParameters, origin: _Origin) -> list[Block]:
     blocks: list[Block] = []
     design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
-    optics = _optics_block(parameters, origin)
+    optics = _optics_block(parameters, design, origin)
     if design is not None and optics is not None:
         blocks.append(optics)
         leds = tuple(LightEntry(**asdict(light)) for light in design.lights)

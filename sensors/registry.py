@@ -139,6 +139,7 @@ def profile_folder(name: Path | str) -> Path | None:
     return None
 
 
+@lru_cache(maxsize=4)
 def profile_sensor(profile: SensorProfile, name: str = "") -> ProfileFamily:
     """The sensor of a profile; ``name`` is that of the profile when empty.
 
@@ -149,6 +150,7 @@ def profile_sensor(profile: SensorProfile, name: str = "") -> ProfileFamily:
     return profile_family(profile, name or profile.sensor.name, like)
 
 
+@lru_cache(maxsize=4)
 def profile_parameters(profile: SensorProfile) -> FamilyParameters:
     """What the sensor of a profile is made of; raises InputError as ``profile_sensor``."""
     return profile_sensor(profile).parameters()

@@ -14,7 +14,7 @@ import numpy as np
 
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.profile.bounds import Bound
-from taccel_lab.profile.optical_design import Light
+from taccel_lab.profile.optical_design import DesignedCamera, Light
 from taccel_lab.profile.optics_blocks import CoatingBlock, LightsBlock, MarkersBlock, OpticsBlock
 from taccel_lab.profile.response_blocks import DepthResponseBlock, ForceBlock, PerturbationBlock
 from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock
@@ -139,6 +139,7 @@ def _lights(profile: Blocks) -> Iterator[str]:
         return
     nodes = profile.mesh.region_nodes(Region.CONTACT)
     touched_mm = 1e3 * profile.mesh.nodes_m[nodes[:: max(1, len(nodes) // _GLOW_NODES)]]
+    camera = None if profile.optics is None else profile.optics.camera()
     for number, light in enumerate(profile.lights.lights()):
         pieces = light.straight_pieces()
         if not any(
@@ -149,22 +150,19 @@ def _lights(profile: Blocks) -> Iterator[str]:
                 f"lights.led.{number}: shines away from all of the gel: correct position_mm or "
                 "direction"
             )
-        if any(_in_view(profile, piece) for piece in pieces):
+        if camera is not None and any(_in_view(camera, piece) for piece in pieces):
             yield (
                 f"lights.led.{number}.position_mm: stands between camera and gel in the middle of "
                 f"the image, got {list(light.position_mm)}"
             )
 
 
-def _in_view(profile: Blocks, light: Light) -> bool:
-    optics = profile.optics
-    if optics is None:
-        return False
-    way = np.subtract(light.position_mm, optics.position_mm) @ optics.camera().gel_from_camera()
+def _in_view(camera: DesignedCamera, light: Light) -> bool:
+    way = np.subtract(light.position_mm, camera.position_mm) @ camera.gel_from_camera()
     if way[2] <= 0:
         return False
-    u = (optics.fx_px * way[0] / way[2] + optics.cx_px) / optics.width_px
-    v = (optics.fy_px * way[1] / way[2] + optics.cy_px) / optics.height_px
+    u = (camera.fx_px * way[0] / way[2] + camera.cx_px) / camera.width_px
+    v = (camera.fy_px * way[1] / way[2] + camera.cy_px) / camera.height_px
     return bool(_VIEW[0] < u < _VIEW[1] and _VIEW[0] < v < _VIEW[1])
 
 

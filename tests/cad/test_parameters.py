@@ -47,13 +47,13 @@ class Shelf(ParameterSet):
 
 def test_a_value_for_each_is_written_with_commas() -> None:
     words = ["depth_mm=1.5, 2,4", "color=red,#00ff00"]
-    shelf = Shelf().with_values(parse_overrides(words))
+    shelf = Shelf.of(parse_overrides(words))
     assert (shelf.depth_mm, shelf.color) == ((1.5, 2.0, 4.0), ("red", "#00ff00"))
     assert shelf.values() == {"depth_mm": [1.5, 2.0, 4.0], "color": ["red", "#00ff00"]}
-    assert Shelf().with_values(shelf.values()) == shelf
+    assert Shelf.of(shelf.values()) == shelf
     text = [f"{name}={value_text(value)}" for name, value in shelf.values().items()]
-    assert Shelf().with_values(parse_overrides(text)) == shelf
-    assert Shelf().with_values({"depth_mm": [2.5]}).depth_mm == 2.5
+    assert Shelf.of(parse_overrides(text)) == shelf
+    assert Shelf.of({"depth_mm": [2.5]}).depth_mm == 2.5
     assert Shelf().describe()["depth_mm"]["source"] == "none"
     depth, color = Shelf.parameters()["depth_mm"], Shelf.parameters()["color"]
     assert depth.allowed() == "1 to 4 mm; one for each board with commas"
@@ -61,12 +61,12 @@ def test_a_value_for_each_is_written_with_commas() -> None:
     assert depth.worded((1.5, 2.0)) == "depth 1.5,2 mm"
     for wrong in ([], [2.0, 5.0], [2.0, [3.0]], [2.0, True]):
         with pytest.raises(InputError, match="depth_mm"):
-            Shelf().with_values({"depth_mm": wrong})
+            Shelf.of({"depth_mm": wrong})
 
 
 def test_words_become_the_parameters_own_type() -> None:
     words = ["width_mm=2.5", "count=3", "radius_mm=0", "style=square"]
-    box = Box().with_values(parse_overrides(words))
+    box = Box.of(parse_overrides(words))
     assert box.values() == {"width_mm": 2.5, "count": 3, "radius_mm": 0.0, "style": "square"}
     assert isinstance(box.count, int)
 
@@ -89,7 +89,7 @@ def test_words_become_the_parameters_own_type() -> None:
 )
 def test_bad_values_name_the_bound(overrides: dict[str, object], words: list[str]) -> None:
     with pytest.raises(InputError) as error:
-        Box().with_values(overrides)
+        Box.of(overrides)
     for word in words:
         assert word in str(error.value)
 
@@ -180,12 +180,12 @@ class Cupboard(ParameterSet):
 
 def test_a_set_has_the_parameters_of_its_groups_and_hands_them_out() -> None:
     assert set(Cupboard.parameters()) == {*Box.parameters(), "frame_mm"}
-    found = Cupboard().with_values({"count": 15, "width_mm": 1.5})
+    found = Cupboard.of({"count": 15, "width_mm": 1.5})
     assert found.group(Box).values() == {**Box().values(), "count": 15, "width_mm": 1.5}
     with pytest.raises(InputError, match="width_mm = 9 is above its bound"):
-        Cupboard().with_values({"width_mm": 9})
+        Cupboard.of({"width_mm": 9})
     with pytest.raises(InputError, match="count = 21"):
-        Cupboard().with_values({"count": 21})
+        Cupboard.of({"count": 21})
 
 
 MINI = np.array([[-12.6, -10.4, -4.2], [12.6, 10.4, 0.0]])
