@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from taccel_lab.api.press_like import like_photo
 from taccel_lab.api.press_options import PressOptions, PressWords
-from taccel_lab.api.press_plan import PressPlan
+from taccel_lab.api.press_run import PressPlan
 from taccel_lab.api.press_progress import steps_if_watched
 from taccel_lab.api.press_result import Press
 from taccel_lab.api.sensor import AnySensor

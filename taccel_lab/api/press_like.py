@@ -19,7 +19,7 @@ from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.press_depth import check_depth
 
 if TYPE_CHECKING:
-    from taccel_lab.api.press_plan import PressPlan
+    from taccel_lab.api.press_run import PressPlan
     from taccel_lab.api.press_result import Press
 
 TRIALS = 3

@@ -28,7 +28,7 @@ from taccel_lab.with_error import with_error
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.api.press_plan import PressPlan
+    from taccel_lab.api.press_run import PressPlan
     from taccel_lab.presses import PressOutcome
     from taccel_lab.presses.measured_press import NumericalError
 

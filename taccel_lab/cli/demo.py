@@ -38,7 +38,7 @@ class Demo:
     def run(self) -> None:
         from taccel_lab.api.press import run_press
         from taccel_lab.api.press_options import PressOptions
-        from taccel_lab.api.press_plan import PressPlan
+        from taccel_lab.api.press_run import PressPlan
         from taccel_lab.api.press_progress import step_progress
         from taccel_lab.calibration.base_profile import base_profile
         from taccel_lab.calibration.calibrate import calibrate

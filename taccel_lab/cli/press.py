@@ -57,7 +57,7 @@ class PressCommand(PressOptions, _Files):
             self._press(beside)
 
     def _press(self, beside: Beside) -> None:
-        from taccel_lab.api.press_plan import PressPlan
+        from taccel_lab.api.press_run import PressPlan
         from taccel_lab.api.press_progress import step_progress
         from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.files.output_folder import atomic_directory

@@ -8,7 +8,7 @@ from taccel_lab.presses.physics import PHYSICS as PHYSICS
 from taccel_lab.presses.physics import Accuracy as Accuracy
 from taccel_lab.presses.physics import PressMeshOptions as PressMeshOptions
 from taccel_lab.presses.physics import PressPhysics as PressPhysics
-from taccel_lab.presses.press import PressEnv as PressEnv
+from taccel_lab.presses.press_env import PressEnv as PressEnv
 from taccel_lab.presses.press_force import press_to_force as press_to_force
 from taccel_lab.presses.press_frame import normal_frame as normal_frame
 from taccel_lab.presses.press_outcome import PressOutcome as PressOutcome

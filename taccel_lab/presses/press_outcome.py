@@ -16,7 +16,7 @@ from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
-from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.presses.press_path import HOLD_STEPS, PressPath
 from taccel_lab.presses.press_states import PressStates
 from taccel_lab.presses.press_surface import FurtherView, PressSurface, press_surface

@@ -19,7 +19,7 @@ from taccel_lab.scene import Ball, sphere_mesh
 
 if TYPE_CHECKING:
     from taccel_lab.presses.indenter import Indenter
-    from taccel_lab.presses.press import PressEnv
+    from taccel_lab.presses.press_env import PressEnv
     from taccel_lab.presses.press_surface import PressSurface
     from taccel_lab.profile import SensorProfile
 

@@ -13,7 +13,7 @@ import warp as wp
 from taccel_lab.camera.gel_camera import View
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import RestSurface

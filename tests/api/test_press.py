@@ -148,7 +148,7 @@ def test_what_draws_loads_no_solver(module: str) -> None:
 
 def test_a_plan_loads_no_kernels() -> None:
     kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
-    assert loaded_by("import taccel_lab.api.press_plan", (*HEAVY, *kernels, "scipy")) == "set()"
+    assert loaded_by("import taccel_lab.api.press_run", (*HEAVY, *kernels, "scipy")) == "set()"
 
 
 def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> None:

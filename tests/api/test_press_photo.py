@@ -17,7 +17,7 @@ import taccel_lab as tl
 from taccel_lab.api.press_like import UNREAD, like_photo
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto
-from taccel_lab.api.press_plan import PressPlan
+from taccel_lab.api.press_run import PressPlan
 from taccel_lab.api.seen_press import SeenPress
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.normals.touch import Touch

@@ -20,7 +20,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import SimulationError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.profile.schema import BranchEntry
 from taccel_lab.scene import Element

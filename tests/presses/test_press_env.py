@@ -277,6 +277,6 @@ def test_a_shear_into_a_bonded_wall_is_refused_before_the_press() -> None:
 
 def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever first touch comes from, an overlap at the start is never simulated."""
-    monkeypatch.setattr("taccel_lab.presses.press.first_touch_m", lambda *_: 1e-3)
+    monkeypatch.setattr("taccel_lab.presses.press_env.first_touch_m", lambda *_: 1e-3)
     with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside 'gel'"):
         press_env()

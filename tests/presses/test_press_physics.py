@@ -24,7 +24,7 @@ from taccel_lab.presses import (
     parse_indenter,
 )
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.press import SETBACK_TOLERANCE
+from taccel_lab.presses.press_env import SETBACK_TOLERANCE
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
