@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
-from taccel_lab.presses.press_error import expected_error
+from taccel_lab.presses.physics import expected_error
 from taccel_lab.progress import Progress, silent
 
 NU_RANGE = (0.30, 0.499)
@@ -45,7 +45,7 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Error of the presses at each depth, see ``presses.press_error``, as one standard deviation,
+    """Error of the presses at each depth, see ``presses.physics``, as one standard deviation,
     shape [depth]."""
 
     @property

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Unpack
 
 from taccel_lab.api.press_like import like_photo
 from taccel_lab.api.press_options import PressOptions, PressWords
-from taccel_lab.api.press_run import PressPlan
 from taccel_lab.api.press_progress import steps_if_watched
 from taccel_lab.api.press_result import Press
+from taccel_lab.api.press_run import PressPlan
 from taccel_lab.api.sensor import AnySensor
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
 from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
-from taccel_lab.presses.press_depth import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
-from taccel_lab.presses.press_steps import bounded_path
-from taccel_lab.presses.press_surface import FurtherView
+from taccel_lab.presses.press_outcome import FurtherView
+from taccel_lab.presses.touch import deepest_mm
 from taccel_lab.signals.rest_surface import rest_surface
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def run_press(
             material,
             plan.indenter,
             options.at_mm,
-            bounded_path(path, material.branches, friction).with_steps(at.steps),
+            path.bounded(material.branches, friction).with_steps(at.steps),
             camera,
             friction_coefficient=friction,
             physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),

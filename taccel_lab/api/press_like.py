@@ -16,11 +16,11 @@ import numpy as np
 
 from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.presses.press_depth import check_depth
+from taccel_lab.presses.touch import check_depth
 
 if TYPE_CHECKING:
-    from taccel_lab.api.press_run import PressPlan
     from taccel_lab.api.press_result import Press
+    from taccel_lab.api.press_run import PressPlan
 
 TRIALS = 3
 """Rough presses at most. One leaves a tenth to a third of what a reading is off by."""

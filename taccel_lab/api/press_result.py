@@ -15,10 +15,16 @@ from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.force_interval import ForceInterval, force_causes
-from taccel_lab.presses.press_files import VIEWS, write_press, write_seen
-from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
+from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
+from taccel_lab.presses.press_files import (
+    PREDICTED_PX,
+    VIEWS,
+    painted_images,
+    predicted_images,
+    write_press,
+    write_seen,
+)
 from taccel_lab.presses.press_markers import PressMarkers
-from taccel_lab.presses.signal_error import SignalError, height_error_mm, image_error_levels
 from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.report import save_figure
 from taccel_lab.sensors.starters import is_starter

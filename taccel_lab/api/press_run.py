@@ -16,9 +16,9 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.devices import require_device
 from taccel_lab.presses import parse_indenter
-from taccel_lab.presses.fitted_physics import physics_difference
-from taccel_lab.presses.measured_ranges import measured_range
-from taccel_lab.presses.press_depth import check_depth
+from taccel_lab.presses.force_interval import measured_range
+from taccel_lab.presses.physics import physics_difference
+from taccel_lab.presses.touch import check_depth
 from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.assumed import is_modulus_known

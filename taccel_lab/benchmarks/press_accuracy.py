@@ -43,7 +43,6 @@ from taccel_lab.presses import (
 )
 from taccel_lab.presses.measured_press import FINER, Resolution, measured_press
 from taccel_lab.presses.physics import parse_accuracy
-from taccel_lab.presses.press_steps import bounded_path
 from taccel_lab.scene import Material, MaxwellBranch, TriangleMesh
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import refined_press_mesh
@@ -230,7 +229,7 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
         for layer in parameters.layer_materials()
     ]
     path = PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s)
-    path = bounded_path(path, branches, case.friction)
+    path = path.bounded(branches, case.friction)
     return simulate_press(
         mesh,
         layered_material(layers, mesh),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.api.press_result import Press as PressResult
     from taccel_lab.presses import PressPath
-    from taccel_lab.presses.signal_error import SignalError
+    from taccel_lab.presses.measured_press import SignalError
     from taccel_lab.processes.beside import Beside
 
 

@@ -25,7 +25,7 @@ from taccel_lab.errors import InputError, naming
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.presses import PHYSICS, Accuracy, Indenter, PressPhysics, parse_indenter
-from taccel_lab.presses.press_depth import check_depth
+from taccel_lab.presses.touch import check_depth
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
 from taccel_lab.version import __version__

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.bodies.bodies import combined_friction
 from taccel_lab.errors import InputError
-from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.scene import Scene
 
 if TYPE_CHECKING:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A press that measures its numerical error: one of half the resolution stands beside it.
+"""A press that measures its numerical error: one of half the resolution stands beside it. And how
+far its heights and image may be off, by all that is known.
 
 From one level of resolution to the next elements are 2^0.5 times as many along every side, ``dhat``
 is halved, and so is the length of the steps, in path and time. Errors of dhat and steps halve, and
@@ -14,16 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.presses.physics import Accuracy, PressPhysics
-from taccel_lab.presses.press_error import Shares, expected_error
+from taccel_lab.presses.physics import Accuracy, PressPhysics, Shares, expected_error
 from taccel_lab.presses.press_outcome import PressOutcome
-from taccel_lab.presses.signal_error import known_rms
 from taccel_lab.scene import Ball, Element, TriangleMesh
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import Provenance
 
 FINER = 2**0.5
 """Elements along a side over those of the level below."""
@@ -50,6 +52,10 @@ SLOWEST = 0.75
 UPRIGHT = 0.5
 """Least z of the normals of pixels whose heights are compared: farther down on a dome's side
 heights are differences of where a facet happens to end."""
+
+_AROUND = 0.05
+"""Part of the depth from which on a pixel counts as pressed."""
+_WHITE = 255.0
 
 
 @dataclass(frozen=True)
@@ -252,3 +258,64 @@ def _compared_n(outcome: PressOutcome) -> float:
     """Solved normal force at the end, or before the way back, which ends without one [N]."""
     forces = [float(step.wrench[2]) for step in outcome.steps]
     return max(forces) if outcome.path.back else forces[-1]
+
+
+@dataclass(frozen=True)
+class SignalError:
+    """Root mean square error over the pressed pixels, in the signal's unit."""
+
+    numerical: float
+    """By mesh, contact range and steps."""
+    total: float
+    """With a depth and place that were read, and with the colours' own error."""
+
+
+def height_error_mm(outcome: PressOutcome, depth_sigma_mm: float) -> SignalError:
+    """Error of the heights [mm]; ``depth_sigma_mm``: deviation of a depth that was read."""
+    numerical = 1e3 * outcome.height_error_m
+    moved = 1e3 * (outcome.rest_height_m - outcome.height_m)[_pressed(outcome)]
+    depth = known_rms(moved) * 2 * depth_sigma_mm / outcome.path.depth_mm
+    return SignalError(numerical, math.hypot(numerical, depth))
+
+
+def image_error_levels(
+    outcome: PressOutcome,
+    rgb: np.ndarray,
+    beside_rgb: np.ndarray,
+    background_rgb: np.ndarray,
+    colours: Provenance,
+    depth_sigma_mm: float,
+    place_sigma_px: float,
+) -> SignalError:
+    """Error of an image in a profile's colours [levels of 255].
+
+    Args:
+        outcome: The press.
+        rgb: Its image, levels, [height_px, width_px, 3].
+        beside_rgb: That of the coarser press beside it.
+        background_rgb: The untouched sensor.
+        colours: Of the colour model: the held-out peak signal-to-noise ratio is its error.
+        depth_sigma_mm: Standard deviation of a depth that was read [mm].
+        place_sigma_px: The same of a place, along each axis [px].
+    """
+    where = _pressed(outcome)
+    numerical = known_rms((rgb - beside_rgb)[where])
+    changed = rgb - background_rgb
+    depth = known_rms(changed[where]) * 2 * depth_sigma_mm / outcome.path.depth_mm
+    slopes = [known_rms(np.gradient(changed, axis=axis)[where]) for axis in (0, 1)]
+    place = math.hypot(*slopes) * 2 * place_sigma_px
+    psnr_db = colours.residuals.get("heldout_crop_psnr_db")
+    seen = 0.0 if psnr_db is None else _WHITE * 10 ** (-psnr_db / 20)
+    return SignalError(numerical, math.hypot(numerical, depth, place, seen))
+
+
+def _pressed(outcome: PressOutcome) -> np.ndarray:
+    """Pixels that the press moved, bool, [height_px, width_px]."""
+    moved = outcome.rest_height_m - outcome.height_m
+    return np.nan_to_num(np.abs(moved)) > _AROUND * 1e-3 * outcome.path.depth_mm
+
+
+def known_rms(values: np.ndarray) -> float:
+    """Root of the mean square of what is finite; 0 of nothing."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0

@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one place that says how a press is simulated: element, mesh, contact range, tolerance.
+"""The one place that says how a press is simulated: element, mesh, contact range, tolerance; and
+what error that keeps to.
 
 ``press``, ``PressEnv``, previews, studies, every calibration and every data set take it from here,
 so that what one fits another reproduces. What a user chooses is an ``Accuracy``.
+
+Mesh, contact range ``dhat`` and steps part a press from the exact solution of its equations.
+``measured_press`` measures them for one press; batches and previews take what a battery of presses
+says of their grade, the error that 19 of 20 keep to (docs/evidence/verification.md, Presses by default).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.press_mesh_options import (
@@ -19,8 +27,11 @@ from taccel_lab.geometry.press_mesh_options import (
     OutlineMeshOptions,
     PressMeshOptions,
 )
-from taccel_lab.scene import Element
+from taccel_lab.scene import Ball, Element, TriangleMesh
 from taccel_lab.solvers import SolverConfig
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import MaterialBlock
 
 
 class Accuracy(StrEnum):
@@ -111,3 +122,144 @@ SURFACE_PHYSICS = dataclasses.replace(
 )
 """Of surfaces that colours and normals are fitted to: as by default, with nodes a tenth of the
 contact's radius apart. Forces need fewer, slopes beside a contact do not."""
+
+
+class Shares(NamedTuple):
+    """Of smooth tools, and of tools that may have rims."""
+
+    smooth: float
+    rims: float
+
+    def of(self, shape: Ball | TriangleMesh) -> float:
+        """That of a tool."""
+        return self.smooth if isinstance(shape, Ball) else self.rims
+
+
+FORCE_SHARE = {
+    Accuracy.FAST: Shares(0.034, 0.11),
+    Accuracy.DEFAULT: Shares(0.034, 0.055),
+    Accuracy.REFERENCE: Shares(0.01, 0.02),
+}
+"""Error over the force."""
+HEIGHT_SHARE = {
+    Accuracy.FAST: Shares(0.0095, 0.057),
+    Accuracy.DEFAULT: Shares(0.0036, 0.0135),
+    Accuracy.REFERENCE: Shares(0.001, 0.005),
+}
+"""Root mean square error of the heights over the depth."""
+COARSE_ORDER = 5
+"""How errors grow on meshes coarser than the grade's, by elements along a side."""
+GAP_SHARE = 0.06
+"""Of the force, by what ``dhat`` is larger than the grade's, over the depth."""
+LINEAR_SHARE = 0.6
+"""Of the force by linear elements on the default mesh; of first order in the elements' size."""
+
+
+@dataclass(frozen=True)
+class PressError:
+    """Numerical error of presses."""
+
+    force_n: np.ndarray
+    """Of the force along the press [N], shape [env_count]."""
+    height_m: np.ndarray
+    """Of the heights of the contact face, root mean square [m], shape [env_count]."""
+
+
+def expected_error(
+    physics: PressPhysics,
+    shape: Ball | TriangleMesh,
+    force_n: np.ndarray,
+    depth_m: np.ndarray,
+) -> PressError:
+    """What presses of a grade keep to in 19 of 20 cases, on meshes made for the press.
+
+    Args:
+        physics: Grade and element; a coarser mesh or a larger contact range add to it.
+        shape: What presses.
+        force_n: Along the press [N], [env_count].
+        depth_m: Past first touch [m], [env_count].
+    """
+    depth_m = np.maximum(depth_m, 0.0)
+    linear, usual = physics.element is Element.LINEAR, PHYSICS[physics.accuracy]
+    rule = PHYSICS[Accuracy.DEFAULT] if linear else usual
+    finer = (_cells(physics, shape) / _cells(rule, shape)) ** (1 / 3)
+    coarser = min(finer, 1.0) ** -COARSE_ORDER
+    share = LINEAR_SHARE / finer if linear else coarser * FORCE_SHARE[physics.accuracy].of(shape)
+    wider_m = max(physics.dhat_m - usual.dhat_m, 0.0)
+    gap = GAP_SHARE * wider_m / np.maximum(depth_m, physics.dhat_m)
+    heights = coarser * HEIGHT_SHARE[physics.accuracy].of(shape)
+    return PressError((share + gap) * np.abs(force_n), heights * depth_m)
+
+
+def _cells(physics: PressPhysics, shape: Ball | TriangleMesh) -> int:
+    mesh = physics.mesh
+    return mesh.cell_count if isinstance(shape, Ball) else mesh.outline.cell_count
+
+
+_WORDS = {
+    "accuracy": "accuracy",
+    "element": "elements",
+    "mesh": "mesh",
+    "dhat_m": "contact range in metres",
+    "relative_tolerance": "tolerance",
+}
+
+
+def physics_difference(
+    material: MaterialBlock, physics: PressPhysics, friction_coefficient: float
+) -> str | None:
+    """One sentence on how a press differs from those that the material was fitted with.
+
+    Args:
+        material: Of the profile that is pressed.
+        physics: Of the press.
+        friction_coefficient: Of the press, between tool and gel.
+
+    Returns:
+        None for a press like those of the fit, and for a material that was not fitted to presses.
+    """
+    fitted = material.fitted_with
+    if fitted is None:
+        provenance = material.provenance
+        if provenance.kind != "calibrated" or "young_modulus_pa" not in provenance.spread:
+            return None
+        return (
+            "It is not recorded what this profile's material was fitted with (an older version "
+            "wrote it): forces may differ by tens of per cent from those of its records. Run "
+            "taccel-lab calibrate material again"
+        )
+    found = [
+        f"{_WORDS.get(name, name)} {_plain(old)} (this press: {_plain(new)})"
+        for name, old, new in _differences(fitted.physics, physics.record())
+    ]
+    if fitted.friction_coefficient != friction_coefficient:
+        found.append(
+            f"friction {fitted.friction_coefficient:g} (this press: {friction_coefficient:g})"
+        )
+    if not found:
+        return None
+    return (
+        f"The material of this profile was fitted with {', '.join(found)}: the forces of this "
+        "press are not those that its calibration stands for"
+    )
+
+
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Settings that differ: name, old value, new value; None for one that is missing."""
+    if old.get("accuracy") != new.get("accuracy"):
+        # It stands for the settings that it chooses.
+        return [("accuracy", old.get("accuracy"), new.get("accuracy"))]
+    found: list[tuple[str, Any, Any]] = []
+    for name in sorted({*old, *new}):
+        one, other = old.get(name), new.get(name)
+        if isinstance(one, Mapping) and isinstance(other, Mapping):
+            found += [(f"{name}.{k}", a, b) for k, a, b in _differences(one, other)]
+        elif one != other:
+            found.append((name, one, other))
+    return found
+
+
+def _plain(value: Any) -> str:
+    if value is None:
+        return "not stated"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -26,12 +26,15 @@ from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
-from taccel_lab.presses.press_depth import MAX_DEPTH_FRACTION
-from taccel_lab.presses.press_error import PressError, expected_error
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressError, PressPhysics, expected_error
 from taccel_lab.presses.press_frame import PressFrames
 from taccel_lab.presses.press_path import SPEED_MM_S, PressPath
-from taccel_lab.presses.touch import first_touch_m, gel_below_m, require_resolved
+from taccel_lab.presses.touch import (
+    MAX_DEPTH_FRACTION,
+    first_touch_m,
+    gel_below_m,
+    require_resolved,
+)
 from taccel_lab.scene import (
     Ball,
     KinematicBody,

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a press: signals, pictures, deformed mesh, figures."""
+"""The files of a press: signals, pictures, deformed mesh, figures. Its image is in the profile's
+calibrated colours, or as the optical design predicts."""
 
 from __future__ import annotations
 
@@ -11,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.exporters.image_files import eight_bit, write_rgb
 from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
-from taccel_lab.presses.press_image import PREDICTED_PX, predicted_images
+from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses.press_markers import MARKERS, PressMarkers
 from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.presses.press_states import STATES, PressStates, write_states
@@ -29,6 +31,7 @@ from taccel_lab.report import (
     draw_normals,
     save_drawing,
 )
+from taccel_lab.signals.profile_options import image_painter
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
 
 VIEWS = "views"
 """Folder with a folder for each further camera: what ``write_seen`` writes."""
+PREDICTED_PX = 640
+"""Longest side of the picture that the optical model predicts."""
 STATES_PX = 320
 """Longest side of the pictures that the optical model predicts of all steps."""
 
@@ -194,3 +199,43 @@ def _write_states(
         np.array([step.wrench[:3] for step in outcome.steps]),
         images,
     )
+
+
+def painted_images(
+    profile: SensorProfile, outcome: PressOutcome
+) -> tuple[np.ndarray | None, list[np.ndarray] | None]:
+    """The image of a press in the profile's colours, RGB levels, float32, [height_px, width_px, 3],
+    and those at rest and after each step that was kept; None where colours or steps are missing."""
+    paint = image_painter(profile, outcome.mesh)
+    if paint is None:
+        return None, None
+    rgb = paint(outcome, outcome.positions_m)
+    if outcome.states is None:
+        return rgb, None
+    rest, states = outcome.mesh.nodes_m, outcome.states
+    seen = zip(states.surfaces, states.moved_m, strict=True)
+    assert profile.background_rgb is not None
+    return rgb, [profile.background_rgb, *(paint(one, rest + moved) for one, moved in seen)]
+
+
+def predicted_images(
+    profile: SensorProfile, outcome: PressOutcome, places_m: np.ndarray, longest_px: int
+) -> list[np.ndarray] | None:
+    """Pictures that the optical model of an uncalibrated sensor predicts, through its one camera.
+
+    Args:
+        profile: Of the sensor.
+        outcome: Press whose mesh the places are of.
+        places_m: Positions of its nodes [m], [state, node, 3].
+        longest_px: Longest side of a picture.
+
+    Returns:
+        RGB levels, uint8, [height_px, width_px, 3] each; None where the sensor has no optics.
+    """
+    design, camera = profile.optical_design(), camera_of(profile)
+    if design is None or not isinstance(camera, GelCamera):
+        return None
+    seen = camera.resized(*camera.camera.size_within(longest_px))
+    markers = None if profile.markers is None else profile.markers.grid()
+    model = OpticalModel.through(seen, design, outcome.mesh, markers=markers, designed=profile.mesh)
+    return [model.render(places).rgb for places in places_m]

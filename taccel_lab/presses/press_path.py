@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.bodies.scene_description import LONGEST_HOLD_S
 from taccel_lab.errors import InputError
 
@@ -15,7 +19,14 @@ HOLD_STEPS = 8
 """Steps of a hold; their ends lie evenly over the root of time, as a force falls fast at first."""
 MAX_STEPS = 10_000
 """Longest path: a step length mistaken for another unit would keep a machine busy for days."""
-
+TIME_SHARE = 0.004
+"""Of the force, that steps in time may add by this rule; a press measures what they do."""
+LEAST_STEPS = 2
+"""Down, of gels that rub or relax."""
+MOST_TIMES = 64
+"""Steps over those of the path, at most."""
+_EXACT = 4096
+"""Steps that stand for none."""
 
 Waypoint = tuple[float, tuple[float, float], float]
 """Depth [mm], shear [mm], twist [deg]."""
@@ -80,6 +91,44 @@ class PressPath:
         far = max(self.depth_mm, math.hypot(*self.shear_mm))
         down, turns = min(self.step_mm, far), min(self.step_deg, abs(self.twist_deg) or 1.0)
         return replace(self, step_mm=down / times, step_deg=turns / times)
+
+    def bounded(self, branches: Sequence[MaxwellBranch], friction: float) -> PressPath:
+        """Divide the path into so many steps that time adds ``TIME_SHARE`` to the force at most,
+        and into ``LEAST_STEPS`` down; the path itself where nothing rubs or relaxes.
+
+        In time a step is exact where stress grows evenly over it (``ipc.potentials.elements.
+        maxwell``). Under a ball it does not: the contact grows, force as depth^1.5 (Hertz). What
+        that leaves follows from the branches alone, without a gel. Under friction the first step
+        lays down the whole contact at once; it takes two at least, so that one of half as many
+        shows what they do.
+        """
+        if not branches and friction == 0:
+            return self
+        exact = self._overstress(_EXACT, branches)
+        times = 1
+        while times < MOST_TIMES:
+            down = sum(
+                shear == (0.0, 0.0) and twist == 0.0
+                for _, shear, twist in self.with_steps(times).way_there()
+            )
+            off = self._overstress(down, branches) - exact
+            if down >= LEAST_STEPS and abs(off) <= TIME_SHARE * (1.0 + exact):
+                break
+            times *= 2
+        return self.with_steps(times)
+
+    def _overstress(self, count: int, branches: Sequence[MaxwellBranch]) -> float:
+        """Force of the branches at full depth over that of the relaxed solid, in ``count`` even
+        steps [Simo and Hughes 1998, 10.3]."""
+        growth = np.diff((np.arange(count + 1) / count) ** 1.5)
+        step_s = self.depth_mm / self.speed_mm_s / count
+        total = 0.0
+        for branch in branches:
+            h = step_s / branch.time_s
+            even = -math.expm1(-h) / h
+            left = np.exp(-h * np.arange(count - 1, -1, -1.0))
+            total += branch.relative_modulus * even * float(growth @ left)
+        return total
 
     def way_there(self) -> list[Waypoint]:
         """Return the waypoints down and aside, before a hold."""

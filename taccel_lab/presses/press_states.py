@@ -20,7 +20,7 @@ from taccel_lab.scene import Ball, sphere_mesh
 if TYPE_CHECKING:
     from taccel_lab.presses.indenter import Indenter
     from taccel_lab.presses.press_env import PressEnv
-    from taccel_lab.presses.press_surface import PressSurface
+    from taccel_lab.presses.press_outcome import PressSurface
     from taccel_lab.profile import SensorProfile
 
 STATES = "states.npz"

@@ -7,7 +7,7 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses import Indenter, PressEnv
-from taccel_lab.presses.press_surface import contact_radii_m
+from taccel_lab.presses.press_outcome import contact_radii_m
 from taccel_lab.scene import Ball
 
 _PX = 161

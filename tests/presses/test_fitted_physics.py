@@ -12,7 +12,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Accuracy, PressPhysics, physics_difference
-from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.profile import (
     FittedWith,
     MaterialBlock,

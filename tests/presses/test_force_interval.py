@@ -18,7 +18,7 @@ from taccel_lab.presses.force_interval import (
     force_causes,
     force_power,
 )
-from taccel_lab.presses.signal_error import height_error_mm, image_error_levels
+from taccel_lab.presses.measured_press import height_error_mm, image_error_levels
 from tests.presses.test_measured_press import DEPTH_M, Presses, Resolution, outcome
 
 BALL = parse_indenter("sphere:4")

@@ -17,7 +17,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses import Indenter, PressEnv, parse_indenter
-from taccel_lab.presses.prisms import edge_mesh
+from taccel_lab.presses.indenter import edge_mesh
 from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh
 from taccel_lab.studies.presses import StandardPress
 

@@ -20,8 +20,7 @@ from taccel_lab.presses.measured_press import (
     Resolution,
     measured_press,
 )
-from taccel_lab.presses.physics import parse_accuracy
-from taccel_lab.presses.press_error import FORCE_SHARE, LINEAR_SHARE, expected_error
+from taccel_lab.presses.physics import FORCE_SHARE, LINEAR_SHARE, expected_error, parse_accuracy
 from taccel_lab.scene import Ball, Element, TriangleMesh
 from taccel_lab.solvers import StepReport
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from taccel_lab.presses import PressPath
-from taccel_lab.presses.press_steps import TIME_SHARE, bounded_path
+from taccel_lab.presses.press_path import TIME_SHARE
 from taccel_lab.scene import MaxwellBranch
 
 
@@ -58,7 +58,7 @@ def test_steps_follow_the_branches(
 ) -> None:
     law = [MaxwellBranch(*branch) for branch in branches]
     given = PressPath(depth_mm, speed_mm_s=speed_mm_s)
-    path = bounded_path(given, law, 0.0)
+    path = given.bounded(law, 0.0)
     true = exact(path, law)
     assert abs(in_steps(path, law) - true) <= 1.05 * TIME_SHARE * (1 + true)
     count, few = len(path.way_there()), len(given.way_there())
@@ -70,13 +70,13 @@ def test_steps_follow_the_branches(
 
 def test_gels_that_neither_rub_nor_relax_keep_their_steps() -> None:
     path = PressPath(0.2)
-    assert bounded_path(path, (), 0.0) is path
-    assert len(bounded_path(path, [MaxwellBranch(1.0, 1e6)], 0.0).way_there()) == 2
+    assert path.bounded((), 0.0) is path
+    assert len(path.bounded([MaxwellBranch(1.0, 1e6)], 0.0).way_there()) == 2
 
 
 def test_a_rubbing_contact_is_not_laid_down_at_once() -> None:
-    assert [depth for depth, *_ in bounded_path(PressPath(0.1), (), 0.3).waypoints()] == [0.05, 0.1]
+    assert [depth for depth, *_ in PressPath(0.1).bounded((), 0.3).waypoints()] == [0.05, 0.1]
     aside = PressPath(0.1, shear_mm=(0.2, 0.0))
-    assert bounded_path(aside, (), 0.3).waypoints()[:2] == [(0.05, (0, 0), 0), (0.1, (0, 0), 0)]
+    assert aside.bounded((), 0.3).waypoints()[:2] == [(0.05, (0, 0), 0), (0.1, (0, 0), 0)]
     deeper = PressPath(0.6)
-    assert bounded_path(deeper, (), 0.3) is deeper
+    assert deeper.bounded((), 0.3) is deeper

@@ -8,7 +8,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses import Indenter, PressEnv, profile_material
 from taccel_lab.presses.physics import SURFACE_PHYSICS
-from taccel_lab.presses.press_surface import contact_radii_m, press_surface
+from taccel_lab.presses.press_outcome import contact_radii_m, press_surface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Ball
 from taccel_lab.sensors.press_mesh import pad_press_mesh

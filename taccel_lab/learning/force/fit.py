@@ -52,7 +52,7 @@ from taccel_lab.learning.force.training_file import TrainingFile
 from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
-from taccel_lab.presses.measured_ranges import measured_ranges
+from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
