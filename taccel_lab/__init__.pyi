@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public names and their modules; read by type checkers and by ``lazy_names``."""
 
-from taccel_lab.api.press import press as press
 from taccel_lab.api.press_options import PressOptions as PressOptions
 from taccel_lab.api.press_result import Press as Press
+from taccel_lab.api.press_run import press as press
 from taccel_lab.api.read import read as read
 from taccel_lab.api.sensor import load_sensor as load_sensor
 from taccel_lab.api.study import study as study

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Literal
 
 from taccel_lab.errors import InputError, naming
 
@@ -181,31 +181,3 @@ class PressOptions:
         with naming("--friction"):
             check_friction(self.friction, self.indenter)
         return physics
-
-
-class PressWords(TypedDict, total=False):
-    """Keywords of ``press``: the fields of ``PressOptions``, which has their defaults."""
-
-    depth_mm: float | None
-    force_n: float | None
-    like: Path | None
-    untouched: Path | None
-    texture: Path | None
-    texture_mm: tuple[float, float]
-    at_mm: tuple[float, float]
-    shear_mm: tuple[float, float]
-    twist_deg: float
-    friction: float | None
-    speed_mm_s: float | None
-    hold_s: float
-    unload: bool
-    step_mm: float
-    step_deg: float
-    accuracy: str
-    levels: int
-    tolerance: float | None
-    dhat_mm: float | None
-    element: Literal["linear", "quadratic"] | None
-    mesh: Literal["focused", "profile"]
-    states: bool
-    device: str

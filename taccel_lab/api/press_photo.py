@@ -1,26 +1,91 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The press that a photo shows: found by reading the photo, to be simulated and set beside it."""
+"""The press that a photo shows: found by reading the photo, to be simulated and set beside it.
+
+What one reading of a photo says of place and depth is off by what readings are off by. So the press
+is simulated roughly there, its image is read like the photo, and place and depth are corrected by
+the difference, until that is small beside what the photo leaves open.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.api.seen_press import SeenPress
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.image_files import eight_bit
+from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.touch import check_depth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.normals.read_surface import SurfaceReader
+    from taccel_lab.api.press_result import Press
+    from taccel_lab.api.press_run import PressRun
+    from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+    from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
 
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
+TRIALS = 3
+"""Rough presses at most. One leaves a tenth to a third of what a reading is off by."""
+SETTLED = 0.25
+"""Share of the standard deviation; a correction below it leaves a tenth of one."""
+UNREAD = (
+    "the simulated press is too shallow to be read as the photo is: place and depth are those of "
+    "the photo's reading, which nothing corrects"
+)
+_CORE = 0.5
+"""Share of the deepest place above which the gel follows the indenter: its middle is the press's.
+The gel's slope around it would draw the middle towards the side with more gel."""
+_CURVED_TO = 0.5
+"""Part of a curved gel's lean that is uncertain. A tool touches a slope beside its axis, where it
+comes straight down; presses on a GelSight's dome are found up to half of that from the contacts
+that a person marked."""
+
+
+@dataclass(frozen=True)
+class SeenPress:
+    """The middle of what is pressed in, and how deep it is."""
+
+    at_mm: tuple[float, float]
+    """Gel x and y [mm] of the middle of the dent's core, weighed by depth."""
+    depth_mm: float
+    """Deepest place below the resting face [mm]."""
+    at_sigma_mm: tuple[float, float] | None
+    """Standard deviations of x and y; None where the profile states none of heights."""
+    depth_sigma_mm: float | None
+    """That of the depth; None likewise."""
+    whole: bool
+    """Whether the image shows all of the core."""
+
+    @classmethod
+    def of(cls, reading: SurfaceReading, grid: PixelGrid) -> SeenPress | None:
+        """The deepest press of a reading; None where nothing touches.
+
+        Errors of heights are smooth, and move the middle most where they lean: those of the place
+        are what it moves by if the dent leans by one deviation of the reading from its middle to
+        its rim, twice the standard deviation of the core's pixels, and by a part of the gel's own
+        lean at rest.
+        """
+        touched = reading.touch.pixels
+        if not touched.any():
+            return None
+        depth_mm = -1e3 * reading.rise_m
+        core, middle_px = _core(depth_mm, touched)
+        middle = grid.gel_from_pixel(middle_px)
+        at_sigma = depth_sigma = None
+        if reading.height_sigma_m is not None and reading.reading_sigma_m is not None:
+            depth_sigma = float(1e3 * reading.height_sigma_m[reading.deepest_px])
+            at_sigma = _place_sigma(reading, depth_mm, core, grid)
+        edge = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
+        deepest_mm = float(depth_mm[reading.deepest_px])
+        x, y = middle
+        return cls((float(x), float(y)), deepest_mm, at_sigma, depth_sigma, not edge.any())
 
 
 @dataclass(frozen=True)
@@ -173,3 +238,85 @@ class PressPhoto:
 
         simulated = self.simulated(painted, profile)
         return draw_comparison(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)
+
+
+def like_photo(run: PressRun, simulate: Callable[[PressRun], Press]) -> PressRun:
+    """Return the run with the place and depth at which its simulated image reads as its photo.
+
+    Args:
+        run: Place and depth as read in its photo.
+        simulate: Presses such a run.
+
+    Raises:
+        InputError: A corrected place or depth that the gel does not allow.
+        SimulationError: A rough press did not converge.
+    """
+    photo = run.photo
+    assert photo is not None
+    for _ in range(TRIALS):
+        options = run.options
+        assert options.depth_mm is not None
+        image = simulate(_rough(run)).image
+        assert image is not None
+        found = photo.beside(image, options.at_mm, options.depth_mm)
+        if found is None:
+            unread = replace(photo, warnings=(*photo.warnings, UNREAD))
+            return replace(run, photo=unread)
+        check_depth(found.depth_mm, run.profile)
+        settled = _settled(run, found)
+        moved = replace(options, at_mm=found.at_mm, depth_mm=found.depth_mm)
+        run = replace(run, options=moved, photo=found)
+        if settled:
+            break
+    return run
+
+
+def _rough(run: PressRun) -> PressRun:
+    """A press for its image: the end of the same way in, of low accuracy."""
+    physics = replace(PHYSICS[Accuracy.FAST], element=run.physics.element)
+    options = replace(
+        run.options, like=None, accuracy=Accuracy.FAST, unload=False, hold_s=0.0, states=False
+    )
+    return replace(run, options=options, physics=physics, photo=None, is_rough=True)
+
+
+def _settled(run: PressRun, found: PressPhoto) -> bool:
+    """Whether a correction is small; never where no deviation is known."""
+    if found.at_sigma_mm is None or found.depth_sigma_mm is None:
+        return False
+    options = run.options
+    assert options.depth_mm is not None
+    moved = np.array([*found.at_mm, found.depth_mm]) - [*options.at_mm, options.depth_mm]
+    return bool(
+        (np.abs(moved) < SETTLED * np.array([*found.at_sigma_mm, found.depth_sigma_mm])).all()
+    )
+
+
+def _core(depth_mm: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels around the deepest of those that are touched, bool, and their middle [px], [2]."""
+    from scipy import ndimage
+
+    deepest = int(np.where(touched, depth_mm, -np.inf).argmax())
+    parts, _ = ndimage.label(depth_mm > _CORE * depth_mm.ravel()[deepest])  # type: ignore[misc]
+    core = parts == parts.ravel()[deepest]
+    return core, np.array(ndimage.center_of_mass(depth_mm * core)[::-1])
+
+
+def _place_sigma(
+    reading: SurfaceReading, depth_mm: np.ndarray, core: np.ndarray, grid: PixelGrid
+) -> tuple[float, float]:
+    """How far the middle moves in x and y [mm] where the dent leans along each."""
+    assert reading.reading_sigma_m is not None
+    sigma_mm = 1e3 * float(reading.reading_sigma_m[core].mean())
+    rest_mm = 1e3 * (reading.height_m - reading.rise_m)
+    touched = reading.touch.pixels
+    middle = _core(depth_mm, touched)[1]
+    found = []
+    for axis, step_mm in enumerate((grid.mm_per_px_x, grid.mm_per_px_y)):
+        places = np.indices(core.shape)[1 - axis]
+        rim_px = max(2 * float(places[core].std()), 1.0)
+        own_mm = rim_px * float(np.gradient(rest_mm, axis=1 - axis)[core].mean())
+        lean_mm = np.hypot(sigma_mm, _CURVED_TO * own_mm)
+        leaning = depth_mm + lean_mm * (places - middle[axis]) / rim_px
+        found.append(step_mm * abs(float(_core(leaning, touched)[1][axis] - middle[axis])))
+    return found[0], found[1]

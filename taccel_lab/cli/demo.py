@@ -36,10 +36,8 @@ class Demo:
     """Print the figures as JSON instead of summaries."""
 
     def run(self) -> None:
-        from taccel_lab.api.press import run_press
         from taccel_lab.api.press_options import PressOptions
-        from taccel_lab.api.press_run import PressPlan
-        from taccel_lab.api.press_progress import step_progress
+        from taccel_lab.api.press_run import PressRun, step_progress
         from taccel_lab.calibration.base_profile import base_profile
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.calibration.capture import find_taxim_pack
@@ -54,7 +52,7 @@ class Demo:
         folder = load_capture_folder(self.captures or find_taxim_pack())
         options = PressOptions(self.depth_mm, indenter=DEMO_INDENTER, at_mm=DEMO_AT_MM)
         # What can be rejected is rejected before minutes of work.
-        PressPlan.of(base_profile(None, folder), options)
+        PressRun.plan(base_profile(None, folder), options)
         with kept_blocks(self.out) as unfinished, atomic_directory(self.out) as staging:
             with stage_progress(console) as progress:
                 found = calibrate(folder, only=self.only, progress=progress, unfinished=unfinished)
@@ -62,7 +60,7 @@ class Demo:
                 found.write_report(staging / "report")
             found.save(staging / "profile")
             with step_progress(console, "pressing the calibrated sensor") as bar:
-                pressed = run_press(PressPlan.of(found, options), bar)
+                pressed = PressRun.plan(found, options).run(bar)
             pressed.save(staging / "press")
         if found.unfinished is not None:
             found.unfinished.remove()

@@ -57,14 +57,13 @@ class PressCommand(PressOptions, _Files):
             self._press(beside)
 
     def _press(self, beside: Beside) -> None:
-        from taccel_lab.api.press_run import PressPlan
-        from taccel_lab.api.press_progress import step_progress
+        from taccel_lab.api.press_run import PressRun, step_progress
         from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.files.output_folder import atomic_directory
 
         console = notes()
-        plan = PressPlan.of(self.sensor, self)
-        told = plan.notes()
+        run = PressRun.plan(self.sensor, self)
+        told = run.notes()
         for note in told:
             console.print(f"note: {note}", soft_wrap=True)
         finished: list[PressResult] = []
@@ -73,23 +72,19 @@ class PressCommand(PressOptions, _Files):
         # Who draws into the folder is ended before that is cleared.
         with atomic_directory(self.out) as folder, beside:
             # Drawn without a kernel, which may have to be compiled: a picture within seconds.
-            scene = plan.write_scene(folder, beside.call)
-            from taccel_lab.api.press import run_press
-
+            scene = run.write_scene(folder, beside.call)
             beside.finish()
             say_first_look(console, scene)
             try:
-                with step_progress(
-                    console, f"pressing {self.indenter} {plan.options.aim()}"
-                ) as bar:
-                    pressed = run_press(plan, bar, finished.append)
+                with step_progress(console, f"pressing {self.indenter} {run.options.aim()}") as bar:
+                    pressed = run.run(bar, finished.append)
             except BaseException as error:
                 # Finished steps are kept; but who interrupts has not asked for an earlier result
                 # to go.
                 if not finished or (had_earlier and not isinstance(error, Exception)):
                     raise
                 failure, pressed = error, finished[-1]
-            if plan.photo is not None:
+            if run.photo is not None:
                 # Where its place and depth were corrected to.
                 pressed.plan.write_scene(folder, beside.call)
             pressed.write_into(folder, beside.call)

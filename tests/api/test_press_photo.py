@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.api.press_like import UNREAD, like_photo
 from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import PressPhoto
-from taccel_lab.api.press_run import PressPlan
-from taccel_lab.api.seen_press import SeenPress
+from taccel_lab.api.press_photo import UNREAD, PressPhoto, SeenPress, like_photo
+from taccel_lab.api.press_run import PressRun
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.normals.touch import Touch
 from taccel_lab.cli.app import main
@@ -171,17 +169,17 @@ def test_on_a_slope_the_place_is_less_certain_along_it() -> None:
 
 def test_what_the_simulation_cannot_show_is_said(photo: Path) -> None:
     """A rough press that leaves no trace in its image corrects nothing."""
-    plan = PressPlan.of(SENSOR, PressOptions(indenter="sphere:4", like=photo))
-    asked: list[PressPlan] = []
+    run = PressRun.plan(SENSOR, PressOptions(indenter="sphere:4", like=photo))
+    asked: list[PressRun] = []
 
-    def untouched(rough: PressPlan) -> Any:
+    def untouched(rough: PressRun) -> Any:
         asked.append(rough)
         return SimpleNamespace(image=rough.profile.background_rgb)
 
-    found = like_photo(plan, untouched)
-    assert found.photo is not None and plan.photo is not None
-    assert found.photo.warnings == (*plan.photo.warnings, UNREAD)
-    assert found.options == plan.options
+    found = like_photo(run, untouched)
+    assert found.photo is not None and run.photo is not None
+    assert found.photo.warnings == (*run.photo.warnings, UNREAD)
+    assert found.options == run.options
     assert [rough.photo for rough in asked] == [None]
 
 
@@ -190,22 +188,22 @@ def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
     options = PressOptions(
         indenter="sphere:4", like=photo, shear_mm=(0.2, 0.0), unload=True, states=True
     )
-    plan = PressPlan.of(SENSOR, options)
-    asked: list[PressPlan] = []
+    run = PressRun.plan(SENSOR, options)
+    asked: list[PressRun] = []
 
-    def same(rough: PressPlan) -> Any:
+    def same(rough: PressRun) -> Any:
         asked.append(rough)
-        assert plan.photo is not None
-        return SimpleNamespace(image=plan.photo.rgb)
+        assert run.photo is not None
+        return SimpleNamespace(image=run.photo.rgb)
 
-    found = like_photo(plan, same)
+    found = like_photo(run, same)
     rough = asked[0].options
     assert (rough.shear_mm, rough.unload, rough.states) == ((0.2, 0.0), False, False)
     assert len(asked) == 1 and found.photo is not None
     assert replace(found.options, at_mm=(0, 0), depth_mm=0) == replace(
-        plan.options, at_mm=(0, 0), depth_mm=0
+        run.options, at_mm=(0, 0), depth_mm=0
     )
-    np.testing.assert_allclose(found.options.at_mm, plan.options.at_mm, atol=0.01)
+    np.testing.assert_allclose(found.options.at_mm, run.options.at_mm, atol=0.01)
 
 
 # Backgrounds and refusals -------------------------------------------------------------------------

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from taccel_lab.api.press import press
 from taccel_lab.api.press_result import Press
+from taccel_lab.api.press_run import press
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
