@@ -49,8 +49,7 @@ class GelBench:
 
         def made() -> dict[str, np.ndarray]:
             env = self._env(gel, friction)
-            stops = [depth for depth, _, _ in PressPath(self.depth_mm).waypoints()]
-            seconds = sum(env.move_to(depth).seconds for depth in stops)
+            seconds = sum(report.seconds for report in env.follow(PressPath(self.depth_mm)))
             return {"force_n": env.press_force[:, 2], "seconds": np.array(seconds)}
 
         return cached_arrays("responses", self._recipe(gel, friction)).read_or_make(made)

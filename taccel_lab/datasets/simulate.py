@@ -8,7 +8,6 @@ and says why.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.presses import Indenter, PressEnv, PressPhysics
 from taccel_lab.solvers import EnvStatus
 
@@ -87,7 +86,7 @@ def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
         device=bench.device,
     )
     _set_parameters(env, touches, bench)
-    meshes = [_nodal(env.mesh, touch.mesh) for touch in touches]
+    meshes = [env.nodal(touch.mesh) for touch in touches]
     view = TouchView(
         env,
         touches,
@@ -172,11 +171,6 @@ def _set_parameters(env: PressEnv, touches: Sequence[Touch], bench: TouchBench) 
     frictions = np.array([touch.friction for touch in touches])
     if (frictions != frictions.max()).any():
         model.set_friction(gel.name, tool.name, frictions)
-
-
-def _nodal(nodal: TetMesh | QuadraticMesh, mesh: TetMesh) -> TetMesh | QuadraticMesh:
-    """``mesh`` with all its nodes; ``nodal`` is that of another mesh of the same connectivity."""
-    return dataclasses.replace(nodal, base=mesh) if isinstance(nodal, QuadraticMesh) else mesh
 
 
 def joined(records: Sequence[TouchRecord], channels: Sequence[Channel]) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ import warp as wp
 
 from taccel_lab.bodies.scene_description import SHORTEST_STEP_S
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.ipc.contact.intersection import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
@@ -186,15 +186,6 @@ class PressEnv:
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
         self._shear_m = 0 * self._shear_m
         self.state = initial_state(self.model, self._start)
-
-    def restore(self, positions_m: np.ndarray, poses: np.ndarray) -> None:
-        """Take up where presses ended: gel nodes [m], [env_count, node_count, 3], and
-        gel_from_indenter, [env_count, 7]. Forces are those of contact, without friction."""
-        self.state = initial_state(self.model, np.asarray(poses)[:, None])
-        everywhere = self.state.positions.numpy()
-        everywhere[:, : self.model.soft_count] = positions_m
-        self.state.positions.assign(everywhere)
-        self.solver.refresh_forces(self.state, np.ones(len(self.at_m), dtype=bool))
 
     def _mean_gap_m(self) -> np.ndarray:
         """Mean gap of the contacts along the press, weighted with their forces [m], [env_count];
@@ -409,6 +400,10 @@ class PressEnv:
     def press_force(self) -> np.ndarray:
         """Force of the gel on the indenter [N] in the press frame, shape [env_count, 3]."""
         return self._frames.vectors_in_press(self.wrench[:, :3])
+
+    def nodal(self, mesh: TetMesh) -> TetMesh | QuadraticMesh:
+        """``mesh``, whose connectivity is that of the gel here, with all its nodes."""
+        return replace(self.mesh, base=mesh) if isinstance(self.mesh, QuadraticMesh) else mesh
 
     def guard_share(self) -> np.ndarray:
         """Part of the force along the press that hangs on the guard against inside-out tets,

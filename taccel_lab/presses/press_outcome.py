@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -30,13 +30,9 @@ from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.tactile import SignalTactile
-from taccel_lab.signals.tactile_image import tactile_image
-from taccel_lab.solvers import SolverConfig, StepReport
+from taccel_lab.solvers import StepReport
 from taccel_lab.summary import Summary
 from taccel_lab.with_error import with_error
-
-if TYPE_CHECKING:
-    from taccel_lab.signals.color_model import ColorModel
 
 
 @dataclass(frozen=True)
@@ -167,10 +163,6 @@ class PressOutcome(Summary):
     def last(self) -> StepReport:
         return self.steps[-1].report
 
-    def render(self, model: ColorModel, background_rgb: np.ndarray) -> np.ndarray:
-        """Tactile image, RGB levels 0..255, shape [height_px, width_px, 3]."""
-        return tactile_image(model, background_rgb, self)
-
     def figures(self) -> dict[str, Any]:
         """Return the numbers of the press for a JSON file: no times, so equal presses are equal."""
         steps = [step.report for step in self.steps]
@@ -240,7 +232,6 @@ def simulate_press(
     friction_coefficient: float,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     designed_rest: RestSurface | None = None,
-    config: SolverConfig | None = None,
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
     keep_states: bool = False,
@@ -266,7 +257,6 @@ def simulate_press(
         np.array([at_mm]),
         friction_coefficient=friction_coefficient,
         physics=physics,
-        config=config,
         device=device,
     )
     texture = indenter.texture

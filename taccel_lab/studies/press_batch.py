@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import PressEnv, layered_material, parse_indenter
@@ -79,7 +78,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     press = first.press
     thickness_mm = env.thickness_m * 1e3
     depth_mm = np.array([press.full_depth_mm(t) for t in thickness_mm])
-    meshes = [_nodal(env.mesh, job.mesh) for job in jobs]
+    meshes = [env.nodal(job.mesh) for job in jobs]
     surface = ContactFaceMesh.from_mesh(env.mesh)
     rest = np.stack([mesh.nodes_m for mesh in meshes])
     outputs = Outputs(env.solver)
@@ -159,13 +158,6 @@ def _stacked(steps: list[dict[str, np.ndarray | float]], node_count: int) -> dic
         name: np.array([step[name] for step in steps]).reshape(-1, *shape)
         for name, shape in shapes.items()
     }
-
-
-def _nodal(nodal: TetMesh | QuadraticMesh, mesh: TetMesh) -> TetMesh | QuadraticMesh:
-    """``mesh`` with all its nodes; ``nodal`` is that of another mesh of the same connectivity."""
-    if isinstance(nodal, QuadraticMesh):
-        return dataclasses.replace(nodal, base=mesh)
-    return mesh
 
 
 def _nothing(job: PressJob, cause: str, device: str) -> PressRecord:

@@ -31,7 +31,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.scene.checks import check_scene
+from taccel_lab.scene.scene import check_scene
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import everywhere, pose
 
