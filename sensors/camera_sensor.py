@@ -21,12 +21,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.sensors.base import FamilyParameters, GelMaterial
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
-from taccel_lab.sensors.parameter_groups.coating import CoatingParameters
-from taccel_lab.sensors.parameter_groups.housing import HousingParameters
 from taccel_lab.sensors.parameter_groups.lights import LightParameters
-from taccel_lab.sensors.parameter_groups.markers import MarkerParameters
 from taccel_lab.sensors.parameter_groups.material import MaterialParameters
-from taccel_lab.sensors.parameter_groups.window import WindowParameters
+from taccel_lab.sensors.parameter_groups.parts import (
+    CoatingParameters,
+    HousingParameters,
+    MarkerParameters,
+    WindowParameters,
+)
 
 MIN_SEEN_SHARE = 0.45
 """Least extent of the face that is marked as seen through, in units of the gel's."""

@@ -10,9 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from taccel_lab.cad.mesh.kept_mesh import kept_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_quality
-from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
+from taccel_lab.cad.mesh.sound_mesh import kept_mesh, sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh

@@ -10,9 +10,11 @@ open instead of stopping the search (J. Escobar et al., Comput. Methods Appl. Me
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from taccel_lab.cad.mesh.descent import descend
+from taccel_lab.processes.one_thread import one_blas_thread
 
 
 def smooth_plan(
@@ -76,3 +78,18 @@ def smooth_plan(
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def descend(
+    energy: Callable[[np.ndarray], tuple[float, np.ndarray]], count: int, iterations: int
+) -> np.ndarray:
+    """Steps [count] from zero that lower ``energy``, which returns value and gradient, by L-BFGS-B
+    in at most ``iterations`` iterations; the same on any number of cores."""
+    from scipy.optimize import minimize
+
+    with one_blas_thread():
+        found = minimize(
+            energy, np.zeros(count), jac=True, method="L-BFGS-B",
+            options={"maxiter": iterations, "maxcor": 12},
+        )  # fmt: skip
+    return found.x

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.cad.mesh.descent import descend
+from taccel_lab.cad.mesh.plan_smoothing import descend
 from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.geometry.tet_mesh import tet_volumes
 

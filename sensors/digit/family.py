@@ -13,7 +13,7 @@ from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.profile.optical_design import Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
-from taccel_lab.sensors.parameter_groups.window import WindowParameters
+from taccel_lab.sensors.parameter_groups.parts import WindowParameters
 
 _PARTS = "measured on the parts of digit-design (facebookresearch, figures only)"
 _LIGHT_FIT = (

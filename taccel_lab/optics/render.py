@@ -30,9 +30,15 @@ from taccel_lab.camera.media import (
 from taccel_lab.camera.refraction import FlatMedia, Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.optics.coating import marker_factor, turbid_reflectance
-from taccel_lab.optics.display import Display, WhiteBalance, exposed
-from taccel_lab.optics.frames import LightField, PreviewImage
+from taccel_lab.optics.frames import (
+    Display,
+    LightField,
+    PreviewImage,
+    WhiteBalance,
+    exposed,
+    marker_factor,
+    turbid_reflectance,
+)
 from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.shading_kernels import Gloss, Layers, hit_kernel, light_kernel
 from taccel_lab.optics.surface import FineFace, GelFace, height_face

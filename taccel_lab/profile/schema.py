@@ -36,8 +36,7 @@ from taccel_lab.files.strict_model import (
     describe_errors,
 )
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.bounds import MOST_BRANCHES, out_of_bounds
-from taccel_lab.profile.evidence_bounds import evidence_faults
+from taccel_lab.profile.bounds import MOST_BRANCHES, evidence_faults, out_of_bounds
 from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 11

@@ -14,8 +14,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
-from taccel_lab.profile.consistency import disagreements
-from taccel_lab.profile.mesh_size import check_mesh_size
+from taccel_lab.profile.consistency import check_mesh_size, disagreements
 from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optics_blocks import (
     CoatingBlock,

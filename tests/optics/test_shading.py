@@ -12,7 +12,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.optics import Coating, Light, MarkerGrid
-from taccel_lab.optics.coating import turbid_reflectance
+from taccel_lab.optics.frames import turbid_reflectance
 from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.shading_kernels import Gloss, glossy
