@@ -17,7 +17,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.geometry.tool_section import ToolSection
-from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, layered_material, parse_indenter
+from taccel_lab.presses import (
+    PHYSICS,
+    Accuracy,
+    PressEnv,
+    PressPath,
+    layered_material,
+    parse_indenter,
+)
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import pad_press_mesh
@@ -25,6 +32,7 @@ from taccel_lab.viewer.ball_press import BallPress, PressAnswer, SupersededError
 
 if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters
+    from taccel_lab.solvers import StepReport
 
 QUICK = replace(
     PHYSICS[Accuracy.FAST],
@@ -34,8 +42,6 @@ QUICK = replace(
 )
 """A third of the default press's nodes."""
 QUICK_STEPS, MORE_RINGS = 2, 6
-STEP_MM = 0.2
-"""Of the default press, as of ``taccel-lab press``."""
 
 
 def press_ball(
@@ -76,12 +82,19 @@ def press_ball(
         friction_coefficient=layers[0].friction_coefficient,
         physics=physics,
     )
-    steps = QUICK_STEPS if quick else math.ceil(press.depth_mm / STEP_MM - 1e-9)
-    for k in range(steps):
+    path = PressPath(press.depth_mm)
+    if quick:
+        path = replace(path, step_mm=press.depth_mm / QUICK_STEPS)
+
+    def go_on(done: int, total: int, report: StepReport | None = None) -> None:
+        if done == total:
+            return
         if superseded():
             raise SupersededError
-        step(k, steps)
-        env.move_to(press.depth_mm * (k + 1) / steps)
+        step(done, total)
+
+    go_on(0, len(path.waypoints()))
+    env.follow(path, go_on)
     return _answer(env, math.nan if quick else float(env.error_estimate().force_n[0]))
 
 
