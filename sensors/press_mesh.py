@@ -60,9 +60,9 @@ NARROWER = (1.0, 0.7, 0.5, 0.35)
 """Widths of a ball's focus over the usual one, in the order in which they are tried: beside a pad's
 corner the cells of a wide one fold. Counts and with them the connectivity stay."""
 BISECTED_EDGES, BISECTED_RADII, BISECTED_GROWTH = 1.8, 1.3, 1.0
-"""Mesh of an imported gel: longest edge of a tet over the elements' size, extent of the fine part in
-contact radii, and how fast edges grow from there with the distance. A ball 0.5 mm deep in a Mini of
-2 mm edges takes 10,400 quadratic nodes; its force is within a per cent of that of 74,000."""
+"""Mesh of an imported gel: longest edge of a tet over the elements' size, extent of the fine part
+in contact radii, and how fast edges grow from there with the distance. A ball 0.5 mm deep in a Mini
+of 2 mm edges takes 10,400 quadratic nodes; its force is within a per cent of that of 74,000."""
 _ROOM_SIDES = 64
 """Lines that stand for the border of what a focus may cover of a pad."""
 

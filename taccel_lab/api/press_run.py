@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rigid indenter pressed into the gel of a sensor: one call, everything that the sensor reads.
 
-``press``, the commands ``press`` and ``demo`` and the rough presses of ``--like`` run a ``PressRun``.
+``press``, the commands ``press`` and ``demo`` and the rough presses of ``--like`` run a
+``PressRun``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ so that what one fits another reproduces. What a user chooses is an ``Accuracy``
 
 Mesh, contact range ``dhat`` and steps part a press from the exact solution of its equations.
 ``measured_press`` measures them for one press; batches and previews take what a battery of presses
-says of their grade, the error that 19 of 20 keep to (docs/evidence/verification.md, Presses by default).
+says of their grade, the error that 19 of 20 keep to (docs/evidence/verification.md, Presses by
+default).
 """
 
 from __future__ import annotations
