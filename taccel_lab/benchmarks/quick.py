@@ -65,7 +65,7 @@ class QuickFinding:
 
 def measure(scene: str) -> dict[str, Any]:
     """The figures of one scene."""
-    from taccel_lab.ipc.contact.intersection import find_intersections
+    from taccel_lab.ipc.contact.overlap_search import find_overlaps
 
     count = STEPS[scene]
     bench = build_scene(scene, SceneOptions(source="generated"))
@@ -95,7 +95,7 @@ def measure(scene: str) -> dict[str, Any]:
         "unconverged": motion.unconverged,
         "taken_in_parts": motion.halved,
         "worst_residual_over_allowed": max(motion.residual_over_allowed),
-        "intersections": sum(len(env) for env in find_intersections(runner.model, runner.state)),
+        "intersections": sum(len(env) for env in find_overlaps(runner.model, runner.state)),
         "forces_n": motion.forces_n[-1][0].tolist(),
     }
 

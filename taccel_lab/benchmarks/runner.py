@@ -17,7 +17,7 @@ import warp as wp
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import spread
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
-from taccel_lab.ipc.contact.start_checks import check_start
+from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model import Model
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.progress import Progress, silent
@@ -191,7 +191,7 @@ class Runner:
         self.model: Model = bench.scene.finalize(device)
         self.solver = SolverIPC(self.model, replace(bench.config, check_start=False))
         self.state = initial_state(self.model, bench.targets(0))
-        check_start(self.model, self.state, bench.config.dhat_m)
+        require_separated(self.model, self.state)
         self.forces = ForceProbe(self.solver)
         self.clock = clock_of(self.model.device)
 

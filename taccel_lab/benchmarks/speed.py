@@ -52,7 +52,7 @@ class Speed(Suite):
     startup: bool = True
     """Time import to first step, with a warm and a cold kernel cache, in their own processes."""
     check: bool = False
-    """Look for intersections after the last step (slow: the referee is numpy)."""
+    """Look for bodies that overlap after the last step."""
 
     def settings(self) -> dict[str, Any]:
         return {
@@ -126,9 +126,9 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         "notes": dict(bench.notes),
     }
     if options.check:
-        from taccel_lab.ipc.contact.intersection import find_intersections
+        from taccel_lab.ipc.contact.overlap_search import find_overlaps
 
-        found = find_intersections(runner.model, runner.state)
+        found = find_overlaps(runner.model, runner.state)
         row["intersections"] = sum(len(env) for env in found)
     return row
 

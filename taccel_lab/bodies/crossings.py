@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edges that pass through faces, in numpy.
+"""Edges that pass through faces, and distances of points from faces, in numpy.
 
 An edge crosses a face where its ends lie on either side of the face's plane and its line passes on
 the same side of all three face edges, which signed volumes of tets tell. Volumes below the rounding
@@ -64,3 +64,18 @@ def segments_pierce(segments: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     sides = np.stack([volume(q, a, b), volume(q, b, c), volume(q, c, a)])
     split = (above * below <= 0) & ((above != 0) | (below != 0))
     return split & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0))
+
+
+def point_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Distance of points [n, 3], or of one [3], from triangles [n, 3, 3] [m], shape [n]."""
+    corners = np.moveaxis(triangles - points[..., None, :], 1, 0)
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    best = np.full(len(triangles), np.inf)
+    over = np.ones(len(triangles), dtype=bool)
+    for k in range(3):
+        a, edge = corners[k], corners[(k + 1) % 3] - corners[k]
+        t = np.clip(-(a * edge).sum(1) / (edge * edge).sum(1), 0, 1)
+        best = np.minimum(best, np.linalg.norm(a + t[:, None] * edge, axis=1))
+        over &= (np.cross(edge, -a) * normal).sum(1) >= 0
+    height = np.abs((corners[0] * normal).sum(1)) / np.linalg.norm(normal, axis=1)
+    return np.where(over, np.minimum(best, height), best)

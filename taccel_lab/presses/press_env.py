@@ -21,7 +21,7 @@ import warp as wp
 from taccel_lab.bodies.scene_description import SHORTEST_STEP_S
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
-from taccel_lab.ipc.contact.intersection import require_separated
+from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.guard_share import guard_force

@@ -110,12 +110,12 @@ def overlapping(scene: Scene, poses: np.ndarray, parts: Sequence[LinkPart]) -> P
 
     ``poses``: of its kinematic bodies, [1, body, 7].
     """
-    from taccel_lab.ipc.contact.intersection import find_intersections
+    from taccel_lab.ipc.contact.overlap_search import find_overlaps
     from taccel_lab.state import initial_state
 
     model = scene.finalize("cpu")
     names = {part.body: part.name for part in parts}  # Gels of surfaces of their own are none.
-    (found,) = find_intersections(model, initial_state(model, poses))
+    (found,) = find_overlaps(model, initial_state(model, poses))
     pairs = [
         tuple(sorted(names.get(body, body) for body in (item.first, item.second))) for item in found
     ]

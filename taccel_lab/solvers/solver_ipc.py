@@ -116,8 +116,8 @@ class SolverIPC(SolverParts):
         times and ``max_step_iterations`` Newton iterations; one that fails even so is rolled back
         to the start of the whole step and flagged.
         Environments whose bodies overlap before their first step are flagged and not stepped
-        (``ipc.start_checks.check_start`` says what is wrong). Those that fail are not tried in
-        parts where ``ways`` has what is held in their way.
+        (``ipc.contact.overlap_search.require_separated`` says what is wrong). Those that fail are
+        not tried in parts where ``ways`` has what is held in their way.
 
         The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
         anything is taken again. After resets it also reads which environments overlap. All other

@@ -20,9 +20,9 @@ from taccel_lab.bodies.mesh_checks import check_surface, check_tets
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.published_meshes import choose_source, has_data, mesh_folder, read_stl
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
 from taccel_lab.tasks.threads import PITCH_M, hexagon_nut, threaded_rod
+from tests.support.intersection import find_intersections
 
 ROOT = Path(__file__).parents[2]
 STEPS = {"peg": 6, "press_239": 6, "squeeze": 3, "hand": 2, "bolt": 2}

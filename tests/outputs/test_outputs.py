@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.benchmarks.stress.gaps import SurfacePairs
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.gaps import SurfacePairs
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model import Model
 from taccel_lab.outputs import GelFrames, Outputs, to_torch
 from taccel_lab.scene import (
@@ -34,6 +33,7 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.tangent import Tangent
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import pose
+from tests.support.intersection import find_intersections
 
 DT, G = 5e-3, np.array([0.3, 0.0, -9.81])
 GEL, CUBE, BALL = 0, 1, 3

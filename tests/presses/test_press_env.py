@@ -12,10 +12,10 @@ import pytest
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.solvers import EnvStatus, SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad
+from tests.support.intersection import find_intersections
 
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
 DHAT_M = DEFAULT.dhat_m

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.contact.gaps import point_triangle_distances
+from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.touch import first_touch_m
 from taccel_lab.scene import Ball, TriangleMesh

@@ -10,7 +10,6 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.outputs import Outputs
 from taccel_lab.robots import Robot, drive, named, on_seat
 from taccel_lab.scene import (
@@ -26,6 +25,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
+from tests.support.intersection import find_intersections
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3), jitter=0.1)

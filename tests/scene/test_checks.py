@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.benchmarks.stress.gaps import SurfacePairs, edge_edge_distances
+from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
-from taccel_lab.ipc.contact.start_checks import check_finite, check_gaps
+from taccel_lab.ipc.contact.overlap_search import find_overlaps
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -29,7 +28,6 @@ from taccel_lab.scene import (
     TimeStepping,
     TriangleMesh,
     box_mesh,
-    sphere_mesh,
 )
 from taccel_lab.scene.scene import check_scene
 from taccel_lab.state import State, initial_state
@@ -68,8 +66,9 @@ def started(*bodies: AffineBody, env_count: int = 1, ball_z: float = 9e-3) -> tu
 def test_good_scenes_pass() -> None:
     model, state = started(box_at(2e-3, "cube"), box_at(4e-3, "lid"))
     check_scene(model.scene)
-    check_finite(model, state)
-    check_gaps(model, state, 1e-7)
+    present = np.ones(len(model.bodies), dtype=bool)
+    gaps = SurfacePairs(model).nearer_than(state.positions.numpy()[0], present, 1e-7).gaps_m
+    assert not find_overlaps(model, state)[0] and not len(gaps)
 
 
 def test_each_body_is_checked_and_named() -> None:
@@ -88,57 +87,6 @@ def test_each_body_is_checked_and_named() -> None:
         check_scene(Scene(SoftBody(big, GEL.material, element=Element.LINEAR)))
     sheet = KinematicBody(TriangleMesh(good.vertices_m, good.faces[2:]), name="sheet")
     check_scene(Scene(GEL, sheet))
-
-
-def test_states_that_are_not_finite() -> None:
-    model, state = started(box_at(2e-3, "cube"), env_count=3)
-    node = model.bodies[model.body_id("cube")].nodes[0] + 5
-    state.loads(model)
-    for name in ("positions", "velocities", "external_forces"):
-        array = getattr(state, name)
-        good = array.numpy().copy()
-        bad = good.copy()
-        bad[2, node, 1] = np.nan
-        array.assign(bad)
-        with pytest.raises(InputError, match=rf"{name}.*environment 2, node {node} of 'cube'"):
-            check_finite(model, state)
-        array.assign(good)
-    _, wrenches = state.loads(model)
-    wrenches.assign(np.array([0, 0, np.inf])[:, None, None, None] * np.ones((3, 1, 2, 3)))
-    with pytest.raises(InputError, match=r"wrenches.*environments 2"):
-        check_finite(model, state)
-
-
-def test_small_gaps_at_the_start_are_refused() -> None:
-    side = 1e-3
-    upright = [
-        AffineBody(box_mesh((side,) * 3), name=name, initial_pose=pose(2e-4, 1e-4, z, deg=20.0))
-        for name, z in (("low", 0.5 * side + 1e-9), ("high", 1.5 * side + 3e-9))
-    ]
-    model, state = started(*upright)
-    check_gaps(model, state, 0.9e-9)
-    with pytest.raises(InputError, match=r"'gel' and 'low'.*environment 0: a gap of 1e-09 m"):
-        check_gaps(model, state, 1.5e-9)
-    model, state = started(upright[1], ball_z=2 * side + 1e-3 + 4e-9)
-    with pytest.raises(InputError, match=r"'ball' and 'high'.*a gap of 1e-09 m between node"):
-        check_gaps(model, state, 1.5e-9)
-
-
-def test_environments_differ_and_absent_bodies_do_not_count() -> None:
-    where = np.stack([pose(0, 0, 2e-3), pose(0, 0, 0.5e-3 + 1e-9)])
-    for absent, fails in ((None, True), ((0,), False)):
-        cube = AffineBody(
-            box_mesh((1e-3,) * 3),
-            name="cube",
-            initial_pose=where,
-            surface=Surface(environments=absent),
-        )
-        model, state = started(cube, env_count=2)
-        if fails:
-            with pytest.raises(InputError, match="too close in environment 1"):
-                check_gaps(model, state, 1e-8)
-        else:
-            check_gaps(model, state, 1e-8)
 
 
 def test_thickness_and_planes() -> None:
@@ -172,16 +120,3 @@ def test_distances_agree_with_ipctk(seed: int) -> None:
     b[::4] = a[::4] + rng.normal(size=(5, 1, 3))
     expected = [ipctk.edge_edge_distance(*p, *q) ** 0.5 for p, q in zip(a, b, strict=True)]
     np.testing.assert_allclose(edge_edge_distances(a, b), expected, rtol=1e-7)
-
-
-def test_gaps_of_large_meshes_are_quick() -> None:
-    """8k faces against 8k faces in 64 environments that start alike."""
-    bodies = [
-        AffineBody(sphere_mesh(1e-2, 4e-4), name=name, initial_pose=pose(0, 0, z))
-        for name, z in (("a", 2e-2), ("b", 4.01e-2))
-    ]
-    model, state = started(*bodies, env_count=64, ball_z=1.0)
-    check_gaps(model, state, 1e-9)
-    begun = time.process_time()
-    check_gaps(model, state, 1e-9)
-    assert time.process_time() - begun < 1.0

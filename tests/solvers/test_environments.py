@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     Ball,
     Element,
@@ -26,6 +25,7 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, pose, scene
+from tests.support.intersection import find_intersections
 
 CELLS, SIZE = (6, 6, 2), (5e-3, 5e-3, 2e-3)
 MESH = block_mesh(CELLS, SIZE)

@@ -18,7 +18,6 @@ import torch
 import warp as wp
 
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.scene import AffineBody, Element, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
@@ -26,6 +25,7 @@ from taccel_lab.state import State, initial_state
 from tests.solvers.driven_grasp import base_poses, driven_grasp
 from tests.support.blocks import cube
 from tests.support.grasps import FALLING, mount_poses, mounted_gels
+from tests.support.intersection import find_intersections
 
 pytestmark = [
     pytest.mark.gpu,

@@ -12,7 +12,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.start_checks import check_start
+from taccel_lab.ipc.contact.overlap_search import require_separated
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -180,14 +180,14 @@ def test_bodies_that_start_inside_each_other_are_flagged_and_refused() -> None:
     solver = SolverIPC(model, SolverConfig(relative_tolerance=1e-6))
     balls = ball_at([0, 1, 2], 0)
     state = initial_state(model, balls)
-    check_start(model, state, solver.config.dhat_m)
+    require_separated(model, state)
     first = model.affine.first_control
     cube = [first, *range(*model.bodies[1].nodes)]
     x = state.positions.numpy().copy()
     x[1, cube, 2] -= 0.3e-3
     state.positions.assign(x)
-    with pytest.raises(InputError, match=r"'cube'.*in environment 1.*edges \(.*through faces"):
-        check_start(model, state, solver.config.dhat_m)
+    with pytest.raises(InputError, match=r"'cube'.*in environment 1.*\(edge \d+, \d+ of"):
+        require_separated(model, state)
     before = state.positions.numpy()[1].copy()
     report = solver.step(state, ball_at([0, 1, 2], 1))
     expected = [EnvStatus.CONVERGED, EnvStatus.OVERLAP, EnvStatus.CONVERGED]

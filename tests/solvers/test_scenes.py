@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -26,6 +25,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, everywhere, pose
+from tests.support.intersection import find_intersections
 
 GEL = Material(1e5, 0.4)
 MESH = block_mesh((3, 3, 1), (4e-3, 4e-3, 1.5e-3), jitter=0.1)

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from taccel_lab.bodies.primitives import box_mesh
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import AffineBody, Joint, KinematicBody, Plane, Scene, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state
+from tests.support.intersection import find_intersections
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)

@@ -13,7 +13,6 @@ from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import (
     Element,
@@ -30,6 +29,7 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, pose
+from tests.support.intersection import find_intersections
 from tests.verification.curved_tets import CURVED, curved
 from tests.verification.element_problems import (
     COOK_ENERGY,

@@ -13,7 +13,6 @@ import pytest
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -33,6 +32,7 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import StepReport
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import everywhere, pose
+from tests.support.intersection import find_intersections
 from tests.support.variants import variants
 
 MESH = block_mesh((3, 3, 2), (6e-3, 6e-3, 2e-3), jitter=0.1)

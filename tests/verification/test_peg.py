@@ -8,7 +8,6 @@ import pytest
 
 from taccel_lab.benchmarks.scenes.peg import peg_config
 from taccel_lab.exporters.published_meshes import mesh_folder
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
@@ -24,6 +23,7 @@ from taccel_lab.tasks.peg_scene import (
     published_parts,
     targets,
 )
+from tests.support.intersection import find_intersections
 from tests.support.variants import variants
 
 RIM_M = 0.02

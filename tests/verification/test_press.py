@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.presses import Indenter, PressEnv
 from taccel_lab.scene import (
@@ -25,6 +24,7 @@ from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.support.intersection import find_intersections
 
 DHAT = 2e-5
 MESH = block_mesh((8, 8, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)

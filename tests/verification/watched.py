@@ -7,10 +7,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
+from tests.support.intersection import find_intersections
 
 
 class Watched:

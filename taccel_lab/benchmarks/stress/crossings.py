@@ -13,7 +13,7 @@ import numpy as np
 
 from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.bodies.primitives import Ball, unique_edges
-from taccel_lab.ipc.contact.intersection import Intersection, IntersectionKind
+from taccel_lab.ipc.contact.overlap_search import Overlap, OverlapKind
 from taccel_lab.model import Model
 from taccel_lab.scene import SoftBody
 
@@ -46,13 +46,13 @@ def pierces(segment: np.ndarray, triangle: np.ndarray) -> bool:
     return all(side >= 0 for side in sides) or all(side <= 0 for side in sides)
 
 
-def really_cross(model: Model, x: np.ndarray, item: Intersection) -> bool:
+def really_cross(model: Model, x: np.ndarray, item: Overlap) -> bool:
     """Whether any of the crossings that were found between two bodies is one.
 
     ``x``: node positions of the environment [node_count, 3]. What is no crossing of surfaces is
     taken as it is.
     """
-    if item.kind not in (IntersectionKind.CROSSING, IntersectionKind.SELF_CROSSING):
+    if item.kind not in (OverlapKind.CROSSING, OverlapKind.SELF_CROSSING):
         return True
     surfaces = [_surface(model, x, name) for name in (item.first, item.second)]
     if any(len(faces) == 0 for _, faces in surfaces):

@@ -21,8 +21,8 @@ from taccel_lab.benchmarks.stress.contact_law import (
     friction_limits,
 )
 from taccel_lab.benchmarks.stress.crossings import really_cross
-from taccel_lab.ipc.contact.gaps import SurfacePairs
-from taccel_lab.ipc.contact.intersection import IntersectionKind, find_intersections
+from taccel_lab.benchmarks.stress.gaps import SurfacePairs
+from taccel_lab.ipc.contact.overlap_search import find_overlaps
 from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
@@ -130,17 +130,10 @@ class Referees:
         """Edges through faces, bodies inside bodies, nodes below planes, where ``judged``."""
         found = []
         x = state.positions.numpy()
-        for env, items in enumerate(find_intersections(self.model, state)):
+        for env, items in enumerate(find_overlaps(self.model, state)):
             for item in items:
-                if not judged[env]:
-                    continue
-                # Inversions are judged by their volumes, which know what the material bears.
-                if item.kind is IntersectionKind.INVERTED_TET:
-                    continue
-                if really_cross(self.model, x[env], item):
-                    says = (
-                        f"{item.first} and {item.second}: {item.kind}, {item.count}, {item.where}"
-                    )
+                if judged[env] and really_cross(self.model, x[env], item):
+                    says = f"{item.first} and {item.second}: {item.kind}, {item.where}"
                     found.append(StressFinding("intersection", env, says))
         return found
 

@@ -17,11 +17,10 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.bodies import KinematicBody
-from taccel_lab.bodies.crossings import crossing_pairs
+from taccel_lab.bodies.crossings import crossing_pairs, point_triangle_distances
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, TriangleMesh, unique_edges
 from taccel_lab.bodies.surface_parts import is_closed
-from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import rotate
 from taccel_lab.model.kinematics import interpolate_poses

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which environments start with bodies that overlap, found on the device.
+"""Bodies that overlap, found on the device: which environments start so, and what is where.
 
 Two closed surfaces overlap where an edge of one passes through a face of the other, or where one
 lies inside the other as a whole, which the winding number of its faces about one node of each part
-tells. Only bodies that may touch are looked at. ``intersection`` has the same rules in numpy and
-says what is where; here an environment overlaps or does not.
+tells. Only bodies that may touch are looked at, a soft body with itself where it has self-contact.
+Surfaces that only touch in a plane they share are not told apart from surfaces that do not.
+Thickness is left out: it is a distance to keep, not a body. Curved faces may reach into a ball by
+an inset, their nodes may not.
 
 A thread has an edge and goes through the faces of the other body, if that edge reaches into the box
 around it: work is edges times faces in that box alone, and a new start among thousands of running
@@ -13,239 +15,59 @@ environments costs those microseconds.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
 import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.primitives import Ball
 from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.broad_phase.boxes import find_body_boxes
-from taccel_lab.ipc.contact.collision_lists import ball_inset
+from taccel_lab.ipc.contact.overlap_kernels import (
+    Findings,
+    Surfaces,
+    ball_overlaps_kernel,
+    begin_overlaps_kernel,
+    below_plane_kernel,
+    crossing_kernel,
+    inside_kernel,
+)
 from taccel_lab.ipc.device.launches import launch
-from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
-from taccel_lab.ipc.distance.closest_pairs import point_triangle_distance_sq
+from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import BodyKind, Model
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
-wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
-
-_ROUNDING = wp.constant(wp.float64(64.0 * np.finfo(np.float64).eps))
-
-
-@wp.struct
-class Surfaces:
-    """What the search knows of the bodies.
-
-    edges, faces: nodes of each; body_faces: range of each body's faces, [body_count]; node_bodies:
-    body of each node; present: 1 where a body is, [env_count, body_count]; lower, upper: corners of
-    a box around each body where it is [m], [env_count, body_count].
-    """
-
-    edges: wp.array(dtype=wp.vec2i)
-    faces: wp.array(dtype=wp.vec3i)
-    body_faces: wp.array(dtype=wp.vec2i)
-    node_bodies: wp.array(dtype=wp.int32)
-    present: wp.array2d(dtype=wp.int32)
-    lower: wp.array2d(dtype=wp.vec3d)
-    upper: wp.array2d(dtype=wp.vec3d)
+_INSIDE, _BELOW, _BALL, _CROSSING = range(4)
+"""Kinds of jobs. Of several that find a pair the last one is named: crossings before insides."""
 
 
-@wp.func
-def are_present(env: int, first: int, second: int, bodies: Surfaces) -> bool:
-    """Whether two bodies are in an environment."""
-    return bodies.present[env, first] != 0 and bodies.present[env, second] != 0
+class OverlapKind(StrEnum):
+    """How two bodies overlap."""
+
+    CROSSING = "crossing"
+    """An edge of one surface passes through a face of the other, or the ball reaches a face."""
+    SELF_CROSSING = "crossing itself"
+    INSIDE = "inside"
+    """The first body, or a separate part of it, is inside the second as a whole."""
+    BELOW_PLANE = "below a plane"
 
 
-@wp.func
-def _clean(volume: wp.float64, noise: wp.float64) -> wp.float64:
-    """Zero where rounding may have made it."""
-    if wp.abs(volume) <= noise:
-        return wp.float64(0.0)
-    return volume
+@dataclass(frozen=True)
+class Overlap:
+    """Two bodies that overlap in one environment."""
 
-
-@wp.func
-def segment_pierces(p: wp.vec3d, q: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> bool:
-    """Whether the segment p q passes through or touches the triangle a b c, by the signs of tet
-    volumes; see ``bodies.crossings``."""
-    largest = wp.max(
-        wp.max(wp.max(wp.abs(p)), wp.max(wp.abs(q))),
-        wp.max(wp.max(wp.abs(a)), wp.max(wp.max(wp.abs(b)), wp.max(wp.abs(c)))),
-    )
-    q = q - p
-    a = a - p
-    b = b - p
-    c = c - p
-    reach = wp.max(
-        wp.max(wp.abs(q)), wp.max(wp.max(wp.abs(a)), wp.max(wp.max(wp.abs(b)), wp.max(wp.abs(c))))
-    )
-    noise = _ROUNDING * largest * reach * reach
-    zero = wp.float64(0.0)
-    normal = wp.cross(b - a, c - a)
-    above = _clean(wp.dot(normal, -a), noise)
-    below = _clean(wp.dot(normal, q - a), noise)
-    if above * below > zero or (above == zero and below == zero):
-        return False
-    first = _clean(wp.dot(wp.cross(q, a), b), noise)
-    second = _clean(wp.dot(wp.cross(q, b), c), noise)
-    third = _clean(wp.dot(wp.cross(q, c), a), noise)
-    lowest = wp.min(first, wp.min(second, third))
-    highest = wp.max(first, wp.max(second, third))
-    return lowest >= zero or highest <= zero
-
-
-@wp.func
-def half_solid_angle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Half of the solid angle of a triangle seen from p [van Oosterom and Strackee 1983, eq. 8]."""
-    a = a - p
-    b = b - p
-    c = c - p
-    x = wp.length(a)
-    y = wp.length(b)
-    z = wp.length(c)
-    down = x * y * z + wp.dot(a, b) * z + wp.dot(b, c) * x + wp.dot(c, a) * y
-    return wp.atan2(wp.dot(a, wp.cross(b, c)), down)
-
-
-@wp.kernel
-def _begin_overlaps_kernel(
-    mask: wp.array(dtype=wp.int32),
-    positions: wp.array2d(dtype=wp.vec3d),
-    searched: wp.array(dtype=wp.int32),
-):
-    """Environments that are not finite are left to the step, which says so."""
-    env, node = wp.tid()
-    if mask[env] == 0 or not wp.isfinite(positions[env, node]):
-        searched[env] = 0
-
-
-@wp.kernel
-def _crossing_kernel(
-    searched: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    bodies: Surfaces,
-    positions: wp.array2d(dtype=wp.vec3d),
-    found: wp.array(dtype=wp.int32),
-):
-    """An edge against all faces of another body, or of its own."""
-    env, i = wp.tid()
-    if searched[env] == 0 or found[env] != 0:
-        return
-    edge = bodies.edges[jobs[i][0]]
-    other = jobs[i][1]
-    own = bodies.node_bodies[edge[0]]
-    if not are_present(env, own, other, bodies):
-        return
-    p = positions[env, edge[0]]
-    q = positions[env, edge[1]]
-    low = wp.min(p, q)
-    high = wp.max(p, q)
-    zero = wp.float64(0.0)
-    if wp.max(wp.max(low - bodies.upper[env, other], bodies.lower[env, other] - high)) > zero:
-        return
-    for face in range(bodies.body_faces[other][0], bodies.body_faces[other][1]):
-        nodes = bodies.faces[face]
-        shared = own == other and (
-            nodes[0] == edge[0]
-            or nodes[1] == edge[0]
-            or nodes[2] == edge[0]
-            or nodes[0] == edge[1]
-            or nodes[1] == edge[1]
-            or nodes[2] == edge[1]
-        )
-        a = positions[env, nodes[0]]
-        b = positions[env, nodes[1]]
-        c = positions[env, nodes[2]]
-        apart = wp.max(wp.max(wp.min(a, wp.min(b, c)) - high, low - wp.max(a, wp.max(b, c))))
-        if not shared and apart <= zero:
-            if segment_pierces(p, q, a, b, c):
-                found[env] = 1
-                return
-
-
-@wp.kernel
-def _inside_kernel(
-    searched: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    bodies: Surfaces,
-    positions: wp.array2d(dtype=wp.vec3d),
-    found: wp.array(dtype=wp.int32),
-):
-    """One node of a part of a surface against all of another surface, by a thread block."""
-    env, i, lane = wp.tid()
-    node = jobs[i][0]
-    other = jobs[i][1]
-    if searched[env] == 0 or not are_present(env, bodies.node_bodies[node], other, bodies):
-        return
-    p = positions[env, node]
-    if wp.max(wp.max(p - bodies.upper[env, other], bodies.lower[env, other] - p)) > wp.float64(0.0):
-        return
-    half = wp.float64(0.0)
-    for face in range(
-        bodies.body_faces[other][0] + lane, bodies.body_faces[other][1], wp.block_dim()
-    ):
-        nodes = bodies.faces[face]
-        a = positions[env, nodes[0]]
-        b = positions[env, nodes[1]]
-        c = positions[env, nodes[2]]
-        half += half_solid_angle(p, a, b, c)
-    total = block_total(half)
-    # Once around is two pi of the half angles.
-    if lane == 0 and wp.abs(total) > wp.float64(wp.pi):
-        found[env] = 1
-
-
-@wp.kernel
-def _ball_overlaps_kernel(
-    searched: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    face_reaches_sq: wp.array2d(dtype=wp.float64),
-    radii: wp.array(dtype=wp.float64),
-    bodies: Surfaces,
-    positions: wp.array2d(dtype=wp.vec3d),
-    found: wp.array(dtype=wp.int32),
-):
-    """A ball against a face: curved faces may reach in by their inset, nodes may not."""
-    env, i = wp.tid()
-    ball = jobs[i][0]
-    face = jobs[i][1]
-    nodes = bodies.faces[face]
-    if searched[env] == 0 or found[env] != 0:
-        return
-    if not are_present(env, bodies.node_bodies[ball], bodies.node_bodies[nodes[0]], bodies):
-        return
-    centre = positions[env, ball]
-    radius = radii[i]
-    a = positions[env, nodes[0]]
-    b = positions[env, nodes[1]]
-    c = positions[env, nodes[2]]
-    nearest = wp.min(
-        wp.length_sq(a - centre), wp.min(wp.length_sq(b - centre), wp.length_sq(c - centre))
-    )
-    kept = radius - ball_inset(radius, face_reaches_sq[env % face_reaches_sq.shape[0], face])
-    if nearest <= radius * radius or point_triangle_distance_sq(centre, a, b, c) <= kept * kept:
-        found[env] = 1
-
-
-@wp.kernel
-def _plane_kernel(
-    searched: wp.array(dtype=wp.int32),
-    jobs: wp.array(dtype=wp.vec2i),
-    plane_normals: wp.array(dtype=wp.vec3d),
-    bodies: Surfaces,
-    positions: wp.array2d(dtype=wp.vec3d),
-    found: wp.array(dtype=wp.int32),
-):
-    """A node below a plane or on it."""
-    env, i = wp.tid()
-    node = jobs[i][0]
-    plane = jobs[i][1]
-    if searched[env] == 0:
-        return
-    if not are_present(env, bodies.node_bodies[node], bodies.node_bodies[plane], bodies):
-        return
-    height = wp.dot(positions[env, node] - positions[env, plane], plane_normals[plane])
-    if not (height > wp.float64(0.0)):
-        found[env] = 1
+    kind: OverlapKind
+    first: str
+    """Name of a body; of two, the stiffer one unless the other is inside it or below it."""
+    second: str
+    """Name of the other body; the same where a body crosses itself."""
+    point_m: np.ndarray
+    """One place where it happens [m], shape [3]."""
+    where: str
+    """An edge, face or node there, by numbers of nodes in its body's own mesh."""
 
 
 class OverlapSearch:
@@ -277,7 +99,9 @@ class OverlapSearch:
         def put(jobs: list[np.ndarray]) -> wp.array:
             return wp.array(np.concatenate(jobs).astype(np.int32), dtype=wp.vec2i, device=device)
 
-        self._crossing, self._inside = put(crossing), put(inside)
+        plan = model.contact_plan
+        self._jobs = [put(inside), plan.node_plane, plan.ball_face, put(crossing)]
+        self._first_jobs = np.cumsum([0, *(len(jobs) for jobs in self._jobs)]).tolist()
         self._radii = wp.array(self._ball_radii(), dtype=wp.float64, device=device)
         self._body_nodes = wp.array([b.nodes for b in model.bodies], dtype=wp.vec2i, device=device)
         shape = (model.env_count, len(model.bodies))
@@ -289,8 +113,15 @@ class OverlapSearch:
         self._bodies.present = model.present
         self._bodies.lower = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._bodies.upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        pair_ids = np.zeros((len(model.bodies),) * 2, dtype=np.int32)
+        for number, (first, second) in enumerate(plan.pairs):
+            pair_ids[first, second] = pair_ids[second, first] = number
+        self._bodies.pair_ids = wp.array(pair_ids, dtype=wp.int32, device=device)
         self._searched = wp.zeros(model.env_count, dtype=wp.int32, device=device)
-        self._found = wp.zeros(model.env_count, dtype=wp.int32, device=device)
+        self._found = Findings()
+        self._found.envs = wp.zeros(model.env_count, dtype=wp.int32, device=device)
+        shape = (model.env_count, len(plan.pairs))
+        self._found.jobs = wp.zeros(shape, dtype=wp.int32, device=device)
 
     def _ball_radii(self) -> np.ndarray:
         """Radius without thickness of the ball of each job [m]."""
@@ -305,38 +136,98 @@ class OverlapSearch:
 
         Environments whose positions are not finite are none of them.
         """
-        model, surface, plan = self._model, self._model.surface, self._model.contact_plan
+        model, surface = self._model, self._model.surface
         x = state.positions
-        self._found.zero_()
+        self._found.envs.zero_()
+        self._found.jobs.zero_()
         wp.copy(self._searched, mask)
-        self._launch(_begin_overlaps_kernel, x.shape[1], [mask, x], self._searched)
+        launch(
+            begin_overlaps_kernel,
+            dim=x.shape,
+            inputs=[mask, x],
+            outputs=[self._searched],
+            device=model.device,
+        )
         bodies = self._bodies
         find_body_boxes(self._searched, self._body_nodes, x, None, bodies.lower, bodies.upper)
-        rest = [bodies, x]
-        inputs = [self._searched, self._crossing, *rest]
-        self._launch(_crossing_kernel, len(self._crossing), inputs, self._found)
-        if len(self._inside):
-            wp.launch_tiled(
-                _inside_kernel,
-                dim=[model.env_count, len(self._inside)],
-                inputs=[self._searched, self._inside, *rest],
-                outputs=[self._found],
-                block_dim=BLOCK_THREADS,
-                device=model.device,
-            )
-        inputs = [self._searched, plan.ball_face, surface.face_reaches_sq, self._radii, *rest]
-        self._launch(_ball_overlaps_kernel, len(plan.ball_face), inputs, self._found)
-        inputs = [self._searched, plan.node_plane, surface.plane_normals, *rest]
-        self._launch(_plane_kernel, len(plan.node_plane), inputs, self._found)
-        return self._found
+        self._launch(below_plane_kernel, _BELOW, [surface.plane_normals], x)
+        self._launch(ball_overlaps_kernel, _BALL, [surface.face_reaches_sq, self._radii], x)
+        self._launch(crossing_kernel, _CROSSING, [], x)
+        # Last, as the others leave alone bodies that are known to overlap.
+        self._launch(inside_kernel, _INSIDE, [], x)
+        return self._found.envs
 
-    def _launch(self, kernel: wp.Kernel, count: int, inputs: list, output: wp.array) -> None:
-        """One thread an environment and job."""
-        if count:
-            launch(
-                kernel,
-                dim=(self._model.env_count, count),
-                inputs=inputs,
-                outputs=[output],
-                device=self._model.device,
+    def _launch(self, kernel: wp.Kernel, kind: int, inputs: list, x: wp.array) -> None:
+        """A thread an environment and job of a kind, a block of them for what may be inside."""
+        jobs = self._jobs[kind]
+        if not len(jobs):
+            return
+        start = partial(wp.launch_tiled, block_dim=BLOCK_THREADS) if kind == _INSIDE else launch
+        start(
+            kernel,
+            dim=[self._model.env_count, len(jobs)],
+            inputs=[self._searched, jobs, *inputs, self._bodies, x, self._first_jobs[kind]],
+            outputs=[self._found],
+            device=self._model.device,
+        )
+
+    def describe(self, state: State) -> list[list[Overlap]]:
+        """What the last search found, one for each pair of bodies, by environment."""
+        jobs, x = self._found.jobs.numpy(), state.positions.numpy()
+        return [
+            [
+                self._overlap(int(pair), int(jobs[env, pair]) - 1, x[env])
+                for pair in np.flatnonzero(jobs[env])
+            ]
+            for env in range(self._model.env_count)
+        ]
+
+    def _overlap(self, pair: int, job: int, x: np.ndarray) -> Overlap:
+        """The finding of a job; ``x``: node positions of the environment [m], [node_count, 3]."""
+        model, surface = self._model, self._model.surface
+        softer, stiffer = (model.bodies[body] for body in model.contact_plan.pairs[pair])
+        kind = int(np.searchsorted(self._first_jobs, job, side="right")) - 1
+        item, other = self._jobs[kind].numpy()[job - self._first_jobs[kind]].tolist()
+        if kind == _CROSSING:
+            what, nodes = "edge", surface.edges.numpy()[item]
+        elif kind == _BALL:
+            what, nodes = "face", surface.faces.numpy()[other]
+        else:
+            what, nodes = "node", np.array([item])
+        owner = model.bodies[surface.node_bodies.numpy()[nodes[0]]]
+        own = ", ".join(str(node - owner.nodes[0]) for node in nodes)
+        names, found = (stiffer.name, softer.name), OverlapKind.CROSSING
+        if kind == _INSIDE:
+            names, found = (owner.name, model.bodies[other].name), OverlapKind.INSIDE
+        elif kind == _BELOW:
+            names, found = (softer.name, stiffer.name), OverlapKind.BELOW_PLANE
+        elif softer is stiffer:
+            found = OverlapKind.SELF_CROSSING
+        where = f"{what} {own} of {owner.name!r}"
+        return Overlap(found, *names, x[nodes].mean(axis=0), where)
+
+
+def find_overlaps(model: Model, state: State) -> list[list[Overlap]]:
+    """All pairs of bodies that may touch and overlap: one list for each environment."""
+    check_state(state, model)
+    search = OverlapSearch(model)
+    search.find(state, wp.full(model.env_count, 1, dtype=wp.int32, device=model.device))
+    return search.describe(state)
+
+
+def require_separated(model: Model, state: State) -> None:
+    """Refuse a state in which bodies that may touch overlap.
+
+    Raises:
+        InputError: with environment, bodies and place.
+    """
+    for env, found in enumerate(find_overlaps(model, state)):
+        for item in found:
+            x, y, z = item.point_m * 1e3
+            where = f"in environment {env}, near x {x:.3f}, y {y:.3f}, z {z:.3f} mm ({item.where})"
+            if item.kind is OverlapKind.SELF_CROSSING:
+                raise InputError(f"{item.first!r} crosses itself {where}")
+            raise InputError(
+                f"{item.first!r} starts inside {item.second!r} {where} ({item.kind}); "
+                "allowed: a start with a gap everywhere between bodies that may touch"
             )

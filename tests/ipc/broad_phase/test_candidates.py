@@ -13,10 +13,11 @@ import warp as wp
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.benchmarks.stress.gaps import edge_edge_distances
+from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
-from taccel_lab.ipc.contact.gaps import edge_edge_distances, point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, Surface

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.benchmarks.stress.gaps import SurfacePairs
 from taccel_lab.bodies.surface_topology import NO_BALL_INSET, ball_insets, face_reaches_sq
 from taccel_lab.ipc.contact.collision_lists import POINT_POINT
 from taccel_lab.ipc.contact.collisions import GUARD_FRACTION
-from taccel_lab.ipc.contact.gaps import SurfacePairs
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.model import Model
 from taccel_lab.scene import (
@@ -31,6 +30,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import State, initial_state
 from tests.ipc.contact_sums import log_barrier
 from tests.support.blocks import block_mesh, everywhere, pose
+from tests.support.intersection import find_intersections
 from tests.verification.assembly import Assembly
 
 RADIUS, GAP, DHAT, KAPPA = 6e-3, 0.5e-6, 1e-6, 1e5

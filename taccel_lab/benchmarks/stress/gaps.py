@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.bodies.box_pairs import box_pairs
+from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.bodies.surface_topology import ball_insets
 from taccel_lab.model import Model
 
@@ -123,21 +124,6 @@ class SurfacePairs:
         node, plane = node[keep].astype(int), plane[keep].astype(int)
         distance = ((x[node] - x[plane]) * self.normals[plane]).sum(axis=1)
         return node, plane, node, plane, distance
-
-
-def point_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Distance of points [n, 3], or of one [3], from triangles [n, 3, 3] [m], shape [n]."""
-    corners = np.moveaxis(triangles - points[..., None, :], 1, 0)
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    best = np.full(len(triangles), np.inf)
-    over = np.ones(len(triangles), dtype=bool)
-    for k in range(3):
-        a, edge = corners[k], corners[(k + 1) % 3] - corners[k]
-        t = np.clip(-(a * edge).sum(1) / (edge * edge).sum(1), 0, 1)
-        best = np.minimum(best, np.linalg.norm(a + t[:, None] * edge, axis=1))
-        over &= (np.cross(edge, -a) * normal).sum(1) >= 0
-    height = np.abs((corners[0] * normal).sum(1)) / np.linalg.norm(normal, axis=1)
-    return np.where(over, np.minimum(best, height), best)
 
 
 def edge_edge_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:

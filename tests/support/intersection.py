@@ -18,15 +18,17 @@ from enum import StrEnum
 import numpy as np
 
 from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.crossings import crossing_pairs, self_crossings
+from taccel_lab.bodies.crossings import (
+    crossing_pairs,
+    point_triangle_distances,
+    self_crossings,
+)
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, unique_edges
 from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
 from taccel_lab.bodies.surface_topology import ball_insets
-from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.geometry.tet_checks import first_of
-from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.state import State, check_state
 
@@ -92,23 +94,6 @@ def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
             seen[key] = _intersections(model, x, here, env)
         found.append(list(seen[key]))
     return found
-
-
-def require_separated(model: Model, state: State) -> None:
-    """Raise InputError when bodies overlap or a tet is inverted."""
-    for env, found in enumerate(find_intersections(model, state)):
-        for item in found:
-            x, y, z = item.point_m * 1e3
-            where = f"in environment {env}, near x {x:.3f}, y {y:.3f}, z {z:.3f} mm"
-            where += f" ({item.where})" if item.where else ""
-            if item.kind is IntersectionKind.INVERTED_TET:
-                raise InputError(f"{item.count} tets of {item.first!r} are inverted {where}")
-            if item.kind is IntersectionKind.SELF_CROSSING:
-                raise InputError(f"{item.first!r} crosses itself {where}")
-            raise InputError(
-                f"{item.first!r} starts inside {item.second!r} {where} ({item.kind}); "
-                "allowed: a start with a gap everywhere between bodies that may touch"
-            )
 
 
 def _bodies(model: Model, x: np.ndarray, env: int) -> list[_Body]:
