@@ -28,7 +28,7 @@ from taccel_lab.ipc.linear.arrow.program import ROOMS_KIB, STATIC_BYTES
 from taccel_lab.ipc.linear.cg import block_cg, pipelined_cg, preconditioner
 from taccel_lab.ipc.linear.cg.streamed_rows import room_for_stream
 from taccel_lab.ipc.linear.coarse import matrix as coarse_matrix
-from taccel_lab.ipc.potentials.elements import maxwell, viscosity
+from taccel_lab.ipc.potentials.elements import maxwell
 from taccel_lab.ipc.potentials.elements.linear_kernels import create_linear_kernels
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_quadratic_kernels
 from taccel_lab.outputs.stress import _stress_kernel
@@ -57,8 +57,6 @@ FACTORIES: dict[str, Callable[[], list[Any]]] = {
         create_linear_kernels(x) for x in LAWS.values()
     ],
     "ipc/potentials/elements/quadratic_kernels.py": lambda: [
-        # First, for the fast tests: an elastic law takes four times as long.
-        viscosity._quadratic_kernels(),
         *(elastic_quadratic_kernels(model) for model in MaterialModel),
         *(maxwell._quadratic_kernels(model) for model in MaterialModel),
     ],

@@ -86,15 +86,13 @@ class Gel:
         return replace(self, material=material)
 
     def unit_material(self) -> MaterialBlock:
-        """The material at 1 MPa, its layers in proportion, without damping and relaxed."""
+        """The material at 1 MPa, its layers in proportion, relaxed."""
         scale = UNIT_MODULUS_PA / self.material.young_modulus_pa
         layers = tuple(
             layer.replace(young_modulus_pa=layer.young_modulus_pa * scale)
             for layer in self.material.layers
         )
-        return self.material.replace(
-            young_modulus_pa=UNIT_MODULUS_PA, damping_time_s=0.0, branches=(), layers=layers
-        )
+        return self.material.replace(young_modulus_pa=UNIT_MODULUS_PA, branches=(), layers=layers)
 
     def recipe(self) -> dict[str, Any]:
         """All of the gel but its law's ratios that forces of 1 MPa depend on, for a cache key."""

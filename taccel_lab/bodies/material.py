@@ -54,11 +54,6 @@ def check_density(value: float, where: str = "") -> None:
         raise InputError(f"density{where} must lie in [1, 3e4] kg/m^3, got {value:g}")
 
 
-def _check_damping(value: float) -> None:
-    if not (math.isfinite(value) and 0 <= value <= 1e4):
-        raise InputError(f"damping_time_s must lie in [0, 1e4] s, got {value:g}")
-
-
 def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
     """Refuse a ratio c01 / (c10 + c01) that the law, or the law with this Poisson's ratio, cannot
     have."""
@@ -95,9 +90,6 @@ class Material:
     model: MaterialModel = MaterialModel.NEO_HOOKEAN
     mooney_ratio: float = 0.0
     """Mooney-Rivlin only: c01 / (c10 + c01), 0 for a Neo-Hookean solid."""
-    damping_time_s: float = 0.0
-    """Viscous stress over elastic stress for a strain rate of one strain a second; for small
-    strains Rayleigh's factor of the stiffness matrix. 0 switches damping off."""
     branches: tuple[MaxwellBranch, ...] = ()
     """Stress that a strain adds at first and that fades; the moduli are those of the relaxed
     solid."""
@@ -107,7 +99,6 @@ class Material:
         check_young(self.young_modulus_pa)
         check_poisson(self.poisson_ratio)
         check_density(self.density_kg_m3)
-        _check_damping(self.damping_time_s)
         check_mooney(self.model, self.mooney_ratio, self.poisson_ratio)
 
     @classmethod
@@ -171,14 +162,11 @@ class MaterialField:
     model: MaterialModel = MaterialModel.NEO_HOOKEAN
     mooney_ratio: np.ndarray | float = 0.0
     """Mooney-Rivlin only: c01 / (c10 + c01), shape [tet_count]."""
-    damping_time_s: float = 0.0
-    """As in Material; one number for the body."""
     branches: tuple[MaxwellBranch, ...] = ()
     """As in Material; those of the whole body."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "branches", check_branches(self.branches))
-        _check_damping(self.damping_time_s)
         names = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
         arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in names}
         shapes = {array.shape for array in arrays.values() if array.shape}

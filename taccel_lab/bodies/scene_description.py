@@ -153,10 +153,6 @@ class SceneDescription(Summary):
         )
 
     def _check_soft(self, body: SoftBody) -> None:
-        if self.time.quasi_static and body.material.damping_time_s > 0:
-            raise InputError(
-                "damping_time_s needs quasi_static=False: a quasi-static step has no strain rate"
-            )
         rest = body.rest_positions_m
         expected = (self.env_count, body.mesh.node_count, 3)
         if rest is not None and np.shape(rest) != expected:

@@ -44,8 +44,6 @@ class ElementArrays:
 
     law: MaterialModel
     element: Element
-    damped: bool
-    """Whether any element has a damping time."""
     branches: tuple[MaxwellBranch, ...]
     """Maxwell branches that its bodies share."""
     first_viscous_point: int
@@ -67,8 +65,6 @@ class ElementArrays:
     """Lame's first parameter [Pa], float64, the same shape."""
     mooney_ratio: wp.array
     """c01 / (c10 + c01), float64, the same shape; empty unless Mooney-Rivlin."""
-    damping_times: wp.array
-    """Viscous over elastic stress per strain rate [s], float64, shape [element_count]."""
     gather_nodes: wp.array
     """Nodes of the group, ascending, int32."""
     node_starts: wp.array
@@ -230,13 +226,13 @@ def build_element_groups(
     or follow rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
     ``ElementArrays.set_gather`` comes later, with the matrix.
     """
-    members: dict[tuple[MaterialModel, Element, bool, tuple[MaxwellBranch, ...]], list[int]] = {}
+    members: dict[tuple[MaterialModel, Element, tuple[MaxwellBranch, ...]], list[int]] = {}
     for index, body in enumerate(bodies):
         solid = body.material
-        kind = (solid.model, body.element, solid.damping_time_s > 0, solid.branches)
+        kind = (solid.model, body.element, solid.branches)
         members.setdefault(kind, []).append(index)
     groups, written = [], []
-    for (law, element, damped, branches), indices in members.items():
+    for (law, element, branches), indices in members.items():
         connectivity = np.concatenate([parts[i].elements + starts[i] for i in indices])
         ends = np.cumsum([0] + [len(parts[i].elements) for i in indices])
         rests = [shape_gradients(parts[i].rest_m, parts[i].elements) for i in indices]
@@ -272,7 +268,6 @@ def build_element_groups(
             ElementArrays(
                 law=law,
                 element=element,
-                damped=damped,
                 branches=branches,
                 first_viscous_point=sum(len(g.branches) * g.point_count for g in groups),
                 bodies=[(i, *ranged) for i, ranged in zip(indices, whole, strict=True)],
@@ -284,7 +279,6 @@ def build_element_groups(
                 mu=put(by_element("shear_modulus_pa"), wp.float64),
                 lam=put(by_element("lame_lambda_pa"), wp.float64),
                 mooney_ratio=put(by_element("mooney_ratio") if mooney else np.zeros(0), wp.float64),
-                damping_times=put(by_element("damping_time_s"), wp.float64),
                 gather_nodes=put(nodes, wp.int32),
                 node_starts=put(node_starts, wp.int32),
                 node_entries=put(entries, wp.int32),

@@ -39,6 +39,5 @@ def _parts(model: Model) -> Iterator[Any]:
             group.mu,
             group.lam,
             group.mooney_ratio,
-            group.damping_times,
         ):
             yield array.numpy()

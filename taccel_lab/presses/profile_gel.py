@@ -74,7 +74,7 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
     """
     solids = (block, *block.layers)
     branches = tuple(MaxwellBranch(one.relative_modulus, one.time_s) for one in block.branches)
-    # Layers share the law, damping and branches of the gel, as the solver asks of one body.
+    # Layers share the law and the branches of the gel, as the solver asks of one body.
     materials = [
         Material(
             solid.young_modulus_pa,
@@ -82,7 +82,6 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
             solid.density_kg_m3,
             model=MaterialModel(block.model),
             mooney_ratio=block.mooney_ratio,
-            damping_time_s=block.damping_time_s,
             branches=branches,
         )
         for solid in solids
@@ -98,7 +97,7 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
         mesh: Gel pad.
 
     Raises:
-        InputError: Fewer materials than layers, or layers whose model, damping or branches differ.
+        InputError: Fewer materials than layers, or layers whose model or branches differ.
     """
     used = np.unique(mesh.tet_layers)
     if len(layers) <= used[-1]:
@@ -106,7 +105,7 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
     first = layers[used[0]]
     if len(used) == 1:
         return first
-    for name in ("model", "damping_time_s", "branches"):
+    for name in ("model", "branches"):
         found = {getattr(layers[layer], name) for layer in used}
         if len(found) > 1:
             raise InputError(f"layers of one gel must share {name}, got {sorted(found)}")
@@ -116,7 +115,6 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
     }
     return MaterialField(
         model=first.model,
-        damping_time_s=first.damping_time_s,
         branches=first.branches,
         **values,
     )

@@ -62,7 +62,6 @@ _TABLE: dict[str, dict[str, Bound]] = {
     "material": {
         **_SOLID,
         "mooney_ratio": _SHARE,
-        "damping_time_s": Bound(0, 1e4, "s", "gels settle within hours"),
     },
     "material.branches": {
         "relative_modulus": Bound(1e-3, 100, "", "less is not measured, more is no solid"),

@@ -102,6 +102,22 @@ def _one_light(document: Document) -> Document:
     return document
 
 
+def _branches_alone(document: Document) -> Document:
+    """Version 12 has Maxwell branches alone where version 11 had a Kelvin-Voigt damping time
+    beside them; a time that is not zero is refused, as no branch acts alike at all rates."""
+    document = {**document, "schema_version": 12}
+    block = document.get("material")
+    if isinstance(block, dict) and "damping_time_s" in block:
+        if block["damping_time_s"] != 0:
+            raise InputError(
+                f"material.damping_time_s: must be 0 (found {block['damping_time_s']!r}); gels are "
+                "damped by branches, see [[material.branches]] in docs/formats.md"
+            )
+        kept = {k: v for k, v in block.items() if k != "damping_time_s"}
+        document["material"] = kept
+    return document
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
@@ -113,6 +129,7 @@ STEPS: Mapping[int, Step] = {
     8: _add_absolute_errors,
     9: _add_views,
     10: _one_light,
+    11: _branches_alone,
 }
 
 

@@ -39,7 +39,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.bounds import MOST_BRANCHES, evidence_faults, out_of_bounds
 from taccel_lab.version import __version__
 
-SCHEMA_VERSION = 11
+SCHEMA_VERSION = 12
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
@@ -246,8 +246,6 @@ class MaterialBlock(Block, _Solid):
     """Energy of the gel and of its layers."""
     mooney_ratio: Number = 0.0
     """Mooney-Rivlin only: c01 / (c10 + c01)."""
-    damping_time_s: Number = 0.0
-    """Viscous over elastic stress at a strain rate of one a second [s]."""
     branches: tuple[BranchEntry, ...] = Field(default=(), max_length=MOST_BRANCHES)
     """Maxwell branches of the gel and of its layers, three at most; ``young_modulus_pa`` is the
     modulus of the relaxed gel."""

@@ -240,8 +240,6 @@ def _begin_potentials(run: StepLaunches) -> None:
     x = state.positions
     if s.inertia is not None:
         s.inertia.begin_step(x, state.velocities, s.dts, state.history, fresh)
-    for part in s.viscosity:
-        part.begin_step(x, s.dts, fresh)
     for part in s.maxwell:
         part.begin_step(x, state.viscous_inverses, s.dts, fresh, run.p.roster.again)
     if s.joints is not None:

@@ -75,11 +75,6 @@ def make_plan(solver: SolverParts) -> Plan:
         ),
         ("elasticity", bool(model.elastic), groups or "no soft body"),
         (
-            "damping",
-            bool(solver.viscosity),
-            "a material has a damping time" if solver.viscosity else "no damping time",
-        ),
-        (
             "relaxation",
             bool(solver.maxwell),
             _count(len(solver.maxwell), "Maxwell branches") if solver.maxwell else "no branch",

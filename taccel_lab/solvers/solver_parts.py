@@ -42,10 +42,9 @@ class SolverParts:
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
         """Those whose energy bears elements that are inside out, at the start and at the end."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
-        self.viscosity = self._viscosity()
         self.maxwell = self._maxwell()
         """One for each Maxwell branch of a group of elements."""
-        self.elements = [*self.elastic, *self.viscosity, *self.maxwell]
+        self.elements = [*self.elastic, *self.maxwell]
         """All potentials of elements."""
         self.affine = None
         if scene.affine_bodies:
@@ -189,14 +188,6 @@ class SolverParts:
         self.energies = share_buffer(list(self.potentials.values()), model.env_count, model.device)
         """Energies of all items of ``potentials`` [J], [env_count, all items]."""
 
-    def _viscosity(self) -> list:
-        groups = [group for group in self.model.elastic if group.damped]
-        if not groups:
-            return []
-        from taccel_lab.ipc.potentials.elements.viscosity import ViscousPotential
-
-        return [ViscousPotential(self.model, group) for group in groups]
-
     def _maxwell(self) -> list:
         if not self.model.viscous_point_count:
             return []
@@ -214,8 +205,6 @@ class SolverParts:
         terms: dict[str, Potential | None] = {}
         for i, part in enumerate(self.elastic):
             terms["elastic" if i == 0 else f"elastic {i + 1}"] = part
-        for i, part in enumerate(self.viscosity):
-            terms["viscous" if i == 0 else f"viscous {i + 1}"] = part
         for i, part in enumerate(self.maxwell):
             terms["Maxwell branch" if i == 0 else f"Maxwell branch {i + 1}"] = part
         terms |= {

@@ -69,7 +69,7 @@ class Tangent:
             past: Whether Maxwell branches count with the past that they had in the last step.
 
         Raises:
-            InputError: A scene with inertia, damping, Maxwell branches or affine bodies.
+            InputError: A scene with inertia, Maxwell branches or affine bodies.
         """
         model = solver.model
         check_state(state, model)
@@ -78,10 +78,10 @@ class Tangent:
                 "gradients need elastic gels: the force of a material with Maxwell branches "
                 "depends on its past, which they do not follow"
             )
-        if solver.inertia is not None or solver.affine is not None or solver.viscosity:
+        if solver.inertia is not None or solver.affine is not None:
             raise InputError(
                 "gradients need quasi-static steps of elastic gels and tools that are moved: "
-                "a scene with inertia, damping or affine bodies has none here"
+                "a scene with inertia or affine bodies has none here"
             )
         who = np.ones(model.env_count, dtype=bool) if who is None else who
         self.solver, self.state, self.who = solver, state, who

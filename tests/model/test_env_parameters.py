@@ -11,6 +11,7 @@ import pytest
 import torch
 import warp as wp
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.geometry.block import block_mesh, free_block
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
@@ -143,6 +144,9 @@ def test_until_they_differ_all_environments_share_one_row() -> None:
     assert model.moves == 1, "written in place from now on"
 
 
+DAMPED = (MaxwellBranch(1.0, 1e-2),)
+
+
 class Cubes:
     """A damped pad on a shaking mount under an affine cube, and a soft cube on a table."""
 
@@ -154,7 +158,7 @@ class Cubes:
         density: float = 1000.0,
         **config: Any,
     ) -> None:
-        pad = pad or Material(1e5, 0.4, damping_time_s=1e-2)
+        pad = pad or Material(1e5, 0.4, branches=DAMPED)
         scene = Scene(
             soft_bodies=[
                 SoftBody(
@@ -167,7 +171,7 @@ class Cubes:
                 ),
                 SoftBody(
                     free_block((2, 2, 2), 2e-3),
-                    soft or Material(3e5, 0.4, damping_time_s=1e-2),
+                    soft or Material(3e5, 0.4, branches=DAMPED),
                     name="soft cube",
                     initial_pose=np.array([8e-3, 0, -7.985e-3, 0, 0, 0, 1.0]),
                     element=Element.LINEAR,
@@ -216,8 +220,8 @@ def test_masses_weights_and_damping_follow_bitwise() -> None:
     both.model.set_body("pad", young_modulus_pa=young)
     found = both.steps(1, 4)
     for env in range(2):
-        pad = Material(young[env], 0.4, damping_time_s=1e-2)
-        soft = Material(3e5, 0.4, densities[env], damping_time_s=1e-2)
+        pad = Material(young[env], 0.4, branches=DAMPED)
+        soft = Material(3e5, 0.4, densities[env], branches=DAMPED)
         alone = Cubes(1, pad, soft)
         assert_same(found, env, alone.steps(1, 4))
         # The die on the table is pressed as by a model whose stiffest gel is this one.

@@ -139,7 +139,7 @@ def test_an_interval_is_taken_as_it_is(mini: SensorProfile) -> None:
 
 
 def test_two_standard_deviations_stand_in_for_an_interval(mini: SensorProfile) -> None:
-    found = ends(with_fit(mini, spread={"friction_coefficient": 0.05, "damping_time_s": 1.0}))
+    found = ends(with_fit(mini, spread={"friction_coefficient": 0.05, "density_kg_m3": 1.0}))
     assert found == {"friction_coefficient": pytest.approx((0.7, 0.9))}
 
 

@@ -86,7 +86,7 @@ def test_version_2_is_read_as_it_was() -> None:
     """The stored folder adds markers and a window to that of version 1."""
     profile = old(2)
     assert profile.markers is not None and profile.markers.pitch_y_mm == 2.1
-    assert profile.material.model == "neo_hookean" and profile.material.damping_time_s == 0.0
+    assert profile.material.model == "neo_hookean" and profile.material.branches == ()
     assert profile.normals is None and profile.depth_response is None
     assert profile.perturbation is None
     assert profile.material.provenance.verdict is None
@@ -166,6 +166,16 @@ def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
     by_grey = SurfaceReader(profile, method="depth").read(image)
     assert by_grey.height_sigma_m is None
     assert "does not say how uncertain" in by_grey.figures(profile.grid())["warnings"][0]
+
+
+def test_version_11_may_have_a_damping_time_of_zero_alone() -> None:
+    """The stored folder has one; any other is refused."""
+    old(11)
+    document = tomllib.loads((OLD / "v11" / "profile.toml").read_text())
+    assert document["material"]["damping_time_s"] == 0.0
+    document["material"]["damping_time_s"] = 0.01
+    with pytest.raises(InputError, match=r"damping_time_s: must be 0 \(found 0.01\).*branches"):
+        migrate(document)
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:

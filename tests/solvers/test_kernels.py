@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.scene import AffineBody, Element, Material, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.env_progress import PARTS
@@ -105,7 +106,7 @@ def test_kernels_take_the_parts_that_they_use_under_their_names(path: Path) -> N
 
 def grasp() -> Scene:
     """Two gels of either element on mounts, damped, a jointed pair between them, above a plane."""
-    material = Material(1e5, 0.4, damping_time_s=1e-3)
+    material = Material(1e5, 0.4, branches=(MaxwellBranch(0.5, 1e-2),))
     gels, mounts = mounted_gels((2, 2, 1), (Element.LINEAR, Element.QUADRATIC), material)
     halves = [
         AffineBody(

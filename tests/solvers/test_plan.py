@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -60,11 +61,15 @@ CUBE = AffineBody(box_mesh((1e-3,) * 3), initial_pose=pose(0, 0, 6e-4))
         ),
         (
             Scene(
-                SoftBody(MESH, Material(1e5, 0.4, damping_time_s=0.01), element=Element.LINEAR),
+                SoftBody(
+                    MESH,
+                    Material(1e5, 0.4, branches=(MaxwellBranch(0.5, 0.01),)),
+                    element=Element.LINEAR,
+                ),
                 planes=Plane(),
                 time=DYNAMIC,
             ),
-            {"elasticity", "damping", "inertia", "planes"},
+            {"elasticity", "relaxation", "inertia", "planes"},
         ),
         (Scene(affine_bodies=CUBE, time=DYNAMIC), {"inertia", "affine bodies"}),
         (
@@ -130,7 +135,7 @@ def test_modules_that_nobody_launches_are_not_compiled() -> None:
     for unused in (
         "friction",
         "inertia",
-        "viscosity",
+        "maxwell",
         "affine",
         "joints",
         "external",

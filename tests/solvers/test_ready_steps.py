@@ -48,8 +48,7 @@ def make(
     **settings: object,
 ) -> tuple[SolverIPC, State]:
     time = TimeStepping(quasi_static=quasi_static, dt_s=5e-3, scheme=scheme)
-    damping = 0.0 if quasi_static else 1e-3
-    scene = gel_above_a_table(time, ENVS, damping_time_s=damping, branches=branches)
+    scene = gel_above_a_table(time, ENVS, branches=branches)
     solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))  # type: ignore[arg-type]
     return solver, initial_state(solver.model, poses([0] * ENVS))
 
@@ -133,7 +132,7 @@ def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> tuple[S
     """A driven finger on a hinge at a hand presses a gel; a bolt on a slide at the finger runs
     against its limits, so that joints open and close."""
     gel = soft_block(
-        (3, 3, 2), (6e-3, 6e-3, 3e-3), Material(1e5, 0.4, damping_time_s=1e-3),
+        (3, 3, 2), (6e-3, 6e-3, 3e-3), Material(1e5, 0.4),
         friction_coefficient=0.3,
     )  # fmt: skip
     at = np.array([-2e-3, 0, 1.1e-3, 0, 0, 0, 1.0])

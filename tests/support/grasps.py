@@ -48,11 +48,10 @@ def mount_poses(gaps_m: np.ndarray | list[float], lift_m: float = 0.0) -> np.nda
 def gel_above_a_table(
     time: TimeStepping,
     env_count: int = 1,
-    damping_time_s: float = 0.0,
     branches: tuple[MaxwellBranch, ...] = (),
 ) -> Scene:
     """A gel on a hand, face down, and a table below; move it with ``hand_poses``."""
-    material = Material(1e5, 0.4, damping_time_s=damping_time_s, branches=branches)
+    material = Material(1e5, 0.4, branches=branches)
     gel = soft_block(
         (3, 3, 2), (6e-3, 6e-3, 3e-3), material, mount="hand", friction_coefficient=0.3
     )

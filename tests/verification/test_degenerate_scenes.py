@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import (
     AffineBody,
@@ -166,7 +167,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
     knives = [KinematicBody(shape, 0.3, name=f"knife {k}") for k in range(4)]
     body = SoftBody(
         mat,
-        Material(1e4, 0.4, 1000.0, damping_time_s=2e-2),
+        Material(1e4, 0.4, 1000.0, branches=(MaxwellBranch(1.0, 2e-2),)),
         FREE,
         name="mat",
         friction_coefficient=0.3,

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import (
     Ball,
@@ -95,7 +96,7 @@ def test_moving_the_gel_or_the_ball_is_the_same_press(element: Element, friction
 def test_the_mount_feels_the_mass_of_the_gel() -> None:
     """Accelerated steadily, elastic forces at the bonded nodes carry the free mass: F = m a."""
     a, dt = 5.0, 2e-3
-    damped = Material(3e5, 0.4, 1000.0, damping_time_s=5e-3)
+    damped = Material(3e5, 0.4, 1000.0, branches=(MaxwellBranch(2.0, 5e-3),))
     soft = SoftBody(MESH, damped, mount="hand", element=Element.LINEAR)
     time = TimeStepping(quasi_static=False, dt_s=dt)
     model = Scene(soft, KinematicBody(None, name="hand"), time=time).finalize()
@@ -107,7 +108,7 @@ def test_the_mount_feels_the_mass_of_the_gel() -> None:
         assert solver.step(state, everywhere(1, pose(x, 0, 0))).converged.all()
     solver.gradient.zero_()
     solver.active.fill_(1)
-    for part in [*solver.elastic, *solver.viscosity]:
+    for part in [*solver.elastic, *solver.maxwell]:
         part.add_gradient(solver.active, state.positions, solver.gradient)
     pull = solver.gradient.numpy()[0, model.frame_nodes.numpy()].sum(axis=0)
     free = model.masses.numpy()[0, model.free_nodes.numpy()].sum()

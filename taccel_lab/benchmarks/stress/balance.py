@@ -132,16 +132,13 @@ class ForceBalance:
         ratio: float,
     ) -> tuple[float, float]:
         """``residual`` of a step with one of ``_step_ratios``."""
-        x, dt = now.positions[env], self.scene.time.dt_s
+        x = now.positions[env]
         total = -(normal + friction + load)
         noise = 0.0
         forces = self.soft[env % self.model.rest_count]
         for body, nodes in zip(forces, self.soft_nodes(), strict=True):
             total[nodes] += body.elastic_gradient(x[nodes])
-            if body.damping_time_s > 0:
-                total[nodes] += body.viscous_gradient(x[nodes], before.positions[env, nodes], dt)
-            share = 1 + body.damping_time_s / dt
-            noise += share * body.stiffness_n_m * np.abs(x[nodes]).max()
+            noise += body.stiffness_n_m * np.abs(x[nodes]).max()
         if not self.scene.time.quasi_static:
             total += self._inertia(env, before, now, ratio)
         total, stiff = self._reduced(total, x)

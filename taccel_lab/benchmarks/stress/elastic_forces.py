@@ -134,7 +134,6 @@ class SoftForces:
         )
         ratio = np.broadcast_to(material.mooney_ratio, count)
         self.law = ElasticLaw(material.model, mu[:, None], lam[:, None], ratio[:, None])
-        self.damping_time_s = material.damping_time_s
         steepest = np.linalg.norm(slopes, axis=-1).max(axis=1)
         self.stiffness_n_m = float(np.linalg.norm((lam + 2 * mu) * self.volumes * steepest**2))
         """Times the rounding of a coordinate: the rounding of the forces. Slivers have the most."""
@@ -172,16 +171,6 @@ class SoftForces:
         f = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
         guard = _times(self.law.mu, self.law.guard(f))
         return total + self._assembled(guard, self.guarded_gradients)
-
-    def viscous_gradient(self, x: np.ndarray, before: np.ndarray, dt: float) -> np.ndarray:
-        """Force of damping over one step from ``before`` to ``x`` [N], shape [node, 3]."""
-        f, start = self.deformations(x), self.deformations(before)
-        gained = 0.5 * (_transposed(f) @ f - _transposed(start) @ start)
-        trace = np.trace(gained, axis1=-2, axis2=-1).mean(axis=1, keepdims=True)
-        rate = self.damping_time_s / dt
-        stress = 2 * _times(rate * self.law.mu, gained)
-        stress = stress + _times(rate * self.law.lam * trace, np.eye(3))
-        return self._assembled(f @ stress, self.gradients)
 
     def _assembled(self, stress: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """Nodal sums of V/points P grad N."""

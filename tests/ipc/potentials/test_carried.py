@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.motion.unknowns import newton_system, reduce_gradient
 from taccel_lab.ipc.potentials.elements.elastic import PSD_NONE
@@ -33,7 +34,7 @@ SIZE_M = 2e-3
 def two_gels_on_a_box(element: Element) -> SolverIPC:
     """On two sides of one of two boxes; two environments."""
     mesh = block_mesh((1, 2, 2), (SIZE_M, SIZE_M, SIZE_M))
-    gel = Material(MODULUS_PA, 0.4, damping_time_s=0.01)
+    gel = Material(MODULUS_PA, 0.4, branches=(MaxwellBranch(1.0, 0.01),))
     box = box_mesh((SIZE_M, SIZE_M, SIZE_M))
     spot = np.array([0.1, 0.2, 0.3, HALF, 0, 0, HALF])
     aside = np.array([0, -2 * SIZE_M, 0, HALF, 0, 0, HALF])
@@ -66,11 +67,17 @@ class Reduced:
         state = initial_state(self.model)
         self.everyone = wp.full(self.model.env_count, 1, dtype=wp.int32)
         dts = wp.full(self.model.env_count, 0.01, dtype=wp.float64)
-        assert solver.inertia is not None and solver.viscosity
+        assert solver.inertia is not None and solver.maxwell
         solver.inertia.begin_step(state.positions, state.velocities)
-        for part in solver.viscosity:
-            part.begin_step(state.positions, dts)
-        self.parts = [*solver.elastic, *solver.viscosity, solver.inertia]
+        for part in solver.maxwell:
+            part.begin_step(
+                state.positions,
+                state.viscous_inverses,
+                dts,
+                self.everyone,
+                wp.zeros_like(self.everyone),
+            )
+        self.parts = [*solver.elastic, *solver.maxwell, solver.inertia]
         self.start = state.positions.numpy()
         noise = np.random.default_rng(4).normal(size=(self.model.free_count, 3))
         self.base = self.start[0, self.model.free_nodes.numpy()] + 0.02 * SIZE_M * noise

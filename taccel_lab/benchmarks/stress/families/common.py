@@ -24,7 +24,6 @@ def material(
     name: str = "material",
     young_pa: tuple[float, float] = (1e3, 1e9),
     density: tuple[float, float] = (100.0, 1e4),
-    damped: bool = False,
 ) -> Material:
     """Any of the four laws, from foam to steel, up to nearly incompressible."""
     law = draw.choose(f"{name} law", LAWS)
@@ -34,24 +33,20 @@ def material(
     if law is MaterialModel.MOONEY_RIVLIN:
         # nu >= r / (1 + 2 r)
         ratio = draw.between(f"{name} mooney part", 0.0, 0.99) * min(1.0, nu / (1 - 2 * nu))
-    damping = 0.0
-    if damped and draw.chance(f"{name} is damped", 0.3):
-        damping = draw.decades(f"{name} damping time", 1e-4, 1e-1)
     return Material(
         draw.decades(f"{name} young", *young_pa),
         nu,
         draw.decades(f"{name} density", *density),
         law,
         ratio,
-        damping,
     )
 
 
 def in_time(
-    draw: Draw, dt_s: tuple[float, float] = (1e-4, 0.1), gravity: float = 9.81, damped: bool = False
+    draw: Draw, dt_s: tuple[float, float] = (1e-4, 0.1), gravity: float = 9.81
 ) -> TimeStepping:
-    """A dynamic scene; BDF2 in a third of all, unless something is damped."""
-    bdf2 = not damped and draw.chance("bdf2", 0.33)
+    """A dynamic scene; BDF2 in a third of all."""
+    bdf2 = draw.chance("bdf2", 0.33)
     return TimeStepping(
         quasi_static=False,
         dt_s=draw.decades("dt", *dt_s),
@@ -60,11 +55,9 @@ def in_time(
     )
 
 
-def maybe_in_time(draw: Draw, damped: bool = False) -> TimeStepping:
+def maybe_in_time(draw: Draw) -> TimeStepping:
     """Quasi-static in half of all."""
-    if not damped and draw.chance("quasi-static", 0.5):
-        return TimeStepping()
-    return in_time(draw, damped=damped)
+    return TimeStepping() if draw.chance("quasi-static", 0.5) else in_time(draw)
 
 
 def friction(draw: Draw, name: str = "friction") -> float:

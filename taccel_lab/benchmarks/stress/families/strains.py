@@ -63,14 +63,13 @@ def swing(draw: Draw) -> StressCase:
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -4e-3 + 1e-9)
     bar = SoftBody(
         mesh,
-        material(draw, damped=True, young_pa=(1e4, 1e9)),
+        material(draw, young_pa=(1e4, 1e9)),
         held,
         mount="mount",
         element=draw.choose("element", ELEMENTS),
         self_contact=draw.chance("self-contact", 0.5),
     )
-    damped = bar.material.damping_time_s > 0
-    stepping = maybe_in_time(draw, damped)
+    stepping = maybe_in_time(draw)
     axis = draw.direction("axis")
     jump = draw.direction("jump") * draw.decades("jump size", 1e-5, 1e-2)
     steps = draw.choose("steps", (5, 9, 16))
@@ -87,10 +86,10 @@ def squeeze(draw: Draw) -> StressCase:
     config = settings(draw, (1e-5, 5e-5))
     side = 2e-3
     mesh = free_block(draw, "block", (side, side, side))
-    stepping = in_time(draw, damped=True)
+    stepping = in_time(draw)
     block = SoftBody(
         mesh,
-        material(draw, damped=True, young_pa=(1e3, 1e8)),
+        material(draw, young_pa=(1e3, 1e8)),
         FREE,
         element=draw.choose("element", ELEMENTS),
         self_contact=True,
@@ -141,9 +140,9 @@ def pull(draw: Draw) -> StressCase:
     config = settings(draw)
     mesh = soft_box((5, 2, 2), (6e-3, 1.5e-3, 1.5e-3), 0.15, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -3e-3 + 1e-9)
-    stuff = material(draw, damped=True)
+    stuff = material(draw)
     body = SoftBody(mesh, stuff, held, element=draw.choose("element", ELEMENTS))
-    stepping = in_time(draw, damped=stuff.damping_time_s > 0)
+    stepping = in_time(draw)
     strain = draw.decades("force over stiffness", 1e-3, 3.0)
     total = strain * stuff.young_modulus_pa * 1.5e-3**2 * draw.direction("direction")
 

@@ -45,16 +45,11 @@ class ElementData:
     """See ``ElementChunks``; of linear tets only, as the next two."""
     block_sums: ChunkTables
     force_sums: ChunkTables
-    damping_times: wp.array(dtype=wp.float64)
-    """Viscous over elastic stress per strain rate [s], shape [element_count]; of a viscous
-    potential only."""
     starts: wp.array3d(dtype=wp.mat33d)
-    """What a viscous potential keeps of the start of the step: Green strain (``viscosity``) or
-    inverse viscous deformation (``maxwell``), shape [env_count, element_count, point_count]."""
+    """Inverse viscous deformation that a Maxwell branch counts from in the step, shape [env_count,
+    element_count, point_count]; of branches only."""
     shares: wp.array(dtype=wp.float64)
     """What a Maxwell branch counts by in the step, shape [env_count]; of quadratic ones only."""
-    rates: wp.array(dtype=wp.float64)
-    """1 / dt [1/s], shape [env_count]; of a viscous potential only."""
 
 
 @wp.func
@@ -169,8 +164,6 @@ origin and a metre away; 2 to 6 times with quadratic tets."""
 _NEAR_M = 1.0
 """Distance from the origin within which a group whose rounding is below the tolerance never shows
 it."""
-_SHORTEST_S = 1e-4
-"""The same for the step of a viscous group."""
 
 
 @wp.func
@@ -206,8 +199,6 @@ def _force_rounding_kernel(
         squares += wp.dot(b, b)
     i = modulus_index(env, tet, d)
     modulus = wp.float64(2.0) * d.moduli.mu[i] + d.moduli.lam[i]
-    if d.rates:
-        modulus *= d.rates[env] * d.damping_times[tet]
     force = d.volumes[rest, tet] * modulus * total * wp.sqrt(squares)
     forces[env, tet] = share * _EPSILON * reach * force
 
@@ -290,8 +281,6 @@ class ElementSum(Potential):
         g = self.group
         lengths = np.linalg.norm(g.shape_gradients.numpy()[0], axis=-1)
         modulus = 2 * g.mu.numpy() + g.lam.numpy()
-        if self._data.rates is not None:
-            modulus = modulus * (g.damping_times.numpy() / _SHORTEST_S)
         size = lengths.sum(axis=1) * np.sqrt((lengths**2).sum(axis=1))
         force = (g.volumes.numpy()[0] * modulus * size).sum()
         return FORCE_ROUNDING[g.element] * float(np.finfo(float).eps * _NEAR_M * force)
