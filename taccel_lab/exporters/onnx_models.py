@@ -3,32 +3,39 @@
 
 ``color_model.onnx`` maps pixel, normals and displacement to the change of colour,
 ``normal_model.onnx`` the features of pixels to tilts and their expected error, ``force_model.onnx``
-(``onnx_force``) images to forces. Each is run through ONNX's own reference evaluator and compared
-with the profile's model before it is written.
+images to forces. torch traces each; ONNX's own reference evaluator runs the graph, and what it
+answers is compared with the profile's model before the graph is written.
 """
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.network_files import networks
-from taccel_lab.exporters.onnx_force import force_graph
-from taccel_lab.exporters.onnx_graph import Graph
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.networks.color_settings import UPRIGHT_DEG
+from taccel_lab.networks.force_settings import LEVELS, MARKER_PLANES, MARKER_UNIT_MM, TARGETS
 from taccel_lab.profile import SensorProfile
+from taccel_lab.signals import color_model, force_network, normal_model
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_model import MIN_ERROR_RAD, NormalModel
+from taccel_lab.signals.force_model import ForceModel
+from taccel_lab.signals.normal_model import NormalModel
 
-PEER = "ONNX opset 17 (onnxruntime 1.15 and later)"
-CHECKED = 512
+if TYPE_CHECKING:
+    from torch import Tensor
+
+OPSET = 17
+PEER = f"ONNX opset {OPSET} (onnxruntime 1.15 and later)"
+CHECKED, CHECKED_IMAGES = 512, 3
 LARGEST_DIFFERENCE = 1e-3
 """Of a graph from its model, relative to the model's largest output: rounding is far below."""
 
@@ -50,7 +57,8 @@ def export_onnx(profile: SensorProfile, folder: Path) -> ExportRecord:
     )
     described: dict[str, Any] = {}
     for key in networks(profile):
-        graph, feeds, expected, described[key] = _MAKERS[key](profile)
+        answer, feeds, expected, described[key] = _MAKERS[key](profile)
+        graph = _graph(answer, feeds, expected)
         record.approximations[f"{key}_largest_difference"] = _compare(graph, feeds, expected, key)
         (folder / _file(key)).write_bytes(graph.SerializeToString())
         record.carries[key] = "the whole network with its scaling"
@@ -77,71 +85,76 @@ def _require_onnx() -> None:
         ) from None
 
 
-Made = tuple[Any, dict[str, np.ndarray], dict[str, np.ndarray], dict[str, object]]
+def _graph(
+    answer: Callable[..., Any], feeds: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]
+) -> Any:
+    """What ``answer`` does to tensors like ``feeds``, of any number of rows, as a checked graph."""
+    import onnx
+    import torch
+
+    class Traced(torch.nn.Module):
+        def forward(self, *tensors: Tensor) -> Any:
+            return answer(*tensors)
+
+    file = io.BytesIO()
+    with torch.no_grad(), warnings.catch_warnings():
+        # The exporter that torch prefers needs onnxscript, and this one warns of that. All that
+        # is traced as a constant is one: sizes but that of the batch, settings, weights.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", torch.jit.TracerWarning)
+        torch.onnx.export(
+            Traced(),
+            tuple(torch.from_numpy(value) for value in feeds.values()),
+            file,
+            input_names=list(feeds),
+            output_names=list(outputs),
+            dynamic_axes={name: {0: "n"} for name in (*feeds, *outputs)},
+            opset_version=OPSET,
+            dynamo=False,
+        )
+    graph = onnx.load_from_string(file.getvalue())
+    onnx.checker.check_model(graph, full_check=True)
+    return graph
+
+
+Made = tuple[Callable[..., Any], dict[str, np.ndarray], dict[str, np.ndarray], dict[str, object]]
+"""What a graph answers, inputs to compare it on, what the model makes of them, and what
+``models.json`` says of it."""
 
 
 def _color(profile: SensorProfile) -> Made:
+    import torch
+
     model = ColorModel.from_profile(profile)
     assert model is not None
     config = model.config
-    graph = Graph()
-    column = graph.constant(np.array([-1, 1]), np.int64)
-
-    def scaled(pixels: str, size: int) -> str:
-        wide = graph.add("Mul", pixels, graph.constant(2 / (size - 1)))
-        return graph.add("Reshape", graph.add("Sub", wide, graph.constant(1.0)), column)
-
-    place = {"u": scaled("u_px", config.width_px), "v": scaled("v_px", config.height_px)}
-    encoded = []
-    for k in range(config.position_bands):
-        angles = [graph.add("Mul", p, graph.constant(2.0**k * np.pi)) for p in place.values()]
-        encoded += [graph.add(wave, angle) for wave in ("Sin", "Cos") for angle in angles]
-    displacement = graph.add("Reshape", "displacement_mm", column)
-    none = graph.add("Mul", displacement, graph.constant(0.0))
-
+    layers = color_model.layer_tensors(config, model.weights)
+    mean, scale = torch.tensor(config.input_mean), torch.tensor(config.input_scale)
     cone = math.radians(model.cone_deg)
 
-    def within_cone(normal: str) -> dict[str, str]:
-        x, y, z = (
-            graph.add("Gather", normal, graph.constant(np.array([i]), np.int64), axis=1)
-            for i in range(3)
-        )
+    def inputs(u: Tensor, v: Tensor, normal: Tensor, displacement: Tensor) -> Tensor:
+        x, y, z = normal.unbind(dim=1)
         if model.cone_deg < UPRIGHT_DEG:
-            across = graph.add("Sqrt", graph.add("Add", *(graph.add("Mul", n, n) for n in (x, y))))
-            across = graph.add("Max", across, graph.constant(math.sin(cone)))
-            share = graph.add("Div", graph.constant(math.sin(cone)), across)
-            x, y = graph.add("Mul", share, x), graph.add("Mul", share, y)
-            z = graph.add("Max", z, graph.constant(math.cos(cone)))
-        return {"normal_x": x, "normal_y": y, "normal_z": z}
+            across = (x.square() + y.square()).sqrt().clamp(min=math.sin(cone))
+            x, y = math.sin(cone) / across * x, math.sin(cone) / across * y
+            z = z.clamp(min=math.cos(cone))
+        columns = {
+            "u": u, "v": v, "normal_x": x, "normal_y": y, "normal_z": z,
+            "displacement_mm": displacement,
+        }  # fmt: skip
+        parts = [(torch.stack([columns[name] for name in config.inputs], dim=1) - mean) / scale]
+        place = torch.stack([u, v], dim=1)
+        for k in range(config.position_bands):
+            angle = (2.0**k * math.pi) * place
+            parts += [angle.sin(), angle.cos()]
+        return torch.cat(parts, dim=1)
 
-    def network(normal: str, height: str) -> str:
-        parts = {**place, "displacement_mm": height, **within_cone(normal)}
-        x = graph.add("Concat", *(parts[name] for name in config.inputs), axis=1)
-        x = graph.add("Sub", x, graph.constant(np.array(config.input_mean)))
-        x = graph.add("Div", x, graph.constant(np.array(config.input_scale)))
-        if encoded:
-            x = graph.add("Concat", x, *encoded, axis=1)
-        last = len(config.layer_sizes()) - 1
-        for i in range(last + 1):
-            weight, bias = model.weights[f"layer{i}.weight"], model.weights[f"layer{i}.bias"]
-            x = graph.add("Gemm", x, graph.constant(weight), graph.constant(bias), transB=1)
-            if i < last:
-                x = graph.activation(config.activation, x)
-        return x
+    def answer(u: Tensor, v: Tensor, normal: Tensor, rest: Tensor, displacement: Tensor) -> Tensor:
+        u, v = 2 / (config.width_px - 1) * u - 1, 2 / (config.height_px - 1) * v - 1
+        pressed = inputs(u, v, normal, displacement)
+        at_rest = inputs(u, v, rest, torch.zeros_like(displacement))
+        return color_model.color_change(config, layers, pressed, at_rest)
 
-    difference = graph.add("Sub", network("normal", displacement), network("rest_normal", none))
-    graph.add("Mul", difference, graph.constant(config.output_scale), output="change_rgb")
-    proto = graph.model(
-        "color_model",
-        {
-            "u_px": ["n"],
-            "v_px": ["n"],
-            "normal": ["n", 3],
-            "rest_normal": ["n", 3],
-            "displacement_mm": ["n"],
-        },
-        {"change_rgb": ["n", 3]},
-    )
     rng = np.random.default_rng(0)
     idx = rng.integers(0, config.width_px * config.height_px, CHECKED)
     normal, rest = _unit_normals(rng, 1.2), _unit_normals(rng, 0.1)
@@ -154,51 +167,30 @@ def _color(profile: SensorProfile) -> Made:
         "displacement_mm": height,
     }
     expected = {"change_rgb": model.predict_pixels(idx, normal, height, rest)}
-    return proto, feeds, expected, {"file": _file("color"), "inputs": sorted(feeds)}
+    return answer, feeds, expected, {"file": _file("color"), "inputs": sorted(feeds)}
 
 
 def _normals(profile: SensorProfile) -> Made:
+    import torch
+
     model = NormalModel.from_profile(profile)
     config = model.config
-    graph = Graph()
+    layers = normal_model.layer_tensors(config, model.weights)
+    mean, scale = torch.tensor(config.input_mean), torch.tensor(config.input_scale)
     # What at_rest() leaves of the features is the same selection in every pixel.
-    kept = config.at_rest(np.ones((1, config.input_count), dtype=np.float32))[0]
+    kept = config.at_rest(np.ones((1, config.input_count), dtype=np.float32))
 
-    def network(features: str) -> str:
-        x = graph.add("Sub", features, graph.constant(np.array(config.input_mean)))
-        x = graph.add("Div", x, graph.constant(np.array(config.input_scale)))
-        x = graph.add("Unsqueeze", x, graph.constant(np.array([0]), np.int64))
-        for i in range(len(config.layer_sizes())):
-            if i:
-                x = graph.activation("silu", x)
-            weight = np.swapaxes(model.weights[f"layer{i}.weight"], 1, 2)
-            x = graph.add("MatMul", x, graph.constant(weight))
-            x = graph.add("Add", x, graph.constant(model.weights[f"layer{i}.bias"][:, None]))
-        return x
+    def answer(features: Tensor) -> tuple[Tensor, Tensor]:
+        seen = [
+            ((values - mean) / scale).expand(config.members, -1, -1)
+            for values in (features, features * torch.from_numpy(kept))
+        ]
+        tilts, errors = normal_model.tilt_and_error(layers, *seen)
+        tilt = tilts.mean(dim=0)
+        spread2 = (tilts - tilt).square().sum(dim=-1).mean(dim=0)
+        own = config.error_factor * errors.mean(dim=0)
+        return tilt, (own.square() + spread2).sqrt()
 
-    def outputs(x: str, first: int, end: int) -> str:
-        bounds = (graph.constant(np.array([value]), np.int64) for value in (first, end, 2))
-        return graph.add("Slice", x, *bounds)
-
-    present = network("features")
-    still = network(graph.add("Mul", "features", graph.constant(kept)))
-    tilts = graph.add("Sub", outputs(present, 0, 2), outputs(still, 0, 2))
-    tilt = graph.add("ReduceMean", tilts, axes=[0], keepdims=0, output="tilt_rad")
-    away = graph.add("Sub", tilts, tilt)
-    axis = graph.constant(np.array([2]), np.int64)
-    squared = graph.add("ReduceSum", graph.add("Mul", away, away), axis, keepdims=0)
-    spread = graph.add("ReduceMean", squared, axes=[0], keepdims=0)
-    raw = graph.add("Clip", outputs(present, 2, 3), graph.constant(-12.0), graph.constant(2.0))
-    own = graph.add("Add", graph.add("Exp", raw), graph.constant(MIN_ERROR_RAD))
-    own = graph.add("ReduceMean", own, axes=[0, 2], keepdims=0)
-    own = graph.add("Mul", own, graph.constant(config.error_factor))
-    total = graph.add("Add", graph.add("Mul", own, own), spread)
-    graph.add("Sqrt", total, output="error_rad")
-    proto = graph.model(
-        "normal_model",
-        {"features": ["n", config.input_count]},
-        {"tilt_rad": ["n", 2], "error_rad": ["n"]},
-    )
     rng = np.random.default_rng(0)
     spreads = rng.normal(size=(CHECKED, config.input_count)) * np.array(config.input_scale)
     features = (spreads + np.array(config.input_mean)).astype(np.float32)
@@ -211,13 +203,83 @@ def _normals(profile: SensorProfile) -> Made:
         "slope_scales_px": list(config.slope_scales_px),
     }
     expected = {"tilt_rad": tilt_rad, "error_rad": error_rad}
-    return proto, {"features": features}, expected, described
+    return answer, {"features": features}, expected, described
+
+
+def _force(profile: SensorProfile) -> Made:
+    import torch
+
+    model = ForceModel.from_profile(profile)
+    config, tensors = model.config, model.tensors
+    left, right = (
+        torch.from_numpy(force_network.area_matrix(count, wanted))
+        for count, wanted in zip((config.height_px, config.width_px), config.input_px, strict=True)
+    )
+    centers = torch.from_numpy(model.centers_mm.astype(np.float32))
+    limits = torch.tensor(config.distance_limits)
+    # Forces and moments are scaled to the gel's modulus and share what is not known of it.
+    stiff = torch.tensor([model.stiffness] * 6 + [1.0])
+    unsure = torch.tensor([config.stiffness_relative] * 6 + [0.0])
+    factors = torch.tensor(config.sigma_factor)
+
+    def answer(change: Tensor, markers: Tensor | None = None) -> tuple[Tensor, ...]:
+        levels = left @ change @ right.T
+        found = force_network.forward(tensors, config, levels / LEVELS, markers, centers)
+        targets = found["targets"] * stiff
+        sigma = found["sigma"] * factors * stiff
+        sigma = (sigma.square() + (unsure * targets).square()).sqrt()
+        away = force_network.distances(levels, found["features"], tensors) / limits
+        patches = found["patches"] * model.stiffness
+        return targets[:, :3], targets[:, 3:6], targets[:, 6:], sigma, patches, away
+
+    feeds, expected = _force_comparison(model)
+    described: dict[str, object] = {
+        "file": _file("force"),
+        "change": "image minus background, levels of 255, RGB planes",
+        "targets": list(TARGETS),
+        "patch_centers_mm": model.centers_mm.tolist(),
+        "fz_n_shear_n_area_mm2_patch_n_of_the_training": list(config.most),
+        "young_modulus_pa": config.young_modulus_pa,
+    }
+    if config.markers:
+        described["markers"] = (
+            f"means of the markers' motion over {MARKER_UNIT_MM} mm about each patch (x, y), with "
+            f"weights w = exp(-(distance / {config.marker_reach_mm} mm)^2 / 2) over their sum + "
+            "0.1, and sum w / (sum w + 1)"
+        )
+    return answer, feeds, expected, described
+
+
+def _force_comparison(model: ForceModel) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Changes of colour, smooth and rough, and what the model tells of them."""
+    config, rng = model.config, np.random.default_rng(0)
+    size = (CHECKED_IMAGES, config.height_px, config.width_px, 3)
+    lit = 40 * rng.random((CHECKED_IMAGES, 1, 1, 3))
+    changes = (rng.normal(0, 20, size) + lit).astype(np.float32)
+    planes = rng.normal(0, 0.5, (CHECKED_IMAGES, MARKER_PLANES, config.rows, config.columns))
+    planes = planes.astype(np.float32)
+    empty = np.zeros(size[1:], dtype=np.float32)
+    found = [
+        model.read(change, empty, planes=plane if config.markers else None)
+        for change, plane in zip(changes, planes, strict=True)
+    ]
+    feeds = {"change": np.ascontiguousarray(changes.transpose(0, 3, 1, 2))}
+    if config.markers:
+        feeds["markers"] = planes
+    return feeds, {
+        "force_n": np.stack([one.force_n for one in found]),
+        "moment_nmm": np.stack([one.moment_nmm for one in found]),
+        "area_mm2": np.array([[one.area_mm2] for one in found]),
+        "sigma": np.stack([one.sigma for one in found]),
+        "patch_forces_n": np.stack([one.patch_forces_n.transpose(2, 0, 1) for one in found]),
+        "distances": np.stack([one.distances for one in found]),
+    }
 
 
 _MAKERS: dict[str, Callable[[SensorProfile], Made]] = {
     "color": _color,
     "normals": _normals,
-    "force": force_graph,
+    "force": _force,
 }
 
 

@@ -137,7 +137,8 @@ def color_change(
     import torch
 
     both = _network(config, layers, torch.cat([pressed, at_rest]))
-    return both[: len(pressed)] - both[len(pressed) :]
+    count = pressed.shape[0]
+    return both[:count] - both[count:]
 
 
 def _network(

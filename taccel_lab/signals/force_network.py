@@ -179,7 +179,7 @@ def forward(
     height, width = change.shape[2:]
     v = torch.linspace(-1, 1, height, **like)[:, None].expand(height, width)
     u = torch.linspace(-1, 1, width, **like)[None].expand(height, width)
-    place = torch.stack([u, v])[None].expand(len(change), -1, -1, -1)
+    place = torch.stack([u, v])[None].expand(change.shape[0], -1, -1, -1)
     x = torch.cat([change, place], dim=1)
     for k in range(len(config.widths)):
         weight, bias = tensors[f"down{k}.weight"], tensors[f"down{k}.bias"]
