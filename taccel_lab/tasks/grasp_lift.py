@@ -17,8 +17,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.files.strict_model import Number, StrictModel
+from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.robots.transforms import matrix_of, pose_of
@@ -88,7 +88,7 @@ class SoftShape(StrictModel):
 
     def shape(self) -> TetMesh:
         """It about the mean of its nodes [m]."""
-        nodes, tets = read_legacy_vtk(Path(__file__).parent / "files" / f"{self.mesh}.vtk")
+        nodes, tets = read_tet_file(Path(__file__).parent / "files" / f"{self.mesh}.vtk")
         faces = boundary_faces(tets)
         return TetMesh(
             nodes - nodes.mean(axis=0), tets, faces, np.full(len(faces), int(Region.SIDE))

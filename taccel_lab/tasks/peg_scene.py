@@ -20,7 +20,7 @@ import numpy as np
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.legacy_vtk import read_legacy_vtk
+from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (
@@ -107,7 +107,7 @@ class PegParts:
 def published_parts(folder: Path) -> PegParts:
     """The meshes of the published example, of ``pads`` and ``peg`` in a folder."""
     return PegParts(
-        labelled(*read_legacy_vtk(inner_path(folder, "pads/sensor.vtk"))),
+        labelled(*read_tet_file(inner_path(folder, "pads/sensor.vtk"))),
         read_stl(inner_path(folder, "peg/peg.stl")),
         read_stl(inner_path(folder, "peg/hole.stl")),
     )

@@ -104,3 +104,58 @@ def test_what_holds_no_tets_is_refused(tmp_path: Path) -> None:
     (tmp_path / "gel.txt").write_text("")
     with pytest.raises(InputError, match=r"only \.msh, \.vtu, \.vtk files"):
         read_tet_file(tmp_path / "gel.txt")
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
+VTK_HEAD = b"# vtk DataFile Version 5.1\nvtk output\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
+
+
+def vtk(version: str, tet: list[int], nodes: np.ndarray = CORNERS) -> bytes:
+    data = VTK_HEAD.replace(b"5.1", version.encode())
+    data += b"POINTS 4 double\n" + nodes.astype(">f8").tobytes() + b"\n"
+    if version == "5.1":
+        data += b"CELLS 2 4\nOFFSETS vtktypeint64\n" + np.array([0, 4], ">i8").tobytes()
+        data += b"\nCONNECTIVITY vtktypeint64\n" + np.array(tet, ">i8").tobytes()
+    else:
+        data += b"CELLS 1 5\n" + np.array([4, *tet], ">i4").tobytes()
+    return data + b"\nCELL_TYPES 1\n" + np.array([10], ">i4").tobytes()
+
+
+@pytest.mark.parametrize(("version", "tet"), [("5.1", [0, 1, 2, 3]), ("4.2", [0, 2, 1, 3])])
+def test_both_layouts_are_read(version: str, tet: list[int], tmp_path: Path) -> None:
+    path = tmp_path / "mesh.vtk"
+    path.write_bytes(vtk(version, tet))
+    found, tets = read_tet_file(path)
+    np.testing.assert_array_equal(found, CORNERS)
+    p = found[tets[0]]
+    assert np.linalg.det(p[1:] - p[0]) > 0
+
+
+VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"# vtk DataFile Version 5.1", "not a readable mesh file"),
+        (VTK_HEAD, "holds no tets"),
+        (VTK_GOOD.replace(b"POINTS 4 double", b"POINTS 4"), "holds no tets"),
+        (VTK_GOOD.replace(b"POINTS 4", b"POINTS x"), "holds no tets"),
+        (VTK_GOOD.replace(b"POINTS 4", b"POINTS -4"), "vtk .* crashed on it"),
+        (VTK_GOOD.replace(b"POINTS 4", b"POINTS " + b"9" * 30), "holds no tets"),
+        (VTK_GOOD.replace(b"POINTS 4", b"POINTS 99999999"), "holds no tets"),
+        (VTK_GOOD.replace(b"double", b"half\xff"), "holds no tets"),
+        (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 2 3"), "holds no tets"),
+        (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 1 0"), "holds no tets"),
+        (VTK_GOOD[:230], "holds no tets"),
+        (vtk("5.1", [0, 1, 2, 4]), "tets of nodes that it does not have"),
+        (vtk("4.2", [0, 1, 2, -1]), "tets of nodes that it does not have"),
+        (vtk("5.1", [0, 1, 2, 2**32 + 3]), "tets of nodes that it does not have"),
+        (vtk("4.2", [0, 1, 2, 3], np.full((4, 3), np.inf)), "NaN or infinite"),
+    ],
+)
+def test_damaged_legacy_files_are_refused(data: bytes, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.vtk"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=rf"mesh\.vtk.*{words}"):
+        read_tet_file(path)

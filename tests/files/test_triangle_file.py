@@ -16,7 +16,6 @@ from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files import triangle_file
 from taccel_lab.files.collada_file import read_collada
-from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.files.triangle_file import MAX_TRIANGLES, read_triangle_file
 
 POINTS = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
@@ -129,61 +128,6 @@ def test_links_are_read_by_their_own_name_first(
     link.symlink_to(path)
     points, faces = read_triangle_file(link)
     assert len(points) == 26 and len(faces) == 48
-
-
-NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
-VTK_HEAD = b"# vtk DataFile Version 5.1\nvtk output\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
-
-
-def vtk(version: str, tet: list[int], nodes: np.ndarray = NODES) -> bytes:
-    data = VTK_HEAD + b"POINTS 4 double\n" + nodes.astype(">f8").tobytes() + b"\n"
-    if version == "5.1":
-        data += b"CELLS 2 4\nOFFSETS vtktypeint64\n" + np.array([0, 4], ">i8").tobytes()
-        data += b"\nCONNECTIVITY vtktypeint64\n" + np.array(tet, ">i8").tobytes()
-    else:
-        data += b"CELLS 1 5\n" + np.array([4, *tet], ">i4").tobytes()
-    return data + b"\nCELL_TYPES 1\n" + np.array([10], ">i4").tobytes()
-
-
-@pytest.mark.parametrize(("version", "tet"), [("5.1", [0, 1, 2, 3]), ("4.2", [0, 2, 1, 3])])
-def test_both_layouts_are_read(version: str, tet: list[int], tmp_path: Path) -> None:
-    path = tmp_path / "mesh.vtk"
-    path.write_bytes(vtk(version, tet))
-    found, tets = read_legacy_vtk(path)
-    np.testing.assert_array_equal(found, NODES)
-    p = found[tets[0]]
-    assert np.linalg.det(p[1:] - p[0]) > 0
-
-
-VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
-
-
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        (b"# vtk DataFile Version 5.1", "no legacy VTK file in binary"),
-        (b"# vtk DataFile Version 5.1\nx\nASCII\n", "no legacy VTK file in binary"),
-        (VTK_HEAD, "no line POINTS with 2 words"),
-        (VTK_GOOD.replace(b"POINTS 4 double", b"POINTS 4"), "no line POINTS with 2 words"),
-        (VTK_GOOD.replace(b"POINTS 4", b"POINTS x"), "'x' is not a number of points or cells"),
-        (VTK_GOOD.replace(b"POINTS 4", b"POINTS -4"), "'-4' is not a number"),
-        (VTK_GOOD.replace(b"POINTS 4", b"POINTS " + b"9" * 30), "'9{20}' is not a number"),
-        (VTK_GOOD.replace(b"POINTS 4", b"POINTS 99999999"), r"array ends at byte 2,4\d\d,"),
-        (VTK_GOOD.replace(b"double", b"half\xff"), "an array of type 'half\ufffd'; known: float"),
-        (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 2 3"), "holds other cells than tets"),
-        (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 1 0"), "holds other cells than tets, or none"),
-        (VTK_GOOD[:230], "cut short|no line"),
-        (vtk("5.1", [0, 1, 2, 4]), "tets of the nodes 0 to 4, but nodes 0 to 3"),
-        (vtk("4.2", [0, 1, 2, -1]), "tets of the nodes -1 to 2"),
-        (vtk("5.1", [0, 1, 2, 2**32 + 3]), "tets of the nodes 0 to 4294967299"),
-        (vtk("4.2", [0, 1, 2, 3], np.full((4, 3), np.inf)), "NaN or infinite"),
-    ],
-)
-def test_damaged_files_are_named(data: bytes, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "mesh.vtk"
-    path.write_bytes(data)
-    with pytest.raises(InputError, match=rf"mesh\.vtk .*({words})"):
-        read_legacy_vtk(path)
 
 
 # A box of 2 x 3 x 4 units from the origin, its faces outwards.

@@ -19,7 +19,7 @@ from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
 from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
-from taccel_lab.files.legacy_vtk import read_legacy_vtk
+from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import AffineBody, Scene, Surface, TimeStepping, sphere_mesh
@@ -85,7 +85,7 @@ def gel_of(link: str, source: str) -> TetMesh:
     if source == "generated":
         return block_mesh(*_BLOCKS[link], jitter=0.1, seed=3)
     path = mesh_folder() / "pads" / f"f_tac_hand_description__{link}_maxv_1e-08.vtk"
-    nodes, tets = read_legacy_vtk(path)
+    nodes, tets = read_tet_file(path)
     masks = np.load(path.with_suffix(".npz"))
     mesh = label(nodes, tets, masks["stick_mask"], masks["coat_mask"])
     return TetMesh(to_gel_frame(mesh), mesh.tets, mesh.faces, mesh.face_regions)

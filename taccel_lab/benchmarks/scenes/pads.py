@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
-from taccel_lab.files.legacy_vtk import read_legacy_vtk
+from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
@@ -26,7 +26,7 @@ def pad(nodes: int, source: str) -> tuple[TetMesh, str]:
     if source == "generated":
         return held_below(block_mesh(_CELLS[nodes], SIZE_M, jitter=0.15, seed=7), HELD_M), source
     folder = mesh_folder() / "pads"
-    points, tets = read_legacy_vtk(folder / f"{name}.vtk")
+    points, tets = read_tet_file(folder / f"{name}.vtk")
     masks = np.load(folder / f"{name}.npz")
     # The file's contact face looks to -z: half a turn about x.
     return label(points * [1, -1, -1], tets, masks["stick_mask"], masks["coat_mask"]), source
