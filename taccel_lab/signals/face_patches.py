@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
 from taccel_lab.signals.clough_tocher import (
     barycentric_slopes,
     control_points,
@@ -37,30 +38,13 @@ RECORD = wp.constant(12)
 vec10f = wp.types.vector(length=10, dtype=wp.float32)
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    const float4 q = __ldg(reinterpret_cast<const float4*>(data.data) + i);
-    return wp::vec_t<4, wp::float32>(q.x, q.y, q.z, q.w);
-#else
-    return data.data[i];
-#endif
-"""
-)
+@wp.func_native(native("face_patches", "load4"))
 def load4(data: wp.array(dtype=wp.vec4f), i: int) -> wp.vec4f:
     """``data[i]`` in one access of 16 bytes."""
     ...
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    reinterpret_cast<float4*>(data.data)[i] = make_float4(a, b, c, d);
-#else
-    data.data[i] = wp::vec_t<4, wp::float32>(a, b, c, d);
-#endif
-"""
-)
+@wp.func_native(native("face_patches", "store4"))
 def store4(data: wp.array(dtype=wp.vec4f), i: int, a: float, b: float, c: float, d: float):
     """``data[i] = (a, b, c, d)`` in one access of 16 bytes."""
     ...

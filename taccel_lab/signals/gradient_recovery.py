@@ -30,6 +30,8 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
+
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = 17
@@ -42,13 +44,7 @@ _RADIUS2 = wp.constant(wp.float64(0.25))
 _BLOCK_DIM = 512
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-#endif
-"""
-)
+@wp.func_native(native("gradient_recovery", "block_barrier"))
 def block_barrier():
     """Wait for the other threads of the block; on the CPU a block is one thread."""
     ...

@@ -23,6 +23,8 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
+
 wp.set_module_options({"enable_backward": False})
 
 MAX_LANES = 512
@@ -37,15 +39,7 @@ def block_barrier() -> None:
     ...
 
 
-_ANEW_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    asm volatile("" : "+r"(value));
-#endif
-    return value;
-"""
-
-
-@wp.func_native(_ANEW_SNIPPET)
+@wp.func_native(native("block_ops", "anew"))
 def anew(value: int) -> int:
     """The same value, of which the compiler does not know that it is.
 
@@ -56,39 +50,7 @@ def anew(value: int) -> int:
     ...
 
 
-# The first block to join closes the team: the highest bit of the count of those who joined.
-_JOIN_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    __shared__ unsigned int joined[2];
-    if (blocks > 1) {
-        __syncthreads();
-        if (threadIdx.x == 0) {
-            unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
-            volatile unsigned int* count = gate + 1;
-            volatile unsigned int* team = gate + 2;
-            const unsigned int closed = 1u << 31;
-            const unsigned int rank = atomicAdd(gate + 1, 1u);
-            if (rank == 0) {
-                const long long start = clock64();
-                while (*count < blocks && clock64() - start < patience) {
-                }
-                *team = atomicOr(gate + 1, closed);
-            } else if (rank < closed) {
-                while (*team == 0) {
-                }
-            }
-            joined[0] = rank;
-            joined[1] = rank < closed ? *team : 0;
-        }
-        __syncthreads();
-        return wp::vec_t<2, wp::int32>(joined[0], joined[1]);
-    }
-#endif
-    return wp::vec_t<2, wp::int32>(0, 1);
-"""
-
-
-@wp.func_native(_JOIN_SNIPPET)
+@wp.func_native(native("block_ops", "join_team"))
 def join_team(env: int, blocks: int, patience: int, gates: wp.array(dtype=wp.int32)) -> wp.vec2i:
     """(number of this block in the team of an environment, blocks of the team) of at most
     ``blocks``; a size of 0 says that the block came too late and has to end. To be called once, by
@@ -97,106 +59,16 @@ def join_team(env: int, blocks: int, patience: int, gates: wp.array(dtype=wp.int
     ...
 
 
-# One lane of a block waits for those of the other blocks; the count of arrivals only grows. It
-# never takes long: stop with an error after seconds, should a block ever be missing.
-_WAIT = """
-            unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
-            asm volatile("fence.acq_rel.gpu;" ::: "memory");
-            const unsigned int arrived = atomicAdd(gate, 1u);
-            const unsigned int target = arrived - arrived % blocks + blocks;
-            unsigned int polls = 0;
-            while (static_cast<int>(*static_cast<volatile unsigned int*>(gate) - target) < 0)
-                if (++polls == (1u << 25))
-                    __trap();
-            asm volatile("fence.acq_rel.gpu;" ::: "memory");
-"""
-_BARRIER_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-    if (blocks > 1) {
-        if (threadIdx.x == 0) {
-@WAIT@
-        }
-        __syncthreads();
-    }
-#else
-    WP_TILE_SYNC();
-#endif
-""".replace("@WAIT@", _WAIT)
+_WAIT = native("block_ops", "wait")
 
 
-@wp.func_native(_BARRIER_SNIPPET)
+@wp.func_native(native("block_ops", "team_barrier", WAIT=_WAIT))
 def team_barrier(env: int, blocks: int, gates: wp.array(dtype=wp.int32)) -> None:
     """Wait for all lanes of the team of an environment, of ``blocks`` that joined it."""
     ...
 
 
-_SUM_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    __shared__ double parts[2][32][3];
-    double a = value[0], b = value[1], c = value[2];
-    #pragma unroll
-    for (int step = 16; step > 0; step >>= 1) {
-        a += __shfl_xor_sync(0xffffffffu, a, step);
-        b += __shfl_xor_sync(0xffffffffu, b, step);
-        c += __shfl_xor_sync(0xffffffffu, c, step);
-    }
-    const int warp = threadIdx.x >> 5;
-    const int place = threadIdx.x & 31;
-    if (place == 0) {
-        parts[turn][warp][0] = a;
-        parts[turn][warp][1] = b;
-        parts[turn][warp][2] = c;
-    }
-    __syncthreads();
-    const int warps = blockDim.x >> 5;
-    a = b = c = 0.0;
-    #pragma unroll 1
-    for (int i = 0; i < warps; ++i) {
-        a += parts[turn][i][0];
-        b += parts[turn][i][1];
-        c += parts[turn][i][2];
-    }
-    if (blocks > 1) {
-        double* slots = reinterpret_cast<double*>(scratch.data) + 3 * blocks * turn;
-        if (threadIdx.x == 0) {
-            slots[3 * block] = a;
-            slots[3 * block + 1] = b;
-            slots[3 * block + 2] = c;
-@WAIT@
-        }
-        __syncthreads();
-        // Every warp adds up the totals of all blocks, in the same order.
-        a = b = c = 0.0;
-        for (int i = place; i < blocks; i += 32) {
-            a += __ldcg(slots + 3 * i);
-            b += __ldcg(slots + 3 * i + 1);
-            c += __ldcg(slots + 3 * i + 2);
-        }
-        #pragma unroll
-        for (int step = 16; step > 0; step >>= 1) {
-            a += __shfl_xor_sync(0xffffffffu, a, step);
-            b += __shfl_xor_sync(0xffffffffu, b, step);
-            c += __shfl_xor_sync(0xffffffffu, c, step);
-        }
-    }
-    return wp::vec_t<3, wp::float64>(a, b, c);
-#else
-    const int lanes = WP_TILE_BLOCK_DIM;
-    if (lanes == 1)
-        return value;
-    wp::vec_t<3, wp::float64>* slots = scratch.data + turn * lanes;
-    slots[lane] = value;
-    WP_TILE_SYNC();
-    wp::vec_t<3, wp::float64> total;
-    for (int i = 0; i < lanes; ++i)
-        total += slots[i];
-    return total;
-#endif
-""".replace("@WAIT@", _WAIT)
-
-
-@wp.func_native(_SUM_SNIPPET)
+@wp.func_native(native("block_ops", "team_sum", WAIT=_WAIT))
 def team_sum(
     value: wp.vec3d,
     env: int,

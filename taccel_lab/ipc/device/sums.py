@@ -23,6 +23,7 @@ from collections.abc import Iterator
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 
 wp.set_module_options({"enable_backward": False})
@@ -31,14 +32,7 @@ BLOCK_THREADS = 128
 """Threads of a block on a GPU."""
 
 
-@wp.func_native("""
-    double* const place = wp::address(values, env);
-#if defined(__CUDA_ARCH__)
-    atomicMin(reinterpret_cast<long long*>(place), __double_as_longlong(value));
-#else
-    if (value < *place) *place = value;
-#endif
-""")
+@wp.func_native(native("sums", "lower_to"))
 def lower_to(values: wp.array(dtype=wp.float64), env: int, value: wp.float64) -> None:
     """Lower an entry to a value, whoever else does so meanwhile; both at least 0, or the entry
     becomes some negative value.
@@ -234,57 +228,27 @@ class SumStage:
     seen: wp.array3d(dtype=wp.int32)
 
 
-@wp.func_native("""
-    int largest = 0;
-    for (int i = 0; i < 3; ++i) {
-        union { double value; unsigned long long bits; } number;
-        number.value = value[i];
-        const int exponent = static_cast<int>(number.bits >> 52) & 2047;
-        largest = exponent > largest ? exponent : largest;
-    }
-    return largest;
-""")
+@wp.func_native(native("sums", "vector_exponent"))
 def vector_exponent(value: wp.vec3d) -> int:
     """Exponent e + 1023 of the largest component, in [2^e, 2^(e + 1)); 0 of zero, 2047 of what is
     not finite."""
     ...
 
 
-@wp.func_native("""
-    int largest = 0;
-    for (int i = 0; i < 9; ++i) {
-        union { double value; unsigned long long bits; } number;
-        number.value = block.data[i / 3][i % 3];
-        const int exponent = static_cast<int>(number.bits >> 52) & 2047;
-        largest = exponent > largest ? exponent : largest;
-    }
-    return largest;
-""")
+@wp.func_native(native("sums", "block_exponent"))
 def block_exponent(block: wp.mat33d) -> int:
     """``vector_exponent`` of a block."""
     ...
 
 
-@wp.func_native("""
-    union { double value; unsigned long long bits; } number;
-    number.value = static_cast<double>(count);
-    const int doublings = (static_cast<int>(number.bits >> 52) & 2047) - 1023;
-    const int place = exponent + doublings + 2;
-    number.bits = static_cast<unsigned long long>(place < 2047 ? place : 2047) << 52 | 1ull << 51;
-    return number.value;
-""")
+@wp.func_native(native("sums", "anchor_of"))
 def anchor_of(exponent: int, count: int) -> wp.float64:
     """A number 1.5 2^k whose last bit is the grid of ``count`` (1 or more) addends: adding it to
     one of them and taking it away again rounds that. Not a number where one is not finite."""
     ...
 
 
-@wp.func_native("""
-    wp::mat_t<3, 3, wp::float64> rounded;
-    for (int i = 0; i < 9; ++i)
-        rounded.data[i / 3][i % 3] = (block.data[i / 3][i % 3] + anchor) - anchor;
-    return rounded;
-""")
+@wp.func_native(native("sums", "rounded_block"))
 def rounded_block(block: wp.mat33d, anchor: wp.float64) -> wp.mat33d:
     """Every entry on the grid of the anchor."""
     ...
@@ -303,20 +267,7 @@ def place_anchor(env: int, place: int, sums: SumStage) -> wp.float64:
     return anchor_of(sums.seen[env, place, 0], sums.seen[env, place, 1])
 
 
-@wp.func_native("""
-    double* const entry = reinterpret_cast<double*>(
-        totals.data + size_t(env) * totals.shape[1] + place);
-    for (int i = 0; i < 3; ++i) {
-        double addend = value[i];
-        if (anchor != 0.0)
-            addend = (addend + anchor) - anchor;
-#if defined(__CUDA_ARCH__)
-        atomicAdd(entry + i, addend);
-#else
-        entry[i] += addend;
-#endif
-    }
-""")
+@wp.func_native(native("sums", "add_rounded"))
 def _add_rounded(
     env: int, place: int, value: wp.vec3d, anchor: wp.float64, totals: wp.array2d(dtype=wp.vec3d)
 ) -> None:

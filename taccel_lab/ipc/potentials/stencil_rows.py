@@ -15,6 +15,7 @@ import warp as wp
 
 from taccel_lab.ipc.contact.pair_energy import PairHessian, local_block
 from taccel_lab.ipc.device.matrices import mat43d
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_entry, take_from_rhs
 
 wp.set_module_options({"enable_backward": False})
@@ -30,60 +31,22 @@ STENCIL_THREADS = 128
 of which 256 threads would need more than every GPU has. Registers allow two or three blocks a
 multiprocessor, which have room for it on A100 and later."""
 
-# Rows and coefficients of the stencil of each thread (of ten unknowns, three numbers and half a one
-# each), side by side in shared memory: indexed by what is only known at run time, they would else
-# lie in a thread's own part of the GPU's memory.
-_STAGE_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    __shared__ double stage[35 * WP_TILE_BLOCK_DIM];
-    return reinterpret_cast<wp::uint64>(stage);
-#else
-    static double stage[35];
-    return reinterpret_cast<wp::uint64>(stage);
-#endif
-"""
-_PLACES = """
-#if defined(__CUDA_ARCH__)
-    const int step = WP_TILE_BLOCK_DIM, mine = threadIdx.x;
-#else
-    const int step = 1, mine = 0;
-#endif
-    double* const coefficient = reinterpret_cast<double*>(stage) + 3 * step * at + mine;
-    int* const row = reinterpret_cast<int*>(reinterpret_cast<double*>(stage) + 30 * step)
-        + step * at + mine;
-    (void)coefficient;
-    (void)row;
-"""
+_PLACES = native("stencil_rows", "places")
 
 
-@wp.func_native(_STAGE_SNIPPET)
+@wp.func_native(native("stencil_rows", "stencil_stage"))
 def stencil_stage() -> wp.uint64:
     """Where a thread keeps the rows of its stencil."""
     ...
 
 
-@wp.func_native(
-    _PLACES
-    + """
-    *row = value;
-    coefficient[0] = 0.0;
-    coefficient[step] = 0.0;
-    coefficient[2 * step] = 0.0;
-"""
-)
+@wp.func_native(native("stencil_rows", "open_row", PLACES=_PLACES))
 def open_row(stage: wp.uint64, at: int, value: int) -> None:
     """Unknown ``at`` is this row of the Newton system; its coefficients are zero so far."""
     ...
 
 
-@wp.func_native(
-    _PLACES
-    + """
-    coefficient[0] += value[0];
-    coefficient[step] += value[1];
-    coefficient[2 * step] += value[2];
-"""
-)
+@wp.func_native(native("stencil_rows", "add_coefficients", PLACES=_PLACES))
 def add_coefficients(stage: wp.uint64, at: int, value: wp.vec3d) -> None:
     """Add to the coefficients of unknown ``at``."""
     ...
@@ -95,12 +58,7 @@ def row_at(stage: wp.uint64, at: int) -> int:
     ...
 
 
-@wp.func_native(
-    _PLACES
-    + """
-    return wp::vec_t<3, wp::float64>(coefficient[0], coefficient[step], coefficient[2 * step]);
-"""
-)
+@wp.func_native(native("stencil_rows", "coefficients_at", PLACES=_PLACES))
 def coefficients_at(stage: wp.uint64, at: int) -> wp.vec3d:
     """Coefficients of unknown ``at``, columns as those of the nodes."""
     ...

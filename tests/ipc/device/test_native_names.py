@@ -26,7 +26,9 @@ _NAMES = re.compile(r"\bwp::\w+|\bWP_\w+|(?<=\w)\.(?:data|shape|strides|ndim|gra
 
 
 def snippets() -> Iterator[str]:
-    """All C++ of the package."""
+    """All C++ of the package: that of the folder, and what is a line or two."""
+    for path in sorted((PACKAGE / "ipc" / "device" / "native").glob("*.cpp")):
+        yield path.read_text(encoding="utf-8")
     for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         if "func_native" in text:

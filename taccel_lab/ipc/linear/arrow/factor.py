@@ -12,64 +12,16 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.arrow.program import SCHUR_CHUNKS, ArrowLayout
 
 wp.set_module_options({"enable_backward": False})
 
-NAMES = """
-    double* const numbers = reinterpret_cast<double*>(memory);
-    const int* const words = reinterpret_cast<const int*>(program);
-    double* const factor = numbers;
-    (void)words;
-    (void)factor;
-"""
+NAMES = native("arrow", "names")
 """How snippets call what is in memory."""
 
-# Element (i, j) of block code >> 1 lies at (j, i) where the code is odd.
-_LOAD_SNIPPET = (
-    NAMES
-    + """
-    int* const copied = reinterpret_cast<int*>(program);
-    const int* const source = listed.data;
-    if (copied != source) {
-        #pragma unroll 4
-        for (int e = lane; e < layout.word_count; e += lanes)
-            copied[e] = source[e];
-    }
-    const int* const code = codes.data;
-    const double* const value = values.data;
-    const int end = 9 * layout.blocks;
-    #pragma unroll 8
-    for (int e = lane; e < end; e += lanes) {
-        const int own = code[e / 9];
-        const int part = e % 9;
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        factor[e] = own < 0 ? 0.0 : value[9 * (own >> 1) + turned];
-    }
-    if (lane == 0)
-        numbers[layout.flag] = 0.0;
-    WP_TILE_SYNC();
-    // Every block is listed twice: one of them is that of a border row and a gel column.
-    #pragma unroll 1
-    for (int e = lane; e < 9 * extra_count; e += lanes) {
-        const int own = extra_codes.data[e / 9];
-        const int part = e % 9;
-        const int i = extra_places.data[own >> 1][own & 1];
-        const int j = extra_places.data[own >> 1][1 - (own & 1)];
-        const int c = border_places.data[i];
-        const bool inner = border_places.data[j] < 0;
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        if (c >= 0 && inner)
-            factor[9 * (words[layout.starts + places.data[j]] + 1 + c) + part] +=
-                extra_values.data[9 * (own >> 1) + turned];
-        if (c < 0 && inner)
-            numbers[layout.flag] = 1.0;
-    }
-"""
-)
 
-
-@wp.func_native(_LOAD_SNIPPET)
+@wp.func_native(native("arrow", "load_matrix", NAMES=NAMES))
 def load_matrix(
     memory: wp.uint64,
     program: wp.uint64,
@@ -92,98 +44,7 @@ def load_matrix(
     ...
 
 
-_FACTOR_SNIPPET = (
-    NAMES
-    + """
-    double* const roots = numbers + layout.roots;
-    const int* const pair_starts = words + layout.pair_starts;
-    const int* const pairs = words + layout.pairs;
-    const int* const owners = words + layout.owners;
-    const int* const level_starts = words + layout.level_starts;
-    const auto inverse_root = [](double value) {
-#if defined(__CUDA_ARCH__)
-        return ::rsqrt(value);
-#else
-        return 1.0 / wp::sqrt(value);
-#endif
-    };
-    // Words never change: the first that a lane needs after a barrier are read before it.
-    int first = level_starts[0];
-    int end = level_starts[1];
-    int begin = pair_starts[first + lane / 9];
-    int stop = pair_starts[first + lane / 9 + 1];
-    #pragma unroll 1
-    for (int level = 0; level < layout.level_count; ++level) {
-        const int next_end = level_starts[level + 2];
-        unsigned owner = owners[first + lane / 3];
-        #pragma unroll 1
-        for (int task = 9 * first + lane; task < 9 * end; task += lanes) {
-            const int block = task / 9;
-            if (task >= 9 * first + lanes) {
-                begin = pair_starts[block];
-                stop = pair_starts[block + 1];
-            }
-            const int row = 3 * (task % 9 / 3);
-            const int column = 3 * (task % 3);
-            double total = 0.0, more = 0.0, last = 0.0;
-            #pragma unroll 4
-            for (int e = begin; e < stop; ++e) {
-                const unsigned pair = pairs[e];
-                const double* const a = factor + 9 * (pair >> 16) + row;
-                const double* const b = factor + 9 * (pair & 0xffffu) + column;
-                total += a[0] * b[0];
-                more += a[1] * b[1];
-                last += a[2] * b[2];
-            }
-            if (stop > begin)
-                factor[task] -= total + more + last;
-        }
-        WP_TILE_SYNC();
-        if (9 * end + lane < 9 * next_end) {
-            begin = pair_starts[end + lane / 9];
-            stop = pair_starts[end + lane / 9 + 1];
-        }
-        #pragma unroll 1
-        for (int task = 3 * first + lane; task < 3 * end; task += lanes) {
-            const int block = task / 3;
-            if (task >= 3 * first + lanes)
-                owner = owners[block];
-            const int diagonal = owner & 0xffffu;
-            const double* const d = factor + 9 * diagonal;
-            const double r00 = inverse_root(d[0]);
-            const double l10 = d[3] * r00;
-            const double l20 = d[6] * r00;
-            // From the minor, which does not wait for the first root.
-            const double r11 = d[0] * r00 * inverse_root(d[0] * d[4] - d[3] * d[3]);
-            const double l21 = (d[7] - l20 * l10) * r11;
-            const double r22 = inverse_root(d[8] - l20 * l20 - l21 * l21);
-            const double r10 = -l10 * r00 * r11;
-            const double r21 = -l21 * r11 * r22;
-            const double r20 = -(l20 * r00 + l21 * r10) * r22;
-            if (block == diagonal) {
-                // One row for each of three lanes. The block itself is still read by others.
-                double* const root = roots + 9 * (owner >> 16);
-                const int i = task % 3;
-                root[3 * i] = i == 0 ? r00 : i == 1 ? r10 : r20;
-                root[3 * i + 1] = i == 0 ? 0.0 : i == 1 ? r11 : r21;
-                root[3 * i + 2] = i == 2 ? r22 : 0.0;
-            } else {
-                double* const a = factor + 3 * task;
-                const double a0 = a[0], a1 = a[1], a2 = a[2];
-                a[0] = r00 * a0;
-                a[1] = r10 * a0 + r11 * a1;
-                a[2] = r20 * a0 + r21 * a1 + r22 * a2;
-            }
-        }
-        first = end;
-        end = next_end;
-        WP_TILE_SYNC();
-    }
-"""
-)
-
-
-@wp.func_native(_FACTOR_SNIPPET)
+@wp.func_native(native("arrow", "factor_columns", NAMES=NAMES))
 def factor_columns(
     memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
 ) -> None:
@@ -191,114 +52,7 @@ def factor_columns(
     ...
 
 
-_SCHUR_SUM_SNIPPET = (
-    NAMES
-    + """
-    const int width = 3 * layout.m;
-    const int* const starts = words + layout.starts;
-    const int triangle = width * (width + 1) / 2;
-    double* const sums = numbers + layout.sums;
-    // Row i of the lower triangle starts at i (i + 1) / 2.
-    #pragma unroll 1
-    for (int task = lane; task < @SCHUR_CHUNKS@ * triangle; task += lanes) {
-        const int chunk = task / triangle;
-        const int e = task % triangle;
-        int i = 0;
-        for (int step = width; step > 0; step >>= 1)
-            while (i + step < width && (i + step) * (i + step + 1) / 2 <= e)
-                i += step;
-        const int j = e - i * (i + 1) / 2;
-        double total = 0.0, more = 0.0, last = 0.0;
-        #pragma unroll 4
-        for (int column = chunk; column < layout.n; column += @SCHUR_CHUNKS@) {
-            const double* const base = factor + 9 * (starts[column] + 1);
-            const double* const a = base + 3 * i;
-            const double* const b = base + 3 * j;
-            total += a[0] * b[0];
-            more += a[1] * b[1];
-            last += a[2] * b[2];
-        }
-        sums[task] = total + more + last;
-    }
-    WP_TILE_SYNC();
-    // From here on nothing needs the factor as it is: A = L D L^T with unit L.
-    const double* const roots = numbers + layout.roots;
-    const int* const owners = words + layout.owners;
-    #pragma unroll 1
-    for (int task = lane; task < 3 * layout.blocks; task += lanes) {
-        const int block = task / 3;
-        const unsigned owner = owners[block];
-        const double* const root = roots + 9 * (owner >> 16);
-        double* const a = factor + 3 * task;
-        double row[3];
-        if (block == static_cast<int>(owner & 0xffffu)) {
-            // Inverse of the diagonal block, from the roots alone.
-            const int i = task % 3;
-            row[0] = root[i];
-            row[1] = root[3 + i];
-            row[2] = root[6 + i];
-        } else {
-            row[0] = a[0];
-            row[1] = a[1];
-            row[2] = a[2];
-        }
-        for (int c = 0; c < 3; ++c)
-            a[c] = row[0] * root[c] + row[1] * root[3 + c] + row[2] * root[6 + c];
-    }
-    double* const schur = numbers + layout.schur;
-    #pragma unroll 1
-    for (int e = lane; e < width * width; e += lanes) {
-        const int i = e / width;
-        const int j = e % width;
-        const int own = border_codes.data[i / 3 * layout.m + j / 3];
-        double value = 0.0;
-        if (own >= 0)
-            value = values.data[
-                9 * (own >> 1) + (own & 1 ? 3 * (j % 3) + i % 3 : 3 * (i % 3) + j % 3)];
-        const int high = i > j ? i : j;
-        const int low = i > j ? j : i;
-        for (int chunk = 0; chunk < @SCHUR_CHUNKS@; ++chunk)
-            value -= sums[chunk * triangle + high * (high + 1) / 2 + low];
-        schur[e] = value;
-    }
-    WP_TILE_SYNC();
-    #pragma unroll 1
-    for (int e = lane; e < 9 * extra_count; e += lanes) {
-        const int own = extra_codes.data[e / 9];
-        const int part = e % 9;
-        const int i = border_places.data[extra_places.data[own >> 1][own & 1]];
-        const int j = border_places.data[extra_places.data[own >> 1][1 - (own & 1)]];
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        if (i >= 0 && j >= 0)
-            schur[(3 * i + part / 3) * width + 3 * j + part % 3] +=
-                extra_values.data[9 * (own >> 1) + turned];
-    }
-    // Gauss-Jordan, from one copy to the other and back; what has no Cholesky factor gives NaN.
-    double* old = schur;
-    double* next = schur + width * width;
-    #pragma unroll 1
-    for (int pivot = 0; pivot < width; ++pivot) {
-        WP_TILE_SYNC();
-        const double scale = old[pivot * width + pivot];
-        const double inverse = scale > 0.0 ? 1.0 / scale : wp::float64(NAN);
-        #pragma unroll 1
-        for (int e = lane; e < width * width; e += lanes) {
-            const int i = e / width;
-            const int j = e % width;
-            const double across = j == pivot ? 1.0 : old[pivot * width + j];
-            const double down = old[i * width + pivot];
-            const double rest = j == pivot ? 0.0 : old[e];
-            next[e] = i == pivot ? across * inverse : rest - down * across * inverse;
-        }
-        double* const swap = old;
-        old = next;
-        next = swap;
-    }
-""".replace("@SCHUR_CHUNKS@", str(SCHUR_CHUNKS))
-)
-
-
-@wp.func_native(_SCHUR_SUM_SNIPPET)
+@wp.func_native(native("arrow", "finish_factor", NAMES=NAMES, SCHUR_CHUNKS=SCHUR_CHUNKS))
 def finish_factor(
     memory: wp.uint64,
     program: wp.uint64,

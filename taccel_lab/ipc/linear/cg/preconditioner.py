@@ -24,6 +24,7 @@ from taccel_lab.ipc.device.dense_inverse import (
     room_for_inverse,
     sweep_all,
 )
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan
 
@@ -143,19 +144,7 @@ def _inverse_kernel(room: int) -> Any:
     return invert_clusters_kernel
 
 
-# Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
-_APPLY_SNIPPET = """
-    const wp::float64* a = inverses.data + at;
-    const wp::float64* u = r.data + first;
-    wp::float64 total = 0.0;
-    #pragma unroll 8
-    for (int k = 0; k < width; ++k)
-        total += a[width * k] * u[k];
-    return total;
-"""
-
-
-@wp.func_native(_APPLY_SNIPPET)
+@wp.func_native(native("preconditioner", "column_product"))
 def _column_product(
     at: int,
     width: int,
@@ -179,14 +168,7 @@ def cluster_product(
     return _column_product(at, 3 * span[1], 3 * span[0], stores, r)
 
 
-_ROW_SNIPPET = """
-    const double* const a = inverses.data + 3 * task;
-    const double* const u = r.data + task - task % 3;
-    return a[0] * u[0] + a[1] * u[1] + a[2] * u[2];
-"""
-
-
-@wp.func_native(_ROW_SNIPPET)
+@wp.func_native(native("preconditioner", "row_product"))
 def _row_product(
     task: int, inverses: wp.array(dtype=wp.float64), r: wp.array(dtype=wp.float64)
 ) -> wp.float64:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.packed_rows import GROUP, RowSlices
 from taccel_lab.ipc.linear.problem.row_products import unpacked_product
 
@@ -54,27 +55,13 @@ class Stream:
     stages: int
 
 
-_WIDTH_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    return 32;
-#else
-    return 1;
-#endif
-"""
-
-
-@wp.func_native(_WIDTH_SNIPPET)
+@wp.func_native(native("streamed_rows", "warp_width"))
 def _warp_width() -> int:
     """Lanes of a warp; the CPU has one."""
     ...
 
 
-_PART_SNIPPET = f"""
-    return memory + {_STAGE_BYTES} * static_cast<wp::uint64>(stages * warp);
-"""
-
-
-@wp.func_native(_PART_SNIPPET)
+@wp.func_native(native("streamed_rows", "memory_of", STAGE_BYTES=_STAGE_BYTES))
 def _memory_of(memory: wp.uint64, warp: int, stages: int) -> wp.uint64:
     """The part of the shared memory of a block that a warp has."""
     ...
@@ -127,39 +114,10 @@ def open_stream(
     return stream
 
 
-# Copies of group g, 16 bytes at a time; every lane states the end of each, with copies or without.
-_COPY = """
-    const auto copy = [&](const int g) {
-        if (g < groups) {
-            const int at = first + 128 * g;
-            const int place = threadIdx.x & 31;
-            const char* const rows =
-                reinterpret_cast<const char*>(packed.data + 3 * at) + 16 * place;
-            const char* const column =
-                reinterpret_cast<const char*>(columns.data + at) + 16 * place;
-            const unsigned int to = static_cast<unsigned int>(__cvta_generic_to_shared(
-                reinterpret_cast<char*>(memory) + 2048 * (g & (stages - 1)) + 16 * place));
-            asm volatile(
-                "cp.async.cg.shared.global [%0], [%1], 16;"
-                "cp.async.cg.shared.global [%0 + 512], [%1 + 512], 16;"
-                "cp.async.cg.shared.global [%0 + 1024], [%1 + 1024], 16;"
-                "cp.async.cg.shared.global [%0 + 1536], [%2], 16;" ::
-                "r"(to), "l"(rows), "l"(column) : "memory");
-        }
-        asm volatile("cp.async.commit_group;" ::: "memory");
-    };
-"""
-_BEGIN_SNIPPET = f"""
-#if defined(__CUDA_ARCH__)
-    {_COPY}
-    __syncwarp();
-    for (int g = 0; g < stages - 1; ++g)
-        copy(g);
-#endif
-"""
+_COPY = native("streamed_rows", "copy")
 
 
-@wp.func_native(_BEGIN_SNIPPET)
+@wp.func_native(native("streamed_rows", "begin", COPY=_COPY))
 def _begin(
     first: int,
     groups: int,
@@ -170,14 +128,7 @@ def _begin(
 ) -> None: ...
 
 
-_END_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    asm volatile("cp.async.wait_all;" ::: "memory");
-#endif
-"""
-
-
-@wp.func_native(_END_SNIPPET)
+@wp.func_native(native("streamed_rows", "end_stream"))
 def end_stream() -> None:
     """Wait for copies that nobody will read; to be called before a kernel ends."""
     ...
@@ -190,54 +141,7 @@ def begin_stream(stream: Stream, layout: RowSlices, packed: wp.array(dtype=wp.fl
     _begin(stream.first, stream.groups, stream.memory, stream.stages, layout.columns, packed)
 
 
-_SLICE_SNIPPET = f"""
-    const int place = task & 31;
-    const double* const u = x.data;
-    double sums[4] = {{}};
-#if defined(__CUDA_ARCH__)
-    {_COPY}
-    const unsigned int base = 4 * place + static_cast<unsigned int>(
-        __cvta_generic_to_shared(reinterpret_cast<char*>(memory)));
-    #pragma unroll 1
-    for (int g = group; g < group + count / 4; ++g) {{
-        if (stages == 2)
-            asm volatile("cp.async.wait_group 0;" ::: "memory");
-        else
-            asm volatile("cp.async.wait_group 2;" ::: "memory");
-        // What one lane copied is for all to see, and nobody reads the stage that is copied into.
-        __syncwarp();
-        const unsigned int from = base + 2048 * (g & (stages - 1));
-        float across[12];
-        double own[12];
-        #pragma unroll
-        for (int i = 0; i < 4; ++i) {{
-            int column;
-            asm volatile("ld.shared.s32 %0, [%1];" : "=r"(column) : "r"(from + 1536 + 128 * i));
-            #pragma unroll
-            for (int c = 0; c < 3; ++c)
-                asm volatile("ld.global.f64 %0, [%1];"
-                             : "=d"(own[3 * i + c]) : "l"(u + 3 * column + c));
-        }}
-        #pragma unroll
-        for (int i = 0; i < 12; ++i)
-            asm volatile("ld.shared.f32 %0, [%1];" : "=f"(across[i]) : "r"(from + 128 * i));
-        copy(g + stages - 1);
-        #pragma unroll
-        for (int i = 0; i < 12; ++i)
-            sums[i / 3] += across[i] * own[i];
-    }}
-#else
-    const float* const row = packed.data + 3 * (first + 128 * group) + place;
-    const int* const column = columns.data + first + 128 * group + place;
-    for (int k = 0; k < count; ++k)
-        for (int c = 0; c < 3; ++c)
-            sums[k % 4] += row[96 * k + 32 * c] * u[3 * column[32 * k] + c];
-#endif
-    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
-"""
-
-
-@wp.func_native(_SLICE_SNIPPET)
+@wp.func_native(native("streamed_rows", "slice_product", COPY=_COPY))
 def _slice_product(
     task: int,
     group: int,

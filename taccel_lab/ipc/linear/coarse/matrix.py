@@ -23,6 +23,7 @@ from taccel_lab.ipc.device.dense_inverse import (
     room_for_inverse,
     sweep_all,
 )
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.coarse.space import MODES, MOST_PARTS, CoarseSpace
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan, connected_rows, neighbour_clusters
@@ -77,21 +78,7 @@ def coarse_parts(
     return parts if len(parts) <= MOST_PARTS else []
 
 
-_WARP_SUM_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    wp::mat_t<3, 3, wp::float64> total = value;
-    for (int i = 0; i < 9; ++i)
-        for (int step = 16; step > 0; step >>= 1)
-            total.data[i / 3][i % 3] +=
-                __shfl_xor_sync(0xffffffffu, total.data[i / 3][i % 3], step);
-    return total;
-#else
-    return value;
-#endif
-"""
-
-
-@wp.func_native(_WARP_SUM_SNIPPET)
+@wp.func_native(native("coarse", "warp_sum"))
 def _warp_sum(value: wp.mat33d) -> wp.mat33d:
     """Sum over the lanes of a warp, of which all are there; the CPU has one."""
     ...

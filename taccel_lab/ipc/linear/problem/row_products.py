@@ -5,31 +5,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRows, extra_slice
 from taccel_lab.ipc.linear.problem.packed_rows import RowSlices, packed_product
 
 wp.set_module_options({"enable_backward": False})
 
-# Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
-_SEGMENT_SNIPPET = """
-    const wp::int32* column = columns.data;
-    const wp::int32* code = codes.data;
-    const wp::float64* across = values.data;
-    wp::float64 total = 0.0;
-    #pragma unroll 2
-    for (int k = first; k < end && code[k] >= 0; k += stride) {
-        // Blocks of the upper triangle are stored transposed.
-        const int flipped = code[k] & 1;
-        const int step = flipped ? 3 : 1;
-        const wp::float64* a = across + 9 * (code[k] >> 1) + (flipped ? component : 3 * component);
-        const wp::float64* u = x.data + 3 * column[k];
-        total += a[0] * u[0] + a[step] * u[1] + a[2 * step] * u[2];
-    }
-    return total;
-"""
 
-
-@wp.func_native(_SEGMENT_SNIPPET)
+@wp.func_native(native("row_products", "segment_product"))
 def _segment_product(
     first: int,
     end: int,

@@ -21,6 +21,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.device.matrices import matrix_column
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian, exact_block
 from taccel_lab.ipc.potentials.elements.quadratic_shape import mat103d
 
@@ -92,58 +93,22 @@ def exact_point_hessian(f: wp.mat33d, curvatures: wp.vec3d) -> PointHessian:
 POINT_LANES = 4
 """Lanes of an element, one a quadrature point."""
 
-# Odd strides, so that the lanes of a warp write to their own banks.
-_SIZES = """
-    const int point_stride = 85;
-    const int element_stride = 33;
-    const int points = 32 * point_stride;
-"""
-_STAGE_SNIPPET = """
-#if defined(__CUDA_ARCH__)
-    __shared__ double numbers[WP_TILE_BLOCK_DIM / 32][32 * 85 + 8 * 33];
-    return reinterpret_cast<wp::uint64>(numbers[threadIdx.x / 32]);
-#else
-    static double numbers[32 * 85 + 8 * 33];
-    return reinterpret_cast<wp::uint64>(numbers);
-#endif
-"""
+_SIZES = native("point_stage", "sizes")
 
 
-@wp.func_native(_STAGE_SNIPPET)
+@wp.func_native(native("point_stage", "stage_points"))
 def stage_points() -> wp.uint64:
     """Where the lanes of a warp lay down their points."""
     ...
 
 
-@wp.func_native(
-    _SIZES
-    + """
-    const double* const from = reinterpret_cast<const double*>(&h.k_00);
-    const double* const rows = reinterpret_cast<const double*>(&shapes);
-    double* const to = reinterpret_cast<double*>(stage) + lane % 32 * point_stride;
-    for (int i = 0; i < 54; ++i)
-        to[i] = from[i];
-    for (int i = 0; i < 30; ++i)
-        to[54 + i] = rows[i];
-"""
-)
+@wp.func_native(native("point_stage", "put_point", SIZES=_SIZES))
 def put_point(stage: wp.uint64, lane: int, h: PointHessian, shapes: mat103d) -> None:
     """Lay down the second derivatives at a point and the shape gradients in their frame."""
     ...
 
 
-@wp.func_native(
-    _SIZES
-    + """
-    const double* const rows = reinterpret_cast<const double*>(&slope);
-    double* const to =
-        reinterpret_cast<double*>(stage) + points + lane % 32 / 4 * element_stride;
-    to[0] = weight;
-    to[1] = bulk;
-    for (int i = 0; i < 30; ++i)
-        to[2 + i] = rows[i];
-"""
-)
+@wp.func_native(native("point_stage", "put_element", SIZES=_SIZES))
 def put_element(
     stage: wp.uint64, lane: int, weight: wp.float64, bulk: wp.float64, slope: mat103d
 ) -> None:
@@ -152,89 +117,7 @@ def put_element(
     ...
 
 
-_SUM_SNIPPET = (
-    _SIZES
-    + """
-    const double* const staged = reinterpret_cast<const double*>(stage);
-    const int first = lane / 32 * 8;
-    const int count = first + 8 < blocks.shape[1] ? 8 : static_cast<int>(blocks.shape[1]) - first;
-    double* const to = reinterpret_cast<double*>(blocks.data)
-        + (static_cast<size_t>(env) * blocks.shape[1] + first) * (9 * 55);
-#if defined(__CUDA_ARCH__)
-    __syncwarp();
-    #pragma unroll 1
-    for (int task = lane % 32; task < 55 * count; task += 32) {
-        const int element = task / 55;
-        int a = 0, b = task - 55 * element;
-        while (b >= 10 - a) {
-            b -= 10 - a;
-            ++a;
-        }
-        b += a;
-        const double* const e = staged + points + element * element_stride;
-        double total[9];
-        #pragma unroll
-        for (int i = 0; i < 9; ++i)
-            total[i] = e[1] * e[2 + 3 * a + i / 3] * e[2 + 3 * b + i % 3];
-        #pragma unroll 1
-        for (int q = 0; q < 4; ++q) {
-            const double* const k = staged + (4 * element + q) * point_stride;
-            const double* const s = k + 54;
-            const double g0 = e[0] * s[3 * a], g1 = e[0] * s[3 * a + 1], g2 = e[0] * s[3 * a + 2];
-            const double t0 = s[3 * b], t1 = s[3 * b + 1], t2 = s[3 * b + 2];
-            #pragma unroll
-            for (int i = 0; i < 9; ++i) {
-                const int turned = i % 3 * 3 + i / 3;
-                total[i] += t0 * g0 * k[i] + t1 * g1 * k[27 + i] + t2 * g2 * k[45 + i]
-                    + t1 * g0 * k[9 + i] + t0 * g1 * k[9 + turned]
-                    + t2 * g0 * k[18 + i] + t0 * g2 * k[18 + turned]
-                    + t2 * g1 * k[36 + i] + t1 * g2 * k[36 + turned];
-            }
-        }
-        #pragma unroll
-        for (int i = 0; i < 9; ++i)
-            to[9 * task + i] = total[i];
-    }
-    __syncwarp();
-#else
-    if (lane % 32 != 31)
-        return;
-    for (int element = 0; element < count; ++element) {
-        const double* const e = staged + points + element * element_stride;
-        double* const sums = to + 9 * 55 * element;
-        int pair = 0;
-        for (int a = 0; a < 10; ++a)
-            for (int b = a; b < 10; ++b, ++pair)
-                for (int i = 0; i < 9; ++i)
-                    sums[9 * pair + i] = e[1] * e[2 + 3 * a + i / 3] * e[2 + 3 * b + i % 3];
-        for (int q = 0; q < 4; ++q) {
-            const double* const k = staged + (4 * element + q) * point_stride;
-            const double* const s = k + 54;
-            pair = 0;
-            for (int a = 0; a < 10; ++a) {
-                const double g0 = e[0] * s[3 * a];
-                const double g1 = e[0] * s[3 * a + 1];
-                const double g2 = e[0] * s[3 * a + 2];
-                double left[3][9];
-                for (int i = 0; i < 9; ++i) {
-                    const int turned = i % 3 * 3 + i / 3;
-                    left[0][i] = g0 * k[i] + g1 * k[9 + turned] + g2 * k[18 + turned];
-                    left[1][i] = g0 * k[9 + i] + g1 * k[27 + i] + g2 * k[36 + turned];
-                    left[2][i] = g0 * k[18 + i] + g1 * k[36 + i] + g2 * k[45 + i];
-                }
-                for (int b = a; b < 10; ++b, ++pair)
-                    for (int i = 0; i < 9; ++i)
-                        sums[9 * pair + i] += s[3 * b] * left[0][i] + s[3 * b + 1] * left[1][i]
-                            + s[3 * b + 2] * left[2][i];
-            }
-        }
-    }
-#endif
-"""
-)
-
-
-@wp.func_native(_SUM_SNIPPET)
+@wp.func_native(native("point_stage", "write_blocks", SIZES=_SIZES))
 def write_blocks(
     stage: wp.uint64, env: int, lane: int, blocks: wp.array3d(dtype=wp.mat33d)
 ) -> None:
@@ -243,16 +126,7 @@ def write_blocks(
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    const int first = lane / 4;
-    return wp::vec_t<2, wp::int32>(first, lane % 4 == 0 && first < count ? first + 1 : first);
-#else
-    const int first = lane / 32 * 8;
-    const int end = first + 8 < count ? first + 8 : count;
-    return wp::vec_t<2, wp::int32>(first, lane % 32 == 31 ? end : first);
-#endif
-""")
+@wp.func_native(native("point_stage", "written_elements"))
 def written_elements(lane: int, count: int) -> wp.vec2i:
     """Elements, of ``count``, to whose blocks a lane may add after ``write_blocks``."""
     ...
