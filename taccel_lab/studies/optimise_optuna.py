@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optimiser-driven sweeps with Optuna: several objectives, constraints, several processes at once.
+"""Sweeps of several objectives with Optuna: constraints, several processes at once.
+
+Methods are a Gaussian process with log expected improvement (GP), a tree-structured Parzen
+estimator (TPE) and the genetic algorithm NSGA-II (NSGA2).
 
 The trials stand in a journal file that processes share (``JournalStorage``); each asks it what to
 try next and tells it what came out. What is known of a design is its row: a row without a trial
@@ -23,9 +26,6 @@ if TYPE_CHECKING:
     import optuna
     from optuna.storages.journal import JournalFileOpenLock
 
-METHODS: tuple[str, ...] = ("GP", "TPE", "NSGA2")
-"""Gaussian process with log expected improvement, tree-structured Parzen estimator, and the genetic
-algorithm NSGA-II."""
 JOURNAL = "optuna.journal"
 MOST_REPEATS = 30
 """Proposals of known designs in a row after which a search is over."""
@@ -47,7 +47,7 @@ def optimise_with_optuna(
 
     Args:
         axes: What may be varied.
-        objectives: At least one; with several, trials spread along the front.
+        objectives: Trials spread along their front.
         constraints: Kept as far as can be.
         sweep: Method and count.
         seed: Of the sampler; processes of one study need their own seeds.

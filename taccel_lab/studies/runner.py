@@ -18,7 +18,7 @@ from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
-from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
+from taccel_lab.studies.optimise_optuna import JOURNAL, optimise_with_optuna
 from taccel_lab.studies.ranking import directed, ranked
 from taccel_lab.studies.study import Study
 from taccel_lab.studies.study_folder import StudyFolder
@@ -130,8 +130,8 @@ def run_study(
         processes: How many; 0 works in this process. The study file's, or one a core, when None.
         limit: New designs at most.
         shard: Which part of the designs, of several runs that share the folder; each takes designs
-            that share simulations together, and none writes the table. Shards of an optimiser ask
-            one journal what to try next.
+            that share simulations together, and none writes the table. Shards of an optimiser of
+            several objectives ask one journal what to try next.
         source: Text of the study file, kept beside the results.
         listener: Told how it goes.
 
@@ -145,7 +145,7 @@ def run_study(
     folder.require_usable()
     begun = time.perf_counter()
     if shard is not None and study.spec.sweep.kind == "optimize" and not _by_optuna(study):
-        raise InputError("NLopt goes on from what it saw; shards need GP, TPE or NSGA2")
+        raise InputError("NLopt goes on from what it saw; shards need several objectives")
     with folder.locked(shard):
         _require_same_sensor(study, folder)
         if source:
@@ -166,7 +166,7 @@ def read_outcome(study: Study, root: Path | str) -> StudyOutcome:
 
 
 def _by_optuna(study: Study) -> bool:
-    return study.spec.sweep.method in METHODS
+    return len(study.spec.goals) > 1
 
 
 def _require_same_sensor(study: Study, folder: StudyFolder) -> None:

@@ -149,7 +149,7 @@ class Tie(StrictModel):
 
 
 LOCAL = ("LD_SLSQP", "LN_COBYLA")
-"""NLopt's methods, for one objective: they take constraints themselves."""
+"""NLopt's methods, for one objective; Optuna's are for several."""
 
 
 class Sweep(StrictModel):
@@ -305,6 +305,11 @@ class StudySpec(StrictModel):
         if len(self.goals) > 1 and self.sweep.method in LOCAL:
             raise ValueError(
                 "several objectives need kind = 'optimize' and method GP, TPE or NSGA2"
+            )
+        if len(self.goals) == 1 and self.sweep.method not in LOCAL:
+            raise ValueError(
+                f"method {self.sweep.method!r} takes several objectives; one is for "
+                f"{' or '.join(LOCAL)}: leave out sweep.method"
             )
         return self
 

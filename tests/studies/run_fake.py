@@ -24,7 +24,7 @@ SEARCH = {
         "young_modulus_mpa": {"min": 0.05, "max": 1, "scale": "log"},
     },
     "sweep": {"kind": "optimize", "count": 14, "method": "TPE"},
-    "objective": {"minimize": "blur"},
+    "objectives": [{"minimize": "blur"}, {"maximize": "range"}],
 }
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.studies.axis import Axis
 from taccel_lab.studies.optimise import OptimiserState, optimise
-from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
+from taccel_lab.studies.optimise_optuna import JOURNAL, optimise_with_optuna
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.spec import Constraint, Objective, Sweep
 from taccel_lab.studies.study import default_kit, read_study
@@ -46,7 +46,7 @@ def by_optuna(
     method: str,
     constraints: list[Constraint],
     count: int,
-    objectives: tuple[Objective, ...] = (Objective(minimize="m"),),
+    objectives: tuple[Objective, ...] = (Objective(minimize="m"), Objective(maximize="sum")),
     **more: Any,
 ) -> OptimiserState:
     sweep = Sweep(kind="optimize", count=count, method=method)  # type: ignore[arg-type]
@@ -131,17 +131,22 @@ def test_neighbours_are_evaluated_together_and_counted() -> None:
     assert state.stopped == "the count of designs was used up"
 
 
-@pytest.mark.parametrize(("method", "within"), [("GP", 0.03), ("TPE", 1.0), ("NSGA2", 3.0)])
-def test_every_method_of_optuna_comes_near(tmp_path: Path, method: str, within: float) -> None:
+@pytest.mark.parametrize(
+    ("method", "least", "most"), [("GP", 700, 12), ("TPE", 1000, 12), ("NSGA2", 2000, 11)]
+)
+def test_every_method_of_optuna_spreads_along_the_front(
+    tmp_path: Path, method: str, least: float, most: float
+) -> None:
     state = by_optuna(tmp_path, method, [], 18 if method == "GP" else 40)
-    assert min(float(bowl(v)["m"] or 0) for v in state.tried) < 500 * (1 + within)
+    assert min(float(bowl(v)["m"] or 0) for v in state.tried) < least
+    assert max(v["x"] + v["y"] for v in state.tried) > most
     assert state.stopped == "the count of designs was used up"
-    assert set(METHODS) == {"GP", "TPE", "NSGA2"}
 
 
 def test_gp_keeps_constraints_and_goes_on_from_rows_without_its_journal(tmp_path: Path) -> None:
-    first = by_optuna(tmp_path / "a", "GP", [SUM], 12) if (tmp_path / "a").mkdir() is None else None
-    assert first is not None
+    (tmp_path / "a").mkdir()
+    goals = (Objective(minimize="m"), Objective(minimize="sum"))
+    first = by_optuna(tmp_path / "a", "GP", [SUM], 12, goals)
     calls: list[dict[str, Any]] = []
 
     def counted(values: dict[str, Any]) -> dict[str, float | None]:
@@ -150,16 +155,9 @@ def test_gp_keeps_constraints_and_goes_on_from_rows_without_its_journal(tmp_path
 
     (tmp_path / "b").mkdir()
     rows = [(v, bowl(v)) for v in first.tried]
-    whole = by_optuna(tmp_path / "b", "GP", [SUM], 20, attempt=counted, known=lambda: rows)
+    whole = by_optuna(tmp_path / "b", "GP", [SUM], 20, goals, attempt=counted, known=lambda: rows)
     assert len(whole.tried) == 20 and len(calls) == 8
     assert best_kept(whole) == pytest.approx(788.53, rel=0.03)
-
-
-def test_several_objectives_spread_along_the_front(tmp_path: Path) -> None:
-    goals = (Objective(minimize="m"), Objective(maximize="sum"))
-    state = by_optuna(tmp_path, "GP", [], 18, goals)
-    assert min(float(bowl(v)["m"] or 0) for v in state.tried) < 700
-    assert max(v["x"] + v["y"] for v in state.tried) > 12
 
 
 def test_designs_without_a_figure_are_no_end(tmp_path: Path) -> None:
@@ -189,7 +187,7 @@ def test_designs_are_tried_once_and_counted() -> None:
 
 def test_whole_numbers_are_tried_once_each(tmp_path: Path) -> None:
     def steps(values: dict[str, Any]) -> dict[str, float | None]:
-        return {"m": float((values["n"] - 6) ** 2 + 1)}
+        return {"m": float((values["n"] - 6) ** 2 + 1), "sum": values["n"]}
 
     state = by_optuna(tmp_path, "TPE", [], 20, axes=(N,), attempt=steps)
     tried = [values["n"] for values in state.tried]
@@ -232,6 +230,10 @@ def test_an_interrupted_try_is_no_design(tmp_path: Path) -> None:
         ({"sweep": {"kind": "optimize", "count": 9, "method": "GP", "tolerance": 0.1}}, "belongs"),
         ({"objective": None, "objectives": [{"minimize": "blur"}, {"maximize": "range"}]}, "GP, T"),
         ({"objectives": [{"minimize": "blur"}]}, "either .objective. or"),
+        (
+            {"sweep": {"kind": "optimize", "count": 9, "method": "GP"}},
+            "'GP' takes several objectives; one is for LD_SLSQP or LN_COBYLA",
+        ),
     ],
 )
 def test_methods_that_cannot_do_it_are_refused(changes: dict, message: str) -> None:

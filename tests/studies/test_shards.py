@@ -177,9 +177,10 @@ def test_what_is_no_shard_is_refused(text: str) -> None:
         Shard.parse(text)
 
 
-def test_cobyla_has_no_shards(tmp_path: Path) -> None:
-    planned = study(**{**SEARCH, "sweep": {"kind": "optimize", "count": 9}})
-    with pytest.raises(InputError, match="shards need GP, TPE or NSGA2"):
+def test_one_objective_has_no_shards(tmp_path: Path) -> None:
+    one = {"sweep": {"kind": "optimize", "count": 9}, "objectives": [{"minimize": "blur"}]}
+    planned = study(**{**SEARCH, **one})
+    with pytest.raises(InputError, match="shards need several objectives"):
         run_study(planned, tmp_path, processes=0, shard=Shard(1, 2))
 
 
