@@ -13,7 +13,7 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.studies.preview import DesignPreview
+    from taccel_lab.studies.report.preview import DesignPreview
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Preview:
         from taccel_lab.processes.start_warp import first_step, start_warp
         from taccel_lab.progress import stage_words
         from taccel_lab.sensors.registry import sensor_family
-        from taccel_lab.studies.preview import preview_design, write_preview
-        from taccel_lab.studies.sensor_picture import write_sections
+        from taccel_lab.studies.report.preview import preview_design, write_preview
+        from taccel_lab.studies.report.sensor_picture import write_sections
 
         start_warp()
         require_replaceable(self.out)

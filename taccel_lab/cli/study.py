@@ -16,9 +16,9 @@ from taccel_lab.errors import InputError, SimulationError, keeping
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.studies.cluster import Where
-    from taccel_lab.studies.runner import StudyOutcome
-    from taccel_lab.studies.study import Study as StudyToRun
+    from taccel_lab.studies.evaluate.cluster import Where
+    from taccel_lab.studies.evaluate.runner import StudyOutcome
+    from taccel_lab.studies.spec.study import Study as StudyToRun
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class StudyCommand:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes
         from taccel_lab.files.shard import MOST_SHARDS
-        from taccel_lab.studies.cluster import JOBS, submit_shards
+        from taccel_lab.studies.evaluate.cluster import JOBS, submit_shards
 
         if not 1 <= self.shards <= MOST_SHARDS:
             raise InputError(f"shards must lie in 1..{MOST_SHARDS}, got {self.shards}")
@@ -110,9 +110,9 @@ class StudyCommand:
     def _run(self, file: Path) -> None:
         from taccel_lab.api.study import plan_study
         from taccel_lab.cli.console import notes, print_json, working
+        from taccel_lab.studies.evaluate.runner import read_outcome
+        from taccel_lab.studies.evaluate.study_folder import StudyFolder
         from taccel_lab.studies.report import write_study_report
-        from taccel_lab.studies.runner import read_outcome
-        from taccel_lab.studies.study_folder import StudyFolder
 
         console = notes()
         study = plan_study(file, self.accuracy)
@@ -177,7 +177,7 @@ class StudyCommand:
         self, console: Console, outcome: StudyOutcome, values: dict, root: Path, again: str
     ) -> None:
         from taccel_lab.cli.console import print_json
-        from taccel_lab.studies.table import CSV_NAME, has_parquet
+        from taccel_lab.studies.evaluate.table import CSV_NAME, has_parquet
 
         if self.json:
             print_json(values)
@@ -199,9 +199,9 @@ class StudyCommand:
 
 def _print_lists(options: StudyCommand) -> None:
     from taccel_lab.cli.console import print_json
-    from taccel_lab.studies.describe import press_in_words
-    from taccel_lab.studies.readings import described
-    from taccel_lab.studies.study import default_kit
+    from taccel_lab.studies.report.describe import press_in_words
+    from taccel_lab.studies.spec.readings import described
+    from taccel_lab.studies.spec.study import default_kit
 
     kit = default_kit()
     metrics = {

@@ -7,14 +7,14 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from taccel_lab.studies.runner import Listener
+from taccel_lab.studies.evaluate.runner import Listener
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.studies.design_row import DesignRow
-    from taccel_lab.studies.runner import StudyOutcome
-    from taccel_lab.studies.study import Study
+    from taccel_lab.studies.evaluate.design_row import DesignRow
+    from taccel_lab.studies.evaluate.runner import StudyOutcome
+    from taccel_lab.studies.spec.study import Study
 
 
 LINE_EVERY_S = 20.0

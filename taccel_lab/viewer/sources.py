@@ -10,7 +10,7 @@ from pathlib import Path
 from taccel_lab.datasets.folder import ABOUT as DATASET
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.registry import sensor_families
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.tasks.catalogue import names as task_names
 from taccel_lab.tasks.replay import REPLAY
 from taccel_lab.viewer.press_folder import PRESS

@@ -11,8 +11,8 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_view import GelView
 from taccel_lab.viewer.study_presses import design_gel, press_files, read_design_press

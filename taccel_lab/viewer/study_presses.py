@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.viewer.gel_states import GelStates
 
 _NEEDED = ("depth_mm", "force_n", "contact_rest_m", "contact_moved_m", "contact_faces")

@@ -15,7 +15,7 @@ from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.calibrate import Calibration
 from taccel_lab.geometry.block import free_block
 from taccel_lab.report.page import Page, Picture, first_figure
-from taccel_lab.studies.runner import StudyOutcome
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 
 SCREENFUL = 400
 """Characters."""

@@ -93,10 +93,10 @@ def test_a_block_stands_with_its_report_or_not_at_all(
 @pytest.fixture
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A study whose presses are fakes; the second design can be spoilt."""
-    from taccel_lab.studies.study import Kit
+    from taccel_lab.studies.spec.study import Kit
 
     monkeypatch.setattr("taccel_lab.api.study.default_kit", lambda: Kit(PRESSES, METRICS, evaluate))
-    monkeypatch.setattr("taccel_lab.studies.runner.default_processes", lambda device: 0)
+    monkeypatch.setattr("taccel_lab.studies.evaluate.runner.default_processes", lambda device: 0)
     path = tmp_path / "two.toml"
     path.write_text(
         '[study]\nname = "Two"\nsensor = "gelsight"\nmetrics = ["stiffness"]\n'

@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import WHOLES, require_outside
 from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
-from taccel_lab.studies.study_folder import STUDY_MARKER
+from taccel_lab.studies.evaluate.study_folder import STUDY_MARKER
 from tests.cli.conftest import Cli
 from tests.support.synthetic_presses import GRID, flat_profile
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli.dataset import with_make
-from taccel_lab.studies.study import Kit, default_kit
+from taccel_lab.studies.spec.study import Kit, default_kit
 from tests.cli.conftest import Cli
 from tests.support.fake_kit import METRICS, PRESSES, evaluate, logged
 
@@ -46,7 +46,7 @@ def stopped(designs, presses, metrics, **rest):
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A study file in a folder of its own; fakes press, in this process."""
     use(monkeypatch, evaluate)
-    monkeypatch.setattr("taccel_lab.studies.runner.default_processes", lambda device: 0)
+    monkeypatch.setattr("taccel_lab.studies.evaluate.runner.default_processes", lambda device: 0)
     path = tmp_path / "thickness.toml"
     path.write_text(STUDY.replace("\n[run]\nprocesses = 2\n", ""))
     monkeypatch.chdir(tmp_path)

@@ -19,7 +19,7 @@ from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses import Indenter, PressEnv, parse_indenter
 from taccel_lab.presses.indenter import edge_mesh
 from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh
-from taccel_lab.studies.presses import StandardPress
+from taccel_lab.studies.presses.standard import StandardPress
 
 
 def signed_volume(mesh: TriangleMesh) -> float:

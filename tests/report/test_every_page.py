@@ -19,8 +19,8 @@ from taccel_lab.calibration.check import check_captures, check_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.report.page import write_page_file
 from taccel_lab.sensors.profile import stock_sensor
+from taccel_lab.studies.evaluate.runner import run_study
 from taccel_lab.studies.report import write_study_report
-from taccel_lab.studies.runner import run_study
 from tests.report.test_page_in_browser import WIDER
 from tests.support.fake_kit import study
 from tests.support.small_captures import write_captures

@@ -22,7 +22,7 @@ from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
-from taccel_lab.studies.preview import preview_design, write_preview
+from taccel_lab.studies.report.preview import preview_design, write_preview
 
 BASELINE_MM = 9.0
 PAIR: dict[str, Any] = {"camera_x_mm": [-BASELINE_MM / 2, BASELINE_MM / 2], "marker_pitch_mm": 2.5}

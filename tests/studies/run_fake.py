@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 
 from taccel_lab.files.shard import Shard
-from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.evaluate.runner import run_study
 from tests.support.fake_kit import study
 
 MODULI = {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"}

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from taccel_lab.cad.parameters import Parameter
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.ranking import Goal, ranked
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.ranking import Goal, ranked
 from taccel_lab.studies.report.answer import Answer, answer
 from taccel_lab.studies.report.sensitivity import sensitivity
-from taccel_lab.studies.spec import Constraint
+from taccel_lab.studies.spec.axis import Axis
+from taccel_lab.studies.spec.study_file import Constraint
 
 STIFFNESS = Goal("stiffness", 1.0)
 

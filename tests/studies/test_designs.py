@@ -21,19 +21,19 @@ from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.sensors.profile_family import imported_gel
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies import preview as previews
-from taccel_lab.studies.describe import with_tables
-from taccel_lab.studies.design_files import write_design_files
-from taccel_lab.studies.design_point import DesignFigures, DesignPoint
-from taccel_lab.studies.design_task import design_task
-from taccel_lab.studies.evidence import Evidence
+from taccel_lab.studies.evaluate.design_files import write_design_files
+from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.preview import preview_design, write_preview
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
+from taccel_lab.studies.metrics.design_task import design_task
+from taccel_lab.studies.metrics.evidence import Evidence
+from taccel_lab.studies.report import preview as previews
 from taccel_lab.studies.report import write_study_report
-from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.spec import StudyOutput, StudySpec, spec_of
-from taccel_lab.studies.study import default_kit, make_study
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.report.describe import with_tables
+from taccel_lab.studies.report.preview import preview_design, write_preview
+from taccel_lab.studies.spec.study import default_kit, make_study
+from taccel_lab.studies.spec.study_file import StudyOutput, StudySpec, spec_of
 from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
 from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.touch_insertion import TouchInsertionParameters
@@ -236,7 +236,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
 
 def test_tables_are_up_to_date() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert with_tables(text) == text, "run: python -m taccel_lab.studies.describe docs/studies.md"
+    assert with_tables(text) == text, (
+        "run: python -m taccel_lab.studies.report.describe docs/studies.md"
+    )
 
 
 def test_pages_without_places_for_tables_are_refused() -> None:

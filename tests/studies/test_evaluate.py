@@ -16,15 +16,16 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv
 from taccel_lab.solvers import EnvStatus, StepReport
-from taccel_lab.studies import evaluate, press_batch
-from taccel_lab.studies.design_point import DesignPoint
-from taccel_lab.studies.evaluate import evaluate_designs
+from taccel_lab.studies.evaluate import designs as evaluate
+from taccel_lab.studies.evaluate.designs import evaluate_designs
+from taccel_lab.studies.evaluate.unknowns import Unknowns
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.presses import STANDARD_PRESSES
-from taccel_lab.studies.readings import described, split_name
-from taccel_lab.studies.spec import spec_of
-from taccel_lab.studies.study import Study, default_kit, make_study, read_study
-from taccel_lab.studies.unknowns import Unknowns
+from taccel_lab.studies.metrics.design_point import DesignPoint
+from taccel_lab.studies.presses import press_batch
+from taccel_lab.studies.presses.standard import STANDARD_PRESSES
+from taccel_lab.studies.spec.readings import described, split_name
+from taccel_lab.studies.spec.study import Study, default_kit, make_study, read_study
+from taccel_lab.studies.spec.study_file import spec_of
 from tests.studies.coarse_presses import COARSE, coarse
 
 SPHERE = coarse("sphere", steps=3)

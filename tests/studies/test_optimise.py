@@ -11,12 +11,12 @@ import pytest
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.optimise import OptimiserState, optimise
-from taccel_lab.studies.optimise_optuna import JOURNAL, optimise_with_optuna
-from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.spec import Constraint, Objective, Sweep
-from taccel_lab.studies.study import default_kit, read_study
+from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
+from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
+from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.spec.axis import Axis
+from taccel_lab.studies.spec.study import default_kit, read_study
+from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 from tests.support.fake_kit import logged, study
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)

@@ -19,12 +19,12 @@ from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Material
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.sensors.press_mesh import press_mesh
-from taccel_lab.studies.evidence import profile_mm
+from taccel_lab.studies.metrics.evidence import profile_mm
 from taccel_lab.studies.metrics.hysteresis import lost_part
 from taccel_lab.studies.metrics.two_point import contrast
-from taccel_lab.studies.press_batch import REFERENCE_PA, simulate
-from taccel_lab.studies.press_job import place_mm, press_jobs
-from taccel_lab.studies.presses import (
+from taccel_lab.studies.presses.press_batch import REFERENCE_PA, simulate
+from taccel_lab.studies.presses.press_job import place_mm, press_jobs
+from taccel_lab.studies.presses.standard import (
     DEFAULT_PRESSES,
     STANDARD_PRESSES,
     StandardPress,

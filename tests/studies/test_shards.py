@@ -17,13 +17,13 @@ import pytest
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.shard import Shard
-from taccel_lab.studies.cluster import JOBS, ShardJob, submit_shards
-from taccel_lab.studies.design_batch import sharing_key
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.optimise_optuna import JOURNAL
-from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.study_folder import RESULT, STUDY_MARKER, StudyFolder
-from taccel_lab.studies.table import CSV_NAME
+from taccel_lab.studies.evaluate.cluster import JOBS, ShardJob, submit_shards
+from taccel_lab.studies.evaluate.design_batch import sharing_key
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL
+from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER, StudyFolder
+from taccel_lab.studies.evaluate.table import CSV_NAME
 from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
@@ -300,7 +300,7 @@ def test_a_job_that_is_asked_to_end_ends(
         time.sleep(60)
         return 0
 
-    monkeypatch.setattr("taccel_lab.studies.cluster.run_shard", asked_to_end)
+    monkeypatch.setattr("taccel_lab.studies.evaluate.cluster.run_shard", asked_to_end)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # As submitit does.
     with pytest.raises(SystemExit) as ended:
         ShardJob(str(file), str(tmp_path / "out"), Shard(1, 2), None, None, None)()

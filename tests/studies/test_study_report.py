@@ -18,8 +18,8 @@ from hypothesis.extra.numpy import arrays
 from markupsafe import escape
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.ranking import (
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.ranking import (
     Goal,
     directed,
     is_feasible,
@@ -28,11 +28,11 @@ from taccel_lab.studies.ranking import (
     total_violation,
     violations,
 )
+from taccel_lab.studies.evaluate.runner import StudyOutcome, run_study
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import sensitivity
-from taccel_lab.studies.runner import StudyOutcome, run_study
-from taccel_lab.studies.spec import Constraint, Objective
+from taccel_lab.studies.spec.study_file import Constraint, Objective
 from tests.support.fake_kit import METRICS, evaluate_and_tear, study, table
 
 SQUARE = {

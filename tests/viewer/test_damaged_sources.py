@@ -14,8 +14,8 @@ import pytest
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.viewer.press_folder import PRESS, STATES
 from tests.support.commands import Done, done
 from tests.support.small_data_sets import make, saved_profile

@@ -24,8 +24,8 @@ from taccel_lab.profile import save_profile
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.scene import Element, Material, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView

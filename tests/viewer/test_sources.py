@@ -15,8 +15,8 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.scene import Element
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.press_folder import STATES, read_press
 from taccel_lab.viewer.sources import Kind, find_source

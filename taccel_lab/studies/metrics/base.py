@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_point import LOAD_N, Fitted, NoFigure
+from taccel_lab.studies.metrics.design_point import LOAD_N, Fitted, NoFigure
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.evidence import Evidence
+    from taccel_lab.studies.metrics.evidence import Evidence
 
 __all__ = ["METRICS", "Better", "Fitted", "Metric", "NoFigure", "metric"]
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from taccel_lab.studies.evidence import Evidence, at_load
 from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.evidence import Evidence, at_load
 
 
 @metric(

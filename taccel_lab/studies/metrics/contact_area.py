@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 
-from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm
 from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm
 
 
 @metric(

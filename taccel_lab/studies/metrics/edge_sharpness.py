@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence, profile_mm
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.evidence import Evidence, profile_mm
 
 _HALF_MM = 8.0
 

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.design_point import Fitted
-from taccel_lab.studies.evidence import Evidence, at_load, contact_radius_mm
 from taccel_lab.studies.metrics.base import NoFigure, metric
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.metrics.design_point import Fitted
+from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm
+from taccel_lab.studies.presses.press_record import PressRecord
 
 LEFT = 1.5
 """Force over that of the first third of the press gone on by its power law, from which a curve

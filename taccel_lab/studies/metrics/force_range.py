@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.evidence import Evidence
 
 BOTTOM_STRAIN = 0.4
 """Depth over thickness at which a gel counts as bottomed out. How much stiffer it has become than a

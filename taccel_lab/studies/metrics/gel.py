@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.evidence import Evidence
 
 
 @metric("gel_modulus", "MPa", "Young's modulus of the gel's first layer", "none", (), smooth=True)

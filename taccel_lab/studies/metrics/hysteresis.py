@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.evidence import Evidence
 
 
 def lost_part(travel: np.ndarray, force: np.ndarray) -> float:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.evidence import Evidence
 from taccel_lab.tasks.result import TaskTrial, success_interval
 
 

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.camera_view import VIEW_PX
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.camera_view import VIEW_PX
+from taccel_lab.studies.metrics.evidence import Evidence
 
 
 @metric(

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.studies.evidence import (
+from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.evidence import (
     Evidence,
     at_load,
     contact_radius_mm,
     dent_mm,
 )
-from taccel_lab.studies.metrics.base import metric
 
 
 @metric(

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.metrics.evidence import Evidence
+from taccel_lab.studies.presses.press_record import PressRecord
 
 
 def _stuck_shear(record: PressRecord) -> tuple[int, int, float]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence, at_load
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.evidence import Evidence, at_load
 
 
 @metric(

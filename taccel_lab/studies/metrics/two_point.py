@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence, profile_mm
 from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.evidence import Evidence, profile_mm
 
 RESOLVED = 0.2
 """Contrast from which two pins count as two; Rayleigh's criterion in optics has 0.265 [Born and

@@ -16,13 +16,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.ranking import Goal, is_feasible, violations
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.ranking import Goal, is_feasible, violations
 from taccel_lab.studies.report.sensitivity import Sensitivity
+from taccel_lab.studies.spec.axis import Axis
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.spec import Constraint
+    from taccel_lab.studies.spec.study_file import Constraint
 
 TELL_APART = 0.03
 """Relative difference of a goal below which designs count as equal: the error of a press."""

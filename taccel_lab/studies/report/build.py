@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import Any
 
 from taccel_lab.report.page import write_page_into
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.page import FIGURES, study_page
-from taccel_lab.studies.runner import StudyOutcome
 
 
 def write_study_report(outcome: StudyOutcome) -> dict[str, Any]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from taccel_lab.report.html import format_number
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
-from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.figures import color_norm, parameter_label, plain_log_ticks
-from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.report.style import GREEN, ORANGE, in_report_style, new_figure
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.runner import StudyOutcome
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.report.style import BLUE, GREY, INK, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.figures import (
     color_norm,
     column,
@@ -17,7 +18,6 @@ from taccel_lab.studies.report.figures import (
     plain_log_ticks,
 )
 from taccel_lab.studies.report.sensitivity import Effect, Sensitivity, with_partners
-from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

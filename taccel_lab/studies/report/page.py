@@ -11,12 +11,12 @@ from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.html import format_number
 from taccel_lab.report.mesh_view import MeshView, mesh_view
 from taccel_lab.report.page import Page, Picture, Table
-from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report import figures, figures_curves, figures_designs, figures_effects
 from taccel_lab.studies.report.sensitivity import Sensitivity
 from taccel_lab.studies.report.values import report_values, sensitivities
 from taccel_lab.studies.report.verdict import study_verdict
-from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

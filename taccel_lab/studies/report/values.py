@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.ranking import (
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.ranking import (
     directed,
     is_feasible,
     least_violating,
     ranked,
     violations,
 )
+from taccel_lab.studies.evaluate.runner import StudyOutcome
+from taccel_lab.studies.evaluate.table import table_rows
 from taccel_lab.studies.report.answer import answer
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
-from taccel_lab.studies.runner import StudyOutcome
-from taccel_lab.studies.table import table_rows
 from taccel_lab.version import __version__
 
 COMPARED = 3

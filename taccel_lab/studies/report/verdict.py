@@ -8,8 +8,8 @@ from typing import Any
 
 from taccel_lab.report.html import format_number
 from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.answer import TELL_APART
-from taccel_lab.studies.runner import StudyOutcome
 
 
 @dataclass(frozen=True)

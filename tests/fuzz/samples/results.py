@@ -67,10 +67,10 @@ def study(given: Path) -> None:
     from dataclasses import asdict
 
     from taccel_lab.files.atomic_file import to_jsonable
-    from taccel_lab.studies.design_row import DesignRow
-    from taccel_lab.studies.spec import load_spec
-    from taccel_lab.studies.study import default_kit, make_study
-    from taccel_lab.studies.study_folder import RESULT, STUDY_MARKER
+    from taccel_lab.studies.evaluate.design_row import DesignRow
+    from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
+    from taccel_lab.studies.spec.study import default_kit, make_study
+    from taccel_lab.studies.spec.study_file import load_spec
 
     study_file(given)
     planned = make_study(load_spec(given / "study.toml"), default_kit())

@@ -15,7 +15,7 @@ from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.design_point import DesignFigures
+    from taccel_lab.studies.metrics.design_point import DesignFigures
 
 Status = Literal["done", "failed", "broken"]
 """done: at least one figure. failed: none, for a cause that lies in the design (a pad that cannot

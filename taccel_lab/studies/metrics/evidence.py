@@ -16,10 +16,10 @@ from taccel_lab.geometry import Region
 from taccel_lab.presses.press_force import by_power_law
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import MarkerLayout
-from taccel_lab.studies.camera_view import photometry, picture_change, view_model
-from taccel_lab.studies.design_point import LOAD_N, NoFigure
-from taccel_lab.studies.press_record import PressRecord
-from taccel_lab.studies.surface_section import section_heights
+from taccel_lab.studies.metrics.camera_view import photometry, picture_change, view_model
+from taccel_lab.studies.metrics.design_point import LOAD_N, NoFigure
+from taccel_lab.studies.presses.press_record import PressRecord
+from taccel_lab.studies.presses.surface_section import section_heights
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
@@ -97,7 +97,7 @@ class Evidence:
         return [trial for name in VITAC_TASKS for trial in self._task(name).trials]
 
     def _task(self, name: str) -> TaskResult:
-        from taccel_lab.studies.design_task import design_task
+        from taccel_lab.studies.metrics.design_task import design_task
         from taccel_lab.tasks.run import run_task
 
         task = design_task(self.parameters, name)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics and standard presses in words, and the tables of docs/studies.md made from them.
 
-``python -m taccel_lab.studies.describe docs/studies.md`` brings the tables of the page up to date.
+``python -m taccel_lab.studies.report.describe docs/studies.md`` brings the page's tables up to date.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 
 from taccel_lab.report.markdown import markdown_table, with_parts
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.presses import StandardPress
-from taccel_lab.studies.readings import described
+from taccel_lab.studies.presses.standard import StandardPress
+from taccel_lab.studies.spec.readings import described
 
 
 def press_in_words(press: StandardPress) -> str:
@@ -63,7 +63,7 @@ def metrics_table() -> str:
 
 def presses_table() -> str:
     """All standard presses as a Markdown table."""
-    from taccel_lab.studies.presses import STANDARD_PRESSES
+    from taccel_lab.studies.presses.standard import STANDARD_PRESSES
 
     rows = [[f"`{name}`", press_in_words(press)] for name, press in STANDARD_PRESSES.items()]
     return markdown_table(["press", "what it does"], rows)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from taccel_lab.errors import InputError
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec import require_known
+from taccel_lab.studies.spec.study_file import require_known
 
 _GENERIC = {
     "sphere": "a ball", "shear": "a ball", "release": "a ball", "places": "one ball",

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec import Constraint, Objective
+from taccel_lab.studies.spec.study_file import Constraint, Objective
 
 TOLERANCE = 1e-3
 """Part of a bound by which it may be missed: far below what a simulation can tell apart, and what

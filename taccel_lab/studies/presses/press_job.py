@@ -23,7 +23,7 @@ from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.presses import normal_frame, parse_indenter
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import pad_press_mesh
-from taccel_lab.studies.presses import StandardPress
+from taccel_lab.studies.presses.standard import StandardPress
 
 DEEPEST = 0.8
 """Deepest press as a part of the gel's thickness; ``depth_fraction`` ends there, too."""

@@ -10,7 +10,7 @@ from typing import Any
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.files.text_file import shown
-from taccel_lab.studies.spec import ParameterRange
+from taccel_lab.studies.spec.study_file import ParameterRange
 
 SIGNIFICANT_DIGITS = 9
 """Of values that are computed: a design's identity must not hang on the last bit."""

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError, SimulationError, is_of_a_file
 from taccel_lab.progress import Progress, silent
-from taccel_lab.studies.design_batch import DesignBatch
-from taccel_lab.studies.design_files import write_design_files
-from taccel_lab.studies.design_point import DesignFigures, DesignPoint
-from taccel_lab.studies.design_row import DesignRow, row_of
-from taccel_lab.studies.study import Study
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.design_batch import DesignBatch
+from taccel_lab.studies.evaluate.design_files import write_design_files
+from taccel_lab.studies.evaluate.design_row import DesignRow, row_of
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
+from taccel_lab.studies.spec.study import Study
 from taccel_lab.version import __version__
 
 

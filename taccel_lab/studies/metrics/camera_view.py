@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_point import NoFigure
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.metrics.design_point import NoFigure
+from taccel_lab.studies.presses.press_record import PressRecord
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry

@@ -26,7 +26,7 @@ from taccel_lab.files.file_lock import hold
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, require_growable
 from taccel_lab.files.shard import Shard
-from taccel_lab.studies.design_row import DesignRow, read_row
+from taccel_lab.studies.evaluate.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker for studies: no other command takes the folder for an output that it may replace."""

@@ -13,16 +13,16 @@ from typing import Any
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.shard import Shard
 from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, Underway, usable_cores
-from taccel_lab.studies.design_batch import DesignBatch, gather_batches, sharing_key
-from taccel_lab.studies.design_point import DesignPoint
-from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
-from taccel_lab.studies.optimise import OptimiserState, optimise
-from taccel_lab.studies.optimise_optuna import JOURNAL, optimise_with_optuna
-from taccel_lab.studies.ranking import directed, ranked
-from taccel_lab.studies.study import Study
-from taccel_lab.studies.study_folder import StudyFolder
-from taccel_lab.studies.table import write_table
+from taccel_lab.studies.evaluate.design_batch import DesignBatch, gather_batches, sharing_key
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.evaluate_batch import broken_row, evaluate_batch
+from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
+from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
+from taccel_lab.studies.evaluate.ranking import directed, ranked
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.table import write_table
+from taccel_lab.studies.metrics.design_point import DesignPoint
+from taccel_lab.studies.spec.study import Study
 from taccel_lab.summary import Summary
 
 TABLE_EVERY_S = 2.0

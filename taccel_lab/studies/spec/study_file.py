@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study file: what is swept, pressed and measured, as read from TOML.
 
-Only the form is checked here; ``taccel_lab.studies.study`` checks the names and bounds against the
-catalogue.
+Only the form is checked here; ``taccel_lab.studies.spec.study`` checks the names and bounds against
+the catalogue.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from taccel_lab.files.text_file import shown
 from taccel_lab.files.toml_file import read_toml
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
-from taccel_lab.studies.design_point import LOAD_N
+from taccel_lab.studies.metrics.design_point import LOAD_N
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""

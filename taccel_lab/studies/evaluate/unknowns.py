@@ -30,7 +30,7 @@ from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.scene import Ball
 from taccel_lab.sensors.base import INCOMPRESSIBLE, FamilyParameters
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.presses.press_record import PressRecord
 
 _NORMAL_95 = 1.96
 

@@ -19,13 +19,13 @@ from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
-from taccel_lab.studies.axis import Axis, axis_of, significant
-from taccel_lab.studies.bearable import require_bearable
-from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.readings import press_of, readings, split_name
-from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
-from taccel_lab.studies.sweep import grid_points, random_points
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
+from taccel_lab.studies.spec.axis import Axis, axis_of, significant
+from taccel_lab.studies.spec.bearable import require_bearable
+from taccel_lab.studies.spec.readings import press_of, readings, split_name
+from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec, require_known
+from taccel_lab.studies.spec.sweep import grid_points, random_points
 
 EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
@@ -34,7 +34,7 @@ over then."""
 
 class Evaluate(Protocol):
     """Presses designs and computes their figures;
-    ``taccel_lab.studies.evaluate.evaluate_designs``."""
+    ``taccel_lab.studies.evaluate.designs.evaluate_designs``."""
 
     def __call__(
         self,
@@ -135,9 +135,9 @@ def _tied_value(tie: Tie, value: float, parameter: Parameter) -> float | int:
 
 def default_kit() -> Kit:
     """The standard presses and metrics on our solver."""
-    from taccel_lab.studies.evaluate import evaluate_designs
+    from taccel_lab.studies.evaluate.designs import evaluate_designs
     from taccel_lab.studies.metrics import METRICS
-    from taccel_lab.studies.presses import STANDARD_PRESSES
+    from taccel_lab.studies.presses.standard import STANDARD_PRESSES
 
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 

@@ -16,9 +16,9 @@ from taccel_lab.outputs import Outputs
 from taccel_lab.presses import PressEnv, layered_material, parse_indenter
 from taccel_lab.scene import Material
 from taccel_lab.signals import ContactFaceMesh
-from taccel_lab.studies.contact_size import measured_contact_mm
-from taccel_lab.studies.press_job import PressJob
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.presses.contact_size import measured_contact_mm
+from taccel_lab.studies.presses.press_job import PressJob
+from taccel_lab.studies.presses.press_record import PressRecord
 
 REFERENCE_PA = 1e5
 """Young's modulus of layer 0 in every simulation."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.studies.design_point import DesignPoint
+from taccel_lab.studies.metrics.design_point import DesignPoint
 
 Needs = tuple[tuple[str, ...], tuple[str, ...]]
 """Metrics and presses."""

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.optimise import Figures, OptimiserState, Try
-from taccel_lab.studies.spec import Constraint, Objective, Sweep
+from taccel_lab.studies.evaluate.optimise import Figures, OptimiserState, Try
+from taccel_lab.studies.spec.axis import Axis
+from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 
 if TYPE_CHECKING:
     import optuna

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id
-from taccel_lab.studies.design_point import DesignFigures
-from taccel_lab.studies.spec import StudyOutput
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.evaluate.study_folder import StudyFolder
+from taccel_lab.studies.metrics.design_point import DesignFigures
+from taccel_lab.studies.spec.study_file import StudyOutput
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.pad import Pad
@@ -50,7 +50,7 @@ def write_design_files(
             causes[f"file {kind}"] = str(error)
             del files[kind]
     if output.pictures:
-        from taccel_lab.studies.pictures import write_picture
+        from taccel_lab.studies.evaluate.pictures import write_picture
 
         file = f"designs/{result.point.id}/{PICTURE}"
         title = f"{sensor.label}, {name}"

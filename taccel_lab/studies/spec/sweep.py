@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.spec import MAX_DESIGNS
+from taccel_lab.studies.spec.axis import Axis
+from taccel_lab.studies.spec.study_file import MAX_DESIGNS
 
 
 def grid_points(axes: Sequence[Axis]) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.press_record import PressRecord
+    from taccel_lab.studies.presses.press_record import PressRecord
 
 
 LOAD_N = 0.5

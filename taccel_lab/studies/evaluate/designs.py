@@ -18,13 +18,13 @@ from taccel_lab.files.atomic_file import write_json
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_point import DesignFigures, DesignPoint, Fitted, NoFigure
-from taccel_lab.studies.evidence import Evidence
+from taccel_lab.studies.evaluate.unknowns import Unknowns
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
-from taccel_lab.studies.press_job import PressJob, press_jobs
-from taccel_lab.studies.presses import StandardPress
-from taccel_lab.studies.unknowns import Unknowns
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint, Fitted, NoFigure
+from taccel_lab.studies.metrics.evidence import Evidence
+from taccel_lab.studies.presses.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
+from taccel_lab.studies.presses.press_job import PressJob, press_jobs
+from taccel_lab.studies.presses.standard import StandardPress
 
 _KEPT = 16
 """Whole presses that a process remembers: optimisers come back to a gel with another modulus."""

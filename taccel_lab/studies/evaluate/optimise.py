@@ -19,9 +19,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from taccel_lab.studies.axis import Axis
-from taccel_lab.studies.ranking import TOLERANCE
-from taccel_lab.studies.spec import Constraint, Objective, Sweep
+from taccel_lab.studies.evaluate.ranking import TOLERANCE
+from taccel_lab.studies.spec.axis import Axis
+from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 
 STEP = 0.02
 """To a neighbour, as a part of a range: presses stop at residuals of 1e-4, far below what figures

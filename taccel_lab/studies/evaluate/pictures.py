@@ -10,9 +10,9 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
-from taccel_lab.studies.camera_view import view_model
-from taccel_lab.studies.evidence import section_mm
-from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.metrics.camera_view import view_model
+from taccel_lab.studies.metrics.evidence import section_mm
+from taccel_lab.studies.presses.press_record import PressRecord
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,8 +14,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_by
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.design_row import DesignRow
-    from taccel_lab.studies.study import Study
+    from taccel_lab.studies.evaluate.design_row import DesignRow
+    from taccel_lab.studies.spec.study import Study
 
 CSV_NAME = "designs.csv"
 PARQUET_NAME = "designs.parquet"
@@ -38,7 +38,7 @@ def interval_columns(name: str) -> tuple[str, str]:
 
 def table_rows(study: Study, designs: Sequence[DesignRow]) -> list[dict[str, Any]]:
     """Rows of the table; None where a figure is missing."""
-    from taccel_lab.studies.ranking import is_feasible
+    from taccel_lab.studies.evaluate.ranking import is_feasible
 
     names = columns(study)
     rows = []
