@@ -123,7 +123,7 @@ import {modules}
 BARE_ROOMS = {
     # Compute nodes have neither CAD nor command line: presses and renders must run there.
     "taccel_lab.presses, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render, "
-    "taccel_lab.studies.evaluate.designs, taccel_lab.benchmarks.speed": [
+    "taccel_lab.studies.evaluate.evaluate, taccel_lab.benchmarks.speed": [
         *(name for name in HEAVY if name not in ("warp", "scipy")),
         *("pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"),
     ],
@@ -227,7 +227,7 @@ OWN_FILES = {"calibration/contacts/cache.py": "json", "calibration/live/recorded
 """A digest guards what a cache kept; rows of an interrupted reading begin with one."""
 WRITERS = {
     "calibration/markers/track_files.py": "csv",
-    "taccel_lab/studies/evaluate/table.py": "csv",
+    "taccel_lab/studies/evaluate/study_folder.py": "csv",
     "taccel_lab/exporters/gs_sdk.py": "yaml",
     "taccel_lab/exporters/tacto.py": "yaml",
 }

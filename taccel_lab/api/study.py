@@ -12,10 +12,10 @@ from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
 from taccel_lab.model.devices import require_device
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.report.page import first_figure
-from taccel_lab.studies.evaluate.runner import Listener, StudyOutcome, run_study
+from taccel_lab.studies.evaluate.runner import Listener, StudyOutcome, default_kit, run_study
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.report.page import study_page
-from taccel_lab.studies.spec.study import default_kit, read_study
+from taccel_lab.studies.spec.study import read_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -177,7 +177,7 @@ class StudyCommand:
         self, console: Console, outcome: StudyOutcome, values: dict, root: Path, again: str
     ) -> None:
         from taccel_lab.cli.console import print_json
-        from taccel_lab.studies.evaluate.table import CSV_NAME, has_parquet
+        from taccel_lab.studies.evaluate.study_folder import CSV_NAME, has_parquet
 
         if self.json:
             print_json(values)
@@ -199,9 +199,9 @@ class StudyCommand:
 
 def _print_lists(options: StudyCommand) -> None:
     from taccel_lab.cli.console import print_json
+    from taccel_lab.studies.evaluate.runner import default_kit
     from taccel_lab.studies.report.describe import press_in_words
     from taccel_lab.studies.spec.readings import described
-    from taccel_lab.studies.spec.study import default_kit
 
     kit = default_kit()
     metrics = {

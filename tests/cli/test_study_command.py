@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli.dataset import with_make
-from taccel_lab.studies.spec.study import Kit, default_kit
+from taccel_lab.studies.evaluate.runner import default_kit
+from taccel_lab.studies.spec.study import Kit
 from tests.cli.conftest import Cli
 from tests.support.fake_kit import METRICS, PRESSES, evaluate, logged
 

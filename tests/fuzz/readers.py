@@ -161,7 +161,8 @@ def _import_pack(given: Path, out: Path) -> None:
 
 
 def _plan_study(given: Path, out: Path) -> None:
-    from taccel_lab.studies.spec.study import default_kit, read_study
+    from taccel_lab.studies.evaluate.runner import default_kit
+    from taccel_lab.studies.spec.study import read_study
 
     planned = read_study(given / "study.toml", default_kit())
     if planned.spec.sweep.kind in ("grid", "random"):

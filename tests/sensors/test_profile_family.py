@@ -26,11 +26,12 @@ from taccel_lab.sensors.registry import (
     profile_parameters,
     sensor_family,
 )
-from taccel_lab.studies.evaluate.designs import evaluate_designs
+from taccel_lab.studies.evaluate.evaluate import evaluate_designs
+from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.presses.press_batch import simulate
 from taccel_lab.studies.presses.press_job import press_jobs
-from taccel_lab.studies.spec.study import default_kit, make_study
+from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
 from tests.sensors.imported_profiles import SIZE, crowned, imported
 from tests.studies.coarse_presses import coarse

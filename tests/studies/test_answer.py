@@ -9,13 +9,13 @@ import pytest
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import Goal, ranked
+from taccel_lab.studies.evaluate.ranking import ranked
 from taccel_lab.studies.report.answer import Answer, answer
 from taccel_lab.studies.report.sensitivity import sensitivity
 from taccel_lab.studies.spec.axis import Axis
-from taccel_lab.studies.spec.study_file import Constraint
+from taccel_lab.studies.spec.study_file import Constraint, Objective
 
-STIFFNESS = Goal("stiffness", 1.0)
+STIFFNESS = Objective(minimize="stiffness")
 
 
 def axis(name: str, low: float, high: float) -> Axis:
@@ -25,7 +25,7 @@ def axis(name: str, low: float, high: float) -> Axis:
 def answered(
     constraints: list[Constraint],
     ends: tuple[float, float] = (1.0, 1.0),
-    goal: Goal = STIFFNESS,
+    goal: Objective = STIFFNESS,
     thicknesses: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 4.05, 5.0),
 ) -> Answer:
     """Of gels with stiffness 12 / t and range 2 t^2, whose range is known to within ``ends``."""
@@ -71,7 +71,7 @@ def test_the_range_stays_inside_what_was_swept() -> None:
 
 def test_the_end_of_a_range_limits_it_where_no_constraint_does() -> None:
     assert [limit.text for limit in answered([]).limits] == ["thickness_mm, whose range ends at 5"]
-    stiffest = answered([], goal=Goal("stiffness", -1.0))
+    stiffest = answered([], goal=Objective(maximize="stiffness"))
     assert "ends at 2" in stiffest.limits[0].text
 
 

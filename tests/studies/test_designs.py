@@ -22,7 +22,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.sensors.profile_family import imported_gel
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.evaluate.design_files import write_design_files
-from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.evaluate.runner import default_kit, run_study
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
@@ -32,7 +32,7 @@ from taccel_lab.studies.report import preview as previews
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.report.describe import with_tables
 from taccel_lab.studies.report.preview import preview_design, write_preview
-from taccel_lab.studies.spec.study import default_kit, make_study
+from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import StudyOutput, StudySpec, spec_of
 from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
 from taccel_lab.tasks.run import run_task

@@ -17,14 +17,14 @@ from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv
 from taccel_lab.solvers import EnvStatus, StepReport
 from taccel_lab.studies.evaluate import designs as evaluate
-from taccel_lab.studies.evaluate.designs import evaluate_designs
-from taccel_lab.studies.evaluate.unknowns import Unknowns
+from taccel_lab.studies.evaluate.evaluate import Unknowns, evaluate_designs
+from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.metrics.design_point import DesignPoint
 from taccel_lab.studies.presses import press_batch
 from taccel_lab.studies.presses.standard import STANDARD_PRESSES
 from taccel_lab.studies.spec.readings import described, split_name
-from taccel_lab.studies.spec.study import Study, default_kit, make_study, read_study
+from taccel_lab.studies.spec.study import Study, make_study, read_study
 from taccel_lab.studies.spec.study_file import spec_of
 from tests.studies.coarse_presses import COARSE, coarse
 

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.metrics import METRICS, NoFigure
-from taccel_lab.studies.metrics.edge_sharpness import rise_width
 from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm, dent_mm
-from taccel_lab.studies.metrics.hysteresis import lost_part
-from taccel_lab.studies.metrics.two_point import contrast, sizes
-from taccel_lab.studies.metrics.uniformity import variation
+from taccel_lab.studies.metrics.shear import lost_part
+from taccel_lab.studies.metrics.surface import contrast, rise_width, sizes, variation
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.presses.standard import STANDARD_PRESSES
 from tests.studies.coarse_presses import down_record, sphere_on_gelsight

@@ -13,9 +13,9 @@ from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
-from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.evaluate.runner import default_kit, run_study
 from taccel_lab.studies.spec.axis import Axis
-from taccel_lab.studies.spec.study import default_kit, read_study
+from taccel_lab.studies.spec.study import read_study
 from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 from tests.support.fake_kit import logged, study
 

@@ -20,8 +20,8 @@ from taccel_lab.scene import Material
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.studies.metrics.evidence import profile_mm
-from taccel_lab.studies.metrics.hysteresis import lost_part
-from taccel_lab.studies.metrics.two_point import contrast
+from taccel_lab.studies.metrics.shear import lost_part
+from taccel_lab.studies.metrics.surface import contrast
 from taccel_lab.studies.presses.press_batch import REFERENCE_PA, simulate
 from taccel_lab.studies.presses.press_job import place_mm, press_jobs
 from taccel_lab.studies.presses.standard import (

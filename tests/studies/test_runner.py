@@ -13,8 +13,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import require_replaceable
 from taccel_lab.studies.evaluate.runner import Listener, read_outcome, run_study
-from taccel_lab.studies.evaluate.study_folder import STUDY_MARKER
-from taccel_lab.studies.evaluate.table import write_table
+from taccel_lab.studies.evaluate.study_folder import STUDY_MARKER, write_table
 from tests.support.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
 
 

@@ -17,13 +17,12 @@ import pytest
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.shard import Shard
+from taccel_lab.studies.evaluate.batches import sharing_key
 from taccel_lab.studies.evaluate.cluster import JOBS, ShardJob, submit_shards
-from taccel_lab.studies.evaluate.design_batch import sharing_key
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL
 from taccel_lab.studies.evaluate.runner import run_study
-from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER, StudyFolder
-from taccel_lab.studies.evaluate.table import CSV_NAME
+from taccel_lab.studies.evaluate.study_folder import CSV_NAME, RESULT, STUDY_MARKER, StudyFolder
 from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
-from taccel_lab.studies.evaluate.design_batch import MAX_BATCH, DesignBatch, gather_batches
-from taccel_lab.studies.spec.axis import Axis, axis_of
-from taccel_lab.studies.spec.study import default_kit, make_study
+from taccel_lab.studies.evaluate.batches import MAX_BATCH, DesignBatch, gather_batches
+from taccel_lab.studies.evaluate.runner import default_kit
+from taccel_lab.studies.spec.axis import Axis, axis_of, random_points
+from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import Constraint, ParameterRange, load_spec, spec_of
-from taccel_lab.studies.spec.sweep import random_points
 from tests.support.fake_kit import study, table
 
 # Files --------------------------------------------------------------------------------------------

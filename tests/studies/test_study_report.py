@@ -20,7 +20,6 @@ from markupsafe import escape
 from taccel_lab.errors import InputError
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.ranking import (
-    Goal,
     directed,
     is_feasible,
     least_violating,
@@ -30,8 +29,8 @@ from taccel_lab.studies.evaluate.ranking import (
 )
 from taccel_lab.studies.evaluate.runner import StudyOutcome, run_study
 from taccel_lab.studies.report import write_study_report
-from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import sensitivity
+from taccel_lab.studies.report.values import pareto_front
 from taccel_lab.studies.spec.study_file import Constraint, Objective
 from tests.support.fake_kit import METRICS, evaluate_and_tear, study, table
 
@@ -269,16 +268,24 @@ def test_the_nearest_design_is_measured_in_parts_of_the_bounds() -> None:
 
 def test_ranking_follows_the_goal() -> None:
     designs = [design("x", a=12, b=0.5), design("y", a=30, b=0.9), design("z", a=40, b=3)]
-    assert [d.id for d in ranked(designs, Goal("a", -1), BOUNDS)] == ["y", "x"]
-    assert [d.id for d in ranked(designs, Goal("b", 1), [])] == ["x", "y", "z"]
-    assert [d.id for d in ranked([design("n", a=None)], Goal("a", 1), [])] == []
+    assert [d.id for d in ranked(designs, Objective(maximize="a"), BOUNDS)] == ["y", "x"]
+    assert [d.id for d in ranked(designs, Objective(minimize="b"), [])] == ["x", "y", "z"]
+    assert [d.id for d in ranked([design("n", a=None)], Objective(minimize="a"), [])] == []
 
 
 def test_without_an_objective_the_first_metric_with_a_better_side_counts() -> None:
-    assert directed([], METRICS) == [Goal("stiffness", 1), Goal("range", -1), Goal("blur", 1)]
+    assert directed([], METRICS) == [
+        Objective(minimize="stiffness"),
+        Objective(maximize="range"),
+        Objective(minimize="blur"),
+    ]
     assert directed([], {"lamps": METRICS["lamps"]}) == []
     found = directed([Objective(maximize="blur")], METRICS)
-    assert found == [Goal("blur", -1), Goal("stiffness", 1), Goal("range", -1)]
+    assert found == [
+        Objective(maximize="blur"),
+        Objective(minimize="stiffness"),
+        Objective(maximize="range"),
+    ]
 
 
 def test_front_of_known_points() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from taccel_lab.studies.presses.surface_section import section_heights
+from taccel_lab.studies.presses.press_record import section_heights
 
 
 def test_a_section_is_the_piecewise_linear_interpolant() -> None:

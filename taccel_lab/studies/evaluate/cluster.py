@@ -13,9 +13,9 @@ from typing import Any, Literal, NoReturn
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.shard import Shard
-from taccel_lab.studies.evaluate.runner import run_study
+from taccel_lab.studies.evaluate.runner import default_kit, run_study
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
-from taccel_lab.studies.spec.study import default_kit, read_study
+from taccel_lab.studies.spec.study import read_study
 
 Where = Literal["slurm", "local"]
 JOBS = ".jobs"

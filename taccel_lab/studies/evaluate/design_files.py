@@ -1,19 +1,109 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a design besides its figures: mesh, STEP, pictures."""
+"""Files of a design besides its figures: mesh, STEP, and a picture of its first press."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id
+from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figure, save_figure
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.studies.metrics.design_point import DesignFigures
+from taccel_lab.studies.metrics.evidence import section_mm, view_model
+from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.spec.study_file import StudyOutput
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from taccel_lab.cad.parts.pad import Pad
+    from taccel_lab.sensors.base import FamilyParameters
+
+
+PREVIEW_PX = 240
+"""Longer side of the camera's preview."""
+SECTION_RADII = 3.0
+"""Half width of the section, in widths of the contact that the press is meshed for."""
+_DPI = 90
+
+
+def write_picture(
+    parameters: FamilyParameters, records: dict[str, list[PressRecord]], path: Path, title: str
+) -> str | None:
+    """Draw the first press that got anywhere; returns its name, or None when none did."""
+    for press, made in records.items():
+        for record in made:
+            if len(record.depth_mm) and record.down.stop:
+                preview, why = camera_preview(parameters, record)
+                save_figure(draw_design(record, preview, why, title), path, dpi=_DPI)
+                return press
+    return None
+
+
+def camera_preview(
+    parameters: FamilyParameters, record: PressRecord
+) -> tuple[np.ndarray | None, str]:
+    """What the camera would see at full depth, RGB levels [H, W, 3], or why there is no image."""
+    try:
+        model = view_model(
+            parameters, record, size_px=PREVIEW_PX, enlarged=True, device=record.device
+        )
+        return model.render(record.positions_m(record.down.stop - 1)).rgb, ""
+    except InputError as error:
+        return None, str(error)
+
+
+@in_report_style
+def draw_design(record: PressRecord, preview: np.ndarray | None, why: str, title: str) -> Figure:
+    """The preview above the section, at rest and at every step."""
+    figure, (image, cut) = new_figure(3.9, 4.7, 2, 1, gridspec_kw={"height_ratios": [1.9, 1.0]})
+    if preview is None:
+        image.text(0.5, 0.5, f"no image:\n{why}", ha="center", va="center", wrap=True, fontsize=8)
+    else:
+        image.imshow(np.clip(np.round(preview), 0, 255).astype(np.uint8))
+    image.set_axis_off()
+    image.set_title(title, fontsize=9)
+    _draw_section(cut, record)
+    return figure
+
+
+def _draw_section(axes: Any, record: PressRecord) -> None:
+    reach = np.abs(record.in_press(record.rest_m[record.surface.node_idx])[:, 0]).max() * 1e3
+    half = min(SECTION_RADII * max(_contact_mm(record), 1.0), 1.02 * reach)
+    x, heights = section_mm(record, half, range(record.down.stop))
+    bottom = -record.thickness_mm
+    axes.fill_between(x, bottom, heights[-1], color=BLUE, alpha=0.12, linewidth=0)
+    for height in heights[1:-1]:
+        axes.plot(x, height, color=LIGHT, linewidth=0.8)
+    axes.plot(x, heights[0], color=GREY, linewidth=1.0, linestyle="--", label="at rest")
+    axes.plot(x, heights[-1], color=BLUE, linewidth=1.6, label=_label(record))
+    axes.axhline(bottom, color=GREY, linewidth=1.5)
+    axes.set_xlim(-half, half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7.5)
+    axes.set_xlabel("x through the press [mm]", fontsize=8)
+    axes.set_ylabel("z [mm]", fontsize=8)
+    axes.legend(fontsize=7.5, loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.3))
+
+
+def _contact_mm(record: PressRecord) -> float:
+    """Reach of the dent: half of the width over which the face moved by a tenth of the depth."""
+    idx = record.surface.node_idx
+    last = record.down.stop - 1
+    moved = np.linalg.norm(record.moved_m[last][idx], axis=1) * 1e3
+    x = np.abs(record.in_press(record.rest_m[idx])[:, 0]) * 1e3
+    dented = x[moved > 0.1 * moved.max()]
+    return float(dented.max()) / 2 if len(dented) else 1.0
+
+
+def _label(record: PressRecord) -> str:
+    step = record.down.stop - 1
+    return f"{record.indenter}, {record.depth_mm[step]:.2g} mm, {record.force_n[step, 2]:.2g} N"
+
 
 MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
 """Designs with the same pad share one mesh and one STEP file, named by a hash of the pad."""
@@ -50,8 +140,6 @@ def write_design_files(
             causes[f"file {kind}"] = str(error)
             del files[kind]
     if output.pictures:
-        from taccel_lab.studies.evaluate.pictures import write_picture
-
         file = f"designs/{result.point.id}/{PICTURE}"
         title = f"{sensor.label}, {name}"
         if write_picture(parameters, result.records, folder.root / file, title) is not None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.metrics.base import Metric
@@ -61,35 +60,20 @@ def least_violating(
     return min(found, key=lambda d: total_violation(d, constraints), default=None)
 
 
-@dataclass(frozen=True)
-class Goal:
-    """What designs are ranked by."""
-
-    metric: str
-    sign: float
-    """1 where less is better, -1 where more is."""
-
-    def cost(self, design: DesignRow) -> float:
-        """Less is better; infinite without a figure."""
-        value = design.figures.get(self.metric)
-        return float("inf") if value is None else self.sign * value
-
-    def text(self) -> str:
-        return ("least " if self.sign > 0 else "greatest ") + self.metric
-
-
-def directed(objectives: Sequence[Objective], metrics: Mapping[str, Metric]) -> list[Goal]:
+def directed(objectives: Sequence[Objective], metrics: Mapping[str, Metric]) -> list[Objective]:
     """What designs could be ranked by: the objectives, then the metrics that have a better side."""
-    goals = [Goal(objective.metric, objective.sign) for objective in objectives]
+    goals = list(objectives)
     for name, metric in metrics.items():
         if metric.better != "none" and name not in [goal.metric for goal in goals]:
-            goals.append(Goal(name, 1.0 if metric.better == "lower" else -1.0))
+            side = "minimize" if metric.better == "lower" else "maximize"
+            goals.append(Objective(**{side: name}))
     return goals
 
 
 def ranked(
-    designs: Sequence[DesignRow], goal: Goal, constraints: Sequence[Constraint]
+    designs: Sequence[DesignRow], goal: Objective, constraints: Sequence[Constraint]
 ) -> list[DesignRow]:
     """Feasible designs with a figure, the best first."""
     found = [d for d in designs if is_feasible(d, constraints)]
-    return sorted((d for d in found if goal.cost(d) < float("inf")), key=goal.cost)
+    known = [d for d in found if d.figures.get(goal.metric) is not None]
+    return sorted(known, key=lambda d: goal.cost(d.figures))

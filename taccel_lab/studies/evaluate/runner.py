@@ -13,16 +13,20 @@ from typing import Any
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.shard import Shard
 from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, Underway, usable_cores
-from taccel_lab.studies.evaluate.design_batch import DesignBatch, gather_batches, sharing_key
+from taccel_lab.studies.evaluate.batches import (
+    DesignBatch,
+    broken_row,
+    evaluate_batch,
+    gather_batches,
+    sharing_key,
+)
 from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
 from taccel_lab.studies.evaluate.ranking import directed, ranked
-from taccel_lab.studies.evaluate.study_folder import StudyFolder
-from taccel_lab.studies.evaluate.table import write_table
+from taccel_lab.studies.evaluate.study_folder import StudyFolder, write_table
 from taccel_lab.studies.metrics.design_point import DesignPoint
-from taccel_lab.studies.spec.study import Study
+from taccel_lab.studies.spec.study import Kit, Study
 from taccel_lab.summary import Summary
 
 TABLE_EVERY_S = 2.0
@@ -103,6 +107,15 @@ Pool = ProcessPool[DesignBatch, None]
 
 class _LimitReached(Exception):
     """As many new designs as the caller wanted."""
+
+
+def default_kit() -> Kit:
+    """The standard presses and metrics on our solver."""
+    from taccel_lab.studies.evaluate.evaluate import evaluate_designs
+    from taccel_lab.studies.metrics import METRICS
+    from taccel_lab.studies.presses.standard import STANDARD_PRESSES
+
+    return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
 
 def default_processes(device: str) -> int:

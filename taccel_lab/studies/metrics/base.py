@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics and their inputs."""
+"""Metrics, the figures of merit of a design."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.metrics.design_point import LOAD_N, Fitted, NoFigure
+from taccel_lab.studies.metrics.design_point import LOAD_N, Fitted
 
 if TYPE_CHECKING:
     from taccel_lab.studies.metrics.evidence import Evidence
 
-__all__ = ["METRICS", "Better", "Fitted", "Metric", "NoFigure", "metric"]
 
 Better = Literal["higher", "lower", "none"]
 

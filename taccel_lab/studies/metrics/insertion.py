@@ -7,39 +7,39 @@ policy, starts and criterion, with gels of the design.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from taccel_lab.studies.metrics.base import metric
 from taccel_lab.studies.metrics.evidence import Evidence
 from taccel_lab.tasks.result import TaskTrial, success_interval
 
 
-@metric(
-    "insertion_success", "%",
+def _successes(
+    name: str, description: str, trials: Callable[[Evidence], Sequence[TaskTrial]]
+) -> None:
+    """Register ``NAME_success`` over all seeds, and both ends of its interval: designs whose
+    intervals lie apart differ, and the low end ranks those that were tried from few starts."""
+
+    def share(end: int) -> Callable[[Evidence], float]:
+        def compute(evidence: Evidence) -> float:
+            found = trials(evidence)
+            return 1e2 * success_interval(sum(trial.success for trial in found), len(found))[end]
+
+        return compute
+
+    interval = f"end of the 95 % interval of {name}_success (Wilson)"
+    for end, (word, meaning) in enumerate(
+        (("success", description), ("low", f"lower {interval}"), ("high", f"upper {interval}"))
+    ):
+        metric(f"{name}_{word}", "%", meaning, "higher", (), runs_task=True)(share(end))
+
+
+_successes(
+    "insertion",
     "part of the starts of the task touch-insertion from which a fixed policy that sees the "
-    "design's markers gets a peg into its hole", "higher", (), runs_task=True,
-)  # fmt: skip
-def insertion_success(evidence: Evidence) -> float:
-    """Of all seeds of the task."""
-    return _percent(evidence.insertion.trials)[0]
-
-
-@metric(
-    "insertion_low", "%", "lower end of the 95 % interval of insertion_success (Wilson)",
-    "higher", (), runs_task=True,
-)  # fmt: skip
-def insertion_low(evidence: Evidence) -> float:
-    """What to rank designs by that were tried from few starts."""
-    return _percent(evidence.insertion.trials)[1]
-
-
-@metric(
-    "insertion_high", "%", "upper end of the 95 % interval of insertion_success (Wilson)",
-    "higher", (), runs_task=True,
-)  # fmt: skip
-def insertion_high(evidence: Evidence) -> float:
-    """Designs whose intervals lie apart differ."""
-    return _percent(evidence.insertion.trials)[2]
+    "design's markers gets a peg into its hole",
+    lambda evidence: evidence.insertion.trials,
+)
 
 
 @metric(
@@ -52,34 +52,8 @@ def insertion_force(evidence: Evidence) -> float:
     return evidence.insertion.table()["figures"]["jam_force_n"]["median"]
 
 
-@metric(
-    "vitac_success", "%", "as insertion_success, of the three pegs of ManiSkill-ViTac 2025",
-    "higher", (), runs_task=True,
-)  # fmt: skip
-def vitac_success(evidence: Evidence) -> float:
-    """Of all seeds of the three tasks."""
-    return _percent(evidence.vitac)[0]
-
-
-@metric(
-    "vitac_low", "%", "lower end of the 95 % interval of vitac_success (Wilson)",
-    "higher", (), runs_task=True,
-)  # fmt: skip
-def vitac_low(evidence: Evidence) -> float:
-    """What to rank designs by."""
-    return _percent(evidence.vitac)[1]
-
-
-@metric(
-    "vitac_high", "%", "upper end of the 95 % interval of vitac_success (Wilson)",
-    "higher", (), runs_task=True,
-)  # fmt: skip
-def vitac_high(evidence: Evidence) -> float:
-    """Designs whose intervals lie apart differ."""
-    return _percent(evidence.vitac)[2]
-
-
-def _percent(trials: Sequence[TaskTrial]) -> list[float]:
-    """Successes, and the ends of their interval."""
-    successes = sum(trial.success for trial in trials)
-    return [1e2 * share for share in success_interval(successes, len(trials))]
+_successes(
+    "vitac",
+    "as insertion_success, of the three pegs of ManiSkill-ViTac 2025",
+    lambda evidence: evidence.vitac,
+)

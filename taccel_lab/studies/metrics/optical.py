@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.metrics.base import NoFigure, metric
-from taccel_lab.studies.metrics.camera_view import VIEW_PX
-from taccel_lab.studies.metrics.evidence import Evidence
+from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.design_point import NoFigure
+from taccel_lab.studies.metrics.evidence import VIEW_PX, Evidence
 
 
 @metric(

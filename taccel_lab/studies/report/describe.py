@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics and standard presses in words, and the tables of docs/studies.md made from them.
 
-``python -m taccel_lab.studies.report.describe docs/studies.md`` brings the page's tables up to date.
+``python -m taccel_lab.studies.report.describe docs/studies.md`` brings its tables up to date.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 from taccel_lab.report.markdown import markdown_table, with_parts
-from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.presses.standard import StandardPress
 from taccel_lab.studies.spec.readings import described
 
@@ -37,12 +36,6 @@ def press_in_words(press: StandardPress) -> str:
     return "; ".join([*parts, f"{len(press.waypoints())} steps"])
 
 
-def read_from(metric: Metric) -> str:
-    """Presses that a metric is read from, in words."""
-    own = ", ".join(metric.presses) or "no press"
-    return " or ".join([own, *metric.also])
-
-
 def metrics_table() -> str:
     """All metrics as a Markdown table."""
     from taccel_lab.studies.metrics import METRICS
@@ -53,7 +46,7 @@ def metrics_table() -> str:
             f"`{name}`",
             metric.unit if metric.unit != "1" else "–",
             metric.better if metric.better != "none" else "–",
-            read_from(metric),
+            " or ".join([", ".join(metric.presses) or "no press", *metric.also]),
             described(metric).description,
         ]
         for name, metric in METRICS.items()

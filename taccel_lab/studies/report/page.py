@@ -10,16 +10,17 @@ from taccel_lab.errors import InputError
 from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.html import format_number
 from taccel_lab.report.mesh_view import MeshView, mesh_view
-from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table, write_page_into
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.runner import StudyOutcome
-from taccel_lab.studies.report import figures, figures_curves, figures_designs, figures_effects
+from taccel_lab.studies.report import figures, figures_effects
+from taccel_lab.studies.report.answer import study_verdict
 from taccel_lab.studies.report.sensitivity import Sensitivity
 from taccel_lab.studies.report.values import report_values, sensitivities
-from taccel_lab.studies.report.verdict import study_verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 MOST_ROWS = 400
 """Rows of the page's table; the CSV has all."""
@@ -263,16 +264,16 @@ def _pictures(
 ) -> Iterator[Picture]:
     """Every figure that there is something to show in."""
 
-    if figures_curves.tool_curves(outcome):
+    if figures.tool_curves(outcome):
         yield _picture(
             "force_depth",
-            lambda: figures_curves.draw_tools(outcome, contact=False),
+            lambda: figures.draw_tools(outcome, contact=False),
             "Force over depth. report.json has the numbers.",
         )
-    if figures_curves.has_contacts(outcome):
+    if figures.has_contacts(outcome):
         yield _picture(
             "contact_force",
-            lambda: figures_curves.draw_tools(outcome, contact=True),
+            lambda: figures.draw_tools(outcome, contact=True),
             "Diameter of the disc of the contact's area over the force.",
         )
     if len(outcome.done) >= 2:
@@ -337,10 +338,10 @@ def _ends_pictures(outcome: StudyOutcome, values: Values) -> Iterator[Picture]:
             yield _picture(word.replace(" ", "_"), path.read_bytes, caption)
     best = [row for word, row in ends if word.startswith("best")]
     worst = [row for word, row in ends if word.startswith("worst")]
-    if len(outcome.done) >= 2 and figures_designs.drawn_presses(outcome, [*best, *worst]):
+    if len(outcome.done) >= 2 and figures.drawn_presses(outcome, [*best, *worst]):
         yield _picture(
             "curves",
-            lambda: figures_designs.draw_curves(outcome, best, worst),
+            lambda: figures.draw_curves(outcome, best, worst),
             "Force over depth in each press, over the sideways motion there and back in a press "
             "with shear. Of several places or indenters the first.",
         )
@@ -361,3 +362,19 @@ def _gel(values: Values, word: str, row: DesignRow) -> Iterator[Picture]:
     parts = mesh.nodes_m, mesh.faces, mesh.face_regions
     caption = f"The untouched gel of {values['names'][row.id]} ({word}), faces by region."
     yield _picture("gel", lambda: draw_mesh(*parts), caption, view=mesh_view(*parts))
+
+
+def write_study_report(outcome: StudyOutcome) -> dict[str, Any]:
+    """Write ``report.html``, ``report.json`` and ``figures/*.png`` into the study's folder.
+
+    Returns:
+        The figures as written to the JSON.
+    """
+    page, root = study_page(outcome), outcome.folder.root
+    (root / FIGURES).mkdir(exist_ok=True)
+    write_page_into(page, root)
+    drawn = {picture.name for picture in page.pictures}
+    for path in (root / FIGURES).glob("*.png"):
+        if f"{FIGURES}/{path.stem}" not in drawn:
+            path.unlink()
+    return page.figures

@@ -18,11 +18,31 @@ from taccel_lab.studies.evaluate.ranking import (
     violations,
 )
 from taccel_lab.studies.evaluate.runner import StudyOutcome
-from taccel_lab.studies.evaluate.table import table_rows
+from taccel_lab.studies.evaluate.study_folder import table_rows
 from taccel_lab.studies.report.answer import answer
-from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
 from taccel_lab.version import __version__
+
+
+def pareto_front(costs: np.ndarray) -> np.ndarray:
+    """Rows that no other row dominates, as a mask, shape [design].
+
+    Row a dominates b when it is nowhere worse and somewhere better. Equal rows do not dominate each
+    other. Rows with NaN are on no front.
+
+    Args:
+        costs: Less is better, shape [design, metric].
+    """
+    costs = np.asarray(costs, dtype=np.float64)
+    known = np.array(np.isfinite(costs).all(axis=1))
+    front = np.array(known)
+    for row in np.flatnonzero(known):
+        others = costs[known]
+        no_worse = (others <= costs[row]).all(axis=1)
+        better = (others < costs[row]).any(axis=1)
+        front[row] = not (no_worse & better).any()
+    return front
+
 
 COMPARED = 3
 """Best and worst designs that the page shows side by side, of each at most."""

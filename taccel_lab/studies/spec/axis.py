@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One swept parameter: its values, or its range mapped to [0, 1], linear or logarithmic."""
+"""Swept parameters, values or ranges mapped to [0, 1]; designs of grids and random sweeps."""
 
 from __future__ import annotations
 
+import itertools
 import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.files.text_file import shown
-from taccel_lab.studies.spec.study_file import ParameterRange
+from taccel_lab.studies.spec.study_file import MAX_DESIGNS, ParameterRange
 
 SIGNIFICANT_DIGITS = 9
 """Of values that are computed: a design's identity must not hang on the last bit."""
@@ -122,3 +125,46 @@ def axis_of(parameter: Parameter, wanted: ParameterRange) -> Axis:
             f"different values, not count = {wanted.count}"
         )
     return Axis(parameter, values, log=wanted.scale == "log")
+
+
+def grid_points(axes: Sequence[Axis]) -> list[dict[str, Any]]:
+    """Every combination of the axes' values, the last axis fastest.
+
+    Raises InputError when there are more than ``MAX_DESIGNS``.
+    """
+    counts = [len(axis.values or ()) for axis in axes]
+    total = math.prod(counts)
+    if not 0 < total <= MAX_DESIGNS:
+        sizes = " x ".join(map(str, counts))
+        raise InputError(
+            f"the grid has {sizes} = {total:,} designs; 1 to {MAX_DESIGNS:,} are allowed"
+        )
+    names = [axis.name for axis in axes]
+    return [
+        dict(zip(names, values, strict=True))
+        for values in itertools.product(*(axis.values or () for axis in axes))
+    ]
+
+
+def random_points(
+    axes: Sequence[Axis], count: int, seed: int, sampler: str = "latin-hypercube"
+) -> list[dict[str, Any]]:
+    """``count`` designs spread evenly over all axes; the same ones for the same seed.
+
+    A Latin hypercube has one design in each of ``count`` slices of every axis. Sobol points fill
+    the ranges in sequence, so that a larger count keeps all earlier designs.
+    """
+    from scipy.stats import qmc
+
+    if sampler == "sobol":
+        engine = qmc.Sobol(len(axes), scramble=True, rng=seed)
+        with warnings.catch_warnings():
+            # Balance properties need a power of two; a study may stop anywhere in the sequence.
+            warnings.filterwarnings("ignore", message="The balance properties of Sobol")
+            units = engine.random(count)
+    else:
+        units = qmc.LatinHypercube(len(axes), rng=seed).random(count)
+    return [
+        {axis.name: axis.at(float(unit)) for axis, unit in zip(axes, row, strict=True)}
+        for row in units
+    ]

@@ -5,48 +5,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import content_id
 from taccel_lab.files.text_file import shown
 from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.progress import Progress, silent
-from taccel_lab.sensors.base import STIFFNESS, SensorFamily
+from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.sensors.base import STIFFNESS, FamilyParameters, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
-from taccel_lab.studies.spec.axis import Axis, axis_of, significant
-from taccel_lab.studies.spec.bearable import require_bearable
+from taccel_lab.studies.spec.axis import Axis, axis_of, grid_points, random_points, significant
 from taccel_lab.studies.spec.readings import press_of, readings, split_name
 from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec, require_known
-from taccel_lab.studies.spec.sweep import grid_points, random_points
 
 EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
 over then."""
-
-
-class Evaluate(Protocol):
-    """Presses designs and computes their figures;
-    ``taccel_lab.studies.evaluate.designs.evaluate_designs``."""
-
-    def __call__(
-        self,
-        designs: Sequence[DesignPoint],
-        presses: Sequence[Any],
-        metrics: Sequence[Metric],
-        *,
-        device: str = "cpu",
-        progress: Progress = silent,
-        folder: Path | None = None,
-        unit_spread: float = 0.0,
-    ) -> list[DesignFigures]: ...
 
 
 @dataclass(frozen=True)
@@ -56,8 +37,8 @@ class Kit:
     presses: Mapping[str, Any]
     """Frozen dataclasses by name; their fields are what ``[press.NAME]`` may set."""
     metrics: Mapping[str, Metric]
-    evaluate: Evaluate
-    """A function of a module, so that other processes find it."""
+    evaluate: Callable[..., list[DesignFigures]]
+    """As ``evaluate.evaluate_designs``; a function of a module, so that other processes find it."""
     version: int = EVALUATION_VERSION
 
 
@@ -131,15 +112,6 @@ class Study:
 def _tied_value(tie: Tie, value: float, parameter: Parameter) -> float | int:
     found = tie.factor * float(value) ** tie.power + tie.offset
     return round(found) if isinstance(parameter.default, int) else significant(found)
-
-
-def default_kit() -> Kit:
-    """The standard presses and metrics on our solver."""
-    from taccel_lab.studies.evaluate.designs import evaluate_designs
-    from taccel_lab.studies.metrics import METRICS
-    from taccel_lab.studies.presses.standard import STANDARD_PRESSES
-
-    return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
 
 def read_study(path: Path, kit: Kit, accuracy: str | None = None) -> Study:
@@ -299,3 +271,50 @@ def _setting(what: str, value: Any, standard: Any) -> Any:
     if type(value) not in kinds:
         raise InputError(f"{what} = {shown(value)}; something like {standard!r} is allowed")
     return value
+
+
+STIFFENED = 10.0
+"""How much larger than by small strains the force of a deep press may be: a load beyond that is
+reached by no press."""
+_EQUATOR = 0.9
+"""Depth, as a part of a ball's radius, at which the closed form ends."""
+
+
+def require_bearable(
+    metrics: Iterable[Metric], presses: Mapping[str, Any], designs: Sequence[FamilyParameters]
+) -> None:
+    """Refuse a load that none of the designs bears under the ball by which a figure is read.
+
+    Args:
+        metrics: Of the study, each of one load and indenter; other tools than balls are not judged.
+        presses: By name, as of the study.
+        designs: None where an optimiser finds them: nothing is rejected then.
+
+    Raises:
+        InputError: Names the load, and about what the press ends at.
+    """
+    for metric in metrics:
+        tool, _, size = (metric.indenter or "").partition(":")
+        if not (metric.at_load and designs and tool == "sphere"):
+            continue
+        press, ends = presses[metric.presses[0]], 0.0
+        for design in designs:
+            ends = max(ends, _end_n(press, float(size), design))
+            if metric.load_n <= STIFFENED * ends:
+                break
+        else:
+            raise InputError(
+                f"{metric.name}: no gel of this study bears {metric.load_n:g} N; the press "
+                f"{metric.presses[0]} of {metric.indenter} ends at about {ends:.2g} N. Give a "
+                "smaller load_n"
+            )
+
+
+def _end_n(press: Any, radius_mm: float, design: FamilyParameters) -> float:
+    """About the force of a press at its full depth [N], of the stiffest layer all through."""
+    thickness = design.pad().thickness_mm
+    layers = design.layer_materials()
+    depth = min(press.full_depth_mm(thickness), _EQUATOR * radius_mm)
+    modulus = max(layer.young_modulus_pa for layer in layers)
+    nu = max(layer.poisson_ratio for layer in layers)
+    return float(layer_force_n("sphere", depth, radius_mm, thickness, nu, modulus))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -205,6 +205,15 @@ class Objective(StrictModel):
     def sign(self) -> float:
         """1 where less is better, -1 where more is."""
         return 1.0 if self.minimize is not None else -1.0
+
+    def cost(self, figures: Mapping[str, float | None]) -> float:
+        """Less is better; infinite without a figure."""
+        value = figures.get(self.metric)
+        return math.inf if value is None else self.sign * value
+
+    def text(self) -> str:
+        """In words: ``least blur``."""
+        return ("least " if self.sign > 0 else "greatest ") + self.metric
 
 
 class Constraint(StrictModel):

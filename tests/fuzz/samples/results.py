@@ -68,8 +68,9 @@ def study(given: Path) -> None:
 
     from taccel_lab.files.atomic_file import to_jsonable
     from taccel_lab.studies.evaluate.design_row import DesignRow
+    from taccel_lab.studies.evaluate.runner import default_kit
     from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
-    from taccel_lab.studies.spec.study import default_kit, make_study
+    from taccel_lab.studies.spec.study import make_study
     from taccel_lab.studies.spec.study_file import load_spec
 
     study_file(given)
