@@ -35,11 +35,11 @@ class DatasetMake:
     one process a GPU. The files do not depend on shards or processes; on the CPU they are equal to
     the byte.
 
-    Example: taccel-lab dataset taccel_lab/datasets/examples/mini_touches.toml --out out/mini
+    Example: taccel-lab dataset mini_touches --out out/mini
     """
 
     spec: Positional[Path]
-    """File of the data set (TOML)."""
+    """File of the data set (TOML), or the name of an example."""
     out: Path | None = None
     """Folder of the data set, new or begun. Default: out/NAME-OF-THE-FILE."""
     shard: str = "1/1"
@@ -62,6 +62,7 @@ class DatasetMake:
         from taccel_lab.datasets.folder import ABOUT
         from taccel_lab.datasets.plan import DatasetPlan
         from taccel_lab.datasets.spec import load_spec
+        from taccel_lab.files.example_file import file_or_example
         from taccel_lab.files.inner_path import real_path
         from taccel_lab.files.shard import Shard
         from taccel_lab.model.devices import require_device
@@ -76,29 +77,30 @@ class DatasetMake:
             if value is not None and not least <= value <= 1024**2:
                 raise InputError(f"{name} must be at least {least}, got {value}")
         require_device(self.device)
+        file = file_or_example(self.spec, "datasets")
         if self.write and not self.check_only:
             _require_zarr()
         with working(console, "reading sensors and objects"):
-            with naming(self.spec):
-                plan = DatasetPlan(load_spec(self.spec), real_path(self.spec).parent)
+            with naming(file):
+                plan = DatasetPlan(load_spec(file), real_path(file).parent)
         if plan.spec.dataset.episodes >= LONG_DRAW:
             with stage_progress(console) as progress:
                 plan.group(progress)
         _describe(console, plan, shard)
         if self.check_only:
             return
-        root = self.out or Path("out") / self.spec.stem
+        root = self.out or Path("out") / file.stem
 
         def what() -> str:
             kept = f"what is finished stays in {root}; go on with: {self._again(root)}"
             return kept if self.write and (root / ABOUT).is_file() else ""
 
         with keeping(what):
-            outcome = self._make(plan, root if self.write else None, shard, console)
+            outcome = self._make(plan, file, root if self.write else None, shard, console)
         self._conclude(console, outcome, root)
 
     def _make(
-        self, plan: DatasetPlan, root: Path | None, shard: Shard, console: Console
+        self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard, console: Console
     ) -> DatasetOutcome:
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.files.text_file import read_text
@@ -109,7 +111,7 @@ class DatasetMake:
             return make_dataset(
                 plan,
                 root,
-                source=read_text(self.spec, TOML_LIMIT_BYTES, "the file of a data set"),
+                source=read_text(file, TOML_LIMIT_BYTES, "the file of a data set"),
                 shard=(shard.number, shard.count),
                 device=self.device,
                 processes=self.processes,

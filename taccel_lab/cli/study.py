@@ -30,11 +30,11 @@ class StudyCommand:
     changed file adds. Exit code 1: no design meets the constraints; the report names the nearest
     one.
 
-    Example: taccel-lab study taccel_lab/studies/examples/softest_gel.toml --out out/softest
+    Example: taccel-lab study mini_thickness_hardness --out out/mini
     """
 
     study: Positional[Path | None] = None
-    """Study file (TOML)."""
+    """Study file (TOML), or the name of an example."""
     out: Path | None = None
     """Folder of the study, new or begun. Default: out/NAME-OF-THE-FILE."""
     processes: int | None = None
@@ -64,6 +64,7 @@ class StudyCommand:
     """Print the result, or a list, as JSON."""
 
     def run(self) -> None:
+        from taccel_lab.files.example_file import file_or_example
         from taccel_lab.files.shard import Shard
 
         if self.list_metrics or self.list_presses:
@@ -79,10 +80,11 @@ class StudyCommand:
             Shard.parse(self.shard)
         if self.processes is not None and not 1 <= self.processes <= 1024:
             raise InputError(f"processes must lie in 1..1024, got {self.processes}")
+        file = file_or_example(self.study, "studies")
         if self.submit:
-            self._submit(self.study, self.submit)
+            self._submit(file, self.submit)
         else:
-            self._run(self.study)
+            self._run(file)
 
     def _submit(self, file: Path, where: Where) -> None:
         from taccel_lab.cad.parameters import parse_overrides
@@ -103,7 +105,7 @@ class StudyCommand:
         )  # fmt: skip
         notes().print(
             f"{len(jobs)} jobs submitted ({jobs[0].job_id} ...), logs in {root / JOBS}; when they "
-            f"are through:\n  {self._again(file, root)}",
+            f"are through:\n  {self._again(root)}",
             soft_wrap=True,
         )
 
@@ -119,7 +121,7 @@ class StudyCommand:
         root = self.out or Path("out") / file.stem
 
         def what() -> str:
-            kept = f"what is finished stays in {root}; go on with: {self._again(file, root)}"
+            kept = f"what is finished stays in {root}; go on with: {self._again(root)}"
             return kept if StudyFolder(root).is_study() else ""
 
         with keeping(what):
@@ -130,7 +132,7 @@ class StudyCommand:
             if self.shard is not None:
                 console.print(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
-                    f"them new; when all shards are through:\n  {self._again(file, root)}",
+                    f"them new; when all shards are through:\n  {self._again(root)}",
                     soft_wrap=True,
                 )
                 if self.json:
@@ -139,10 +141,10 @@ class StudyCommand:
                 return
             with working(console, "writing the report"):
                 values = write_study_report(outcome)
-        self._conclude(console, outcome, values, root, self._again(file, root))
+        self._conclude(console, outcome, values, root, self._again(root))
 
-    def _again(self, file: Path, root: Path) -> str:
-        words = ["taccel-lab", "study", str(file), "--out", str(root)]
+    def _again(self, root: Path) -> str:
+        words = ["taccel-lab", "study", str(self.study), "--out", str(root)]
         for name in ("processes", "device", "accuracy"):
             if getattr(self, name) is not None:
                 words += [f"--{name}", str(getattr(self, name))]

@@ -116,6 +116,7 @@ def test_no_figures_at_all_is_exit_code_3(file: Path, cli: Cli) -> None:
     [
         ("study", "name a study file"),
         ("study none.toml", "none.toml does not exist"),
+        ("study none", "no example has that name; known: design_track, digit_curvature,"),
         ("study thickness.toml --limit 0", "limit must be at least 1"),
         ("study thickness.toml --processes 0", "processes must lie in 1..1024"),
         ("study thickness.toml --out .", "holds files and no study"),
@@ -142,7 +143,7 @@ def test_lists(cli: Cli) -> None:
 
 def test_help_teaches(cli: Cli) -> None:
     text = cli("study --help").out
-    assert "taccel-lab study taccel_lab/studies/examples/softest_gel.toml" in text
+    assert "taccel-lab study mini_thickness_hardness" in text
     assert "docs/studies.md" in text and "--report-only" in text
 
 

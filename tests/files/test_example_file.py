@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Examples by name, from any folder: who installed a wheel has no path to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.files.example_file import file_or_example
+
+ROOT = Path(__file__).parents[2] / "taccel_lab"
+
+
+@pytest.mark.parametrize("folder", ["", "{room}/examples/", "taccel_lab/{room}/examples/"])
+@pytest.mark.parametrize("ending", ["", ".toml"])
+@pytest.mark.parametrize(
+    ("room", "name"), [("studies", "mini_thickness_hardness"), ("datasets", "mini_touches")]
+)
+def test_a_name_is_that_of_an_example(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: str, name: str, ending: str, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = file_or_example(Path(folder.format(room=room) + name + ending), room)
+    assert found.samefile(ROOT / room / "examples" / f"{name}.toml")
+
+
+def test_a_file_comes_before_an_example_and_other_paths_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "insertion.toml").touch()
+    for path in (Path("insertion.toml"), tmp_path / "softest_gel.toml", Path("mine/softest_gel")):
+        assert file_or_example(path, "studies") == path
+
+
+def test_a_wrong_name_lists_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"mini_touch does not exist.*known: force_mini, mini_to"):
+        file_or_example(Path("mini_touch"), "datasets")
