@@ -129,7 +129,7 @@ for axis, name, (before, _), (now, pressure) in zip(
 # 64 seeds and the failures, told one by one, are in [tasks](../docs/tasks.md#touch-insertion).
 
 # %%
-from taccel_lab.tasks.run import run_task
+from taccel_lab.tasks.catalogue import run_task
 
 SEEDS = 24
 result = run_task(task, seeds=range(SEEDS), device="cpu")

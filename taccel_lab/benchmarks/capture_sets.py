@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from taccel_lab.benchmarks.results import ResultFile, note
-from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.benchmarks.results import ResultFile, Suite, note
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.published_meshes import data_folder
 

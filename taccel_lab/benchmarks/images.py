@@ -4,7 +4,7 @@
 A pad of 20 x 15 mm with 1,271 nodes on its contact face, a colour network of the real architecture
 with seeded random weights, and a smooth press with shear that differs in each environment and moves
 every pixel: the most work an image can be. Each update is captured in a CUDA graph and timed by
-device events; on the CPU by ``taccel_lab.benchmarks.clock``.
+device events; on the CPU by ``taccel_lab.benchmarks.measure``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.clock import clock_of
-from taccel_lab.benchmarks.results import ResultFile, spread
-from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.benchmarks.measure import clock_of
+from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.camera.gel_camera import face_of
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh

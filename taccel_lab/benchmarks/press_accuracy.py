@@ -25,9 +25,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from taccel_lab.benchmarks.clock import clock_of
-from taccel_lab.benchmarks.results import ResultFile
-from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.benchmarks.measure import clock_of
+from taccel_lab.benchmarks.results import ResultFile, Suite
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses import (

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.launches import LaunchCounter
-from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.measure import LaunchCounter, MemoryMeter
 from taccel_lab.benchmarks.results import note
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene

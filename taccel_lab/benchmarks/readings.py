@@ -17,9 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from taccel_lab.benchmarks.clock import clock_of
-from taccel_lab.benchmarks.results import ResultFile, spread
-from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.benchmarks.measure import clock_of
+from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.signals.normal_features import color_change, image_features

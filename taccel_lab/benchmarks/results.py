@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result files: one schema, written whole after every row, so that nothing finished is lost."""
+"""Suites and their result files: one schema, written whole after every row, so that nothing that is
+finished is lost; a page says what was measured, on which machine, with a table of the rows."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from taccel_lab.benchmarks.page import benchmark_page, flat
 from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.json_file import read_json
@@ -20,7 +21,75 @@ from taccel_lab.files.output_folder import require_growable
 from taccel_lab.files.text_file import shown
 from taccel_lab.report.html import format_number
 from taccel_lab.report.machine import describe_run
-from taccel_lab.report.page import write_page_file
+from taccel_lab.report.page import Page, Table, sentence, write_page_file
+
+SIDE_BY_SIDE = 5
+"""Rows that stand beside one another, a line for each of their figures; more stand one below the
+other."""
+COLUMNS = 6
+"""Of a table of many rows, which goes on in another."""
+
+
+def benchmark_page(document: dict[str, Any]) -> Page:
+    """The page of a result file (``read_result``)."""
+    rows = [dict(flat(row)) for row in document["rows"]]
+    state = "all rows" if document["complete"] else "not complete"
+    seconds = format_number(document["seconds"])
+    own = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
+    beside = dict(flat({k: v for k, v in document.items() if k not in own}))
+    return Page(
+        title=f"Benchmark {document['suite']}",
+        summary=f"{sentence(document['what'])} Measured in {seconds} s, {state}.",
+        headline=_headline(rows),
+        tables=[
+            *(
+                [Table("Figures of the whole", ("figure", "value"), list(beside.items()))]
+                * bool(beside)
+            ),
+            *_tables(rows),
+            Table("Settings", ("setting", "value"), list(flat(document["settings"])), folded=True),
+            Table("Machine", ("figure", "value"), list(flat(document["run"])), folded=True),
+        ],
+    )
+
+
+def _headline(rows: Sequence[Mapping[str, Any]]) -> str:
+    """How many goals were met, where there are any."""
+    met = [row["met"] for row in rows if "met" in row]
+    return f"{sum(map(bool, met))} of {len(met)} goals met" if met else f"{len(rows)} rows"
+
+
+def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:
+    """Rows side by side where they are few, otherwise as many columns at a time as a page takes."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    if not names:
+        return
+    if len(rows) <= SIDE_BY_SIDE:
+        first, *others = names
+        columns = ["figure", *(str(row.get(first, number)) for number, row in enumerate(rows, 1))]
+        yield Table("Rows", columns, [[n, *(row.get(n) for row in rows)] for n in others])
+        return
+    first, others = names[0], names[1:]
+    for start in range(0, len(others), COLUMNS):
+        part = [first, *others[start : start + COLUMNS]]
+        cells = [[row.get(name) for name in part] for row in rows]
+        yield Table(
+            "Rows" if start == 0 else "Rows, further figures", part, cells, folded=start > 0
+        )
+
+
+def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Figures by their names, those of inner tables after the table's."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{before}{name}: ")
+        elif isinstance(value, bool):
+            yield before + name, "yes" if value else "no"
+        elif isinstance(value, (list, tuple)):
+            yield before + name, ", ".join(map(str, value))
+        else:
+            yield before + name, value
+
 
 SCHEMA = "taccel-lab benchmark 1"
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
@@ -187,3 +256,50 @@ class Ticker:
         end = "\r\033[K" if done == total else ""
         sys.stderr.write(f"\r\033[K{self._label}, {task}: {done}/{total}{end}")
         sys.stderr.flush()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Options of a suite; those of one suite stand in its class, with their help below them."""
+
+    name: ClassVar[str]
+    """Of its command and its result file."""
+    what: ClassVar[str]
+    """A line for the result file."""
+    shown: ClassVar[tuple[str, ...]] = ()
+    """Figures of a row to show when it is finished, those of inner tables named as on the page; one
+    that a row lacks is left out."""
+    device: str = "cpu"
+    """cpu, cuda:0, ..."""
+    budget_s: float | None = None
+    """Seconds after which no new row is started."""
+    out: Path = Path("out/benchmarks")
+    """Folder of the result, or a JSON file."""
+
+    def run(self) -> None:
+        """What the command does."""
+        self.measure()
+
+    def measure(self) -> ResultFile:
+        """Measure all rows and write the result file; InputError for options that cannot be."""
+        import warp as wp
+
+        from taccel_lab.processes.start_warp import start_warp
+
+        start_warp()
+        wp.config.log_level = wp.LOG_WARNING
+        settings = self.settings()
+        result = ResultFile(
+            self.name, self.what, self.out, self.device, settings, self.budget_s, self.shown
+        )
+        with result.finishing():
+            self.measure_rows(result)
+        return result
+
+    def settings(self) -> dict[str, Any]:
+        """What the result file says of the options."""
+        raise NotImplementedError
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """Add a row for everything that the suite measures."""
+        raise NotImplementedError

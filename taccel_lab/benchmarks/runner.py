@@ -2,7 +2,7 @@
 """Step a scene through its motion as a user would: set targets, step, read forces.
 
 The end-to-end time of a step is that of all three, until the forces on each gel are on the host;
-``taccel_lab.benchmarks.clock`` says which clock.
+``taccel_lab.benchmarks.measure`` says which clock.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.clock import clock_of
+from taccel_lab.benchmarks.measure import clock_of
 from taccel_lab.benchmarks.results import spread
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.ipc.contact.overlap_search import require_separated

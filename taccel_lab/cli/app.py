@@ -145,8 +145,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.bench import parse_bench
     from taccel_lab.cli.console import be_quiet
     from taccel_lab.cli.dataset import with_make
-    from taccel_lab.cli.values import values
-    from taccel_lab.cli.words import checked_words, common_words, require_options
+    from taccel_lab.cli.words import checked_words, common_words, require_options, values
 
     words, quiet = common_words(sys.argv[1:] if arguments is None else arguments)
     words = with_make(words)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output shared by the commands."""
+"""Output shared by the commands, and where they keep what they have finished."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from taccel_lab.errors import keeping
 from taccel_lab.files.atomic_file import to_jsonable
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
     from rich.status import Status
+
 
 _settings = {"quiet": False}
 _results: list[IO[str]] = []
@@ -96,3 +99,17 @@ def only_json() -> Iterator[None]:
                 sys.stdout.flush()
             os.dup2(kept, number)
             os.close(kept)
+
+
+@contextmanager
+def kept_blocks(folder: Path) -> Iterator[Path]:
+    """The place beside ``folder``; an early end says what is kept there."""
+    beside = Path(os.path.abspath(folder))  # "." has no name.
+    unfinished = beside.with_name(f"{beside.name}_unfinished")
+
+    def what() -> str:
+        kept = f"finished blocks stay in {unfinished}, where the same command continues"
+        return kept if unfinished.exists() else ""
+
+    with keeping(what):
+        yield unfinished

@@ -42,8 +42,7 @@ class Demo:
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.calibration.capture import find_taxim_pack
         from taccel_lab.calibration.capture.load import load_capture_folder
-        from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.cli.unfinished import kept_blocks
+        from taccel_lab.cli.console import kept_blocks, notes, print_json, results, working
         from taccel_lab.files.output_folder import atomic_directory, require_replaceable
         from taccel_lab.progress import stage_progress
 

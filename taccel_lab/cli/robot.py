@@ -106,7 +106,7 @@ def _robot_of(text: str, **options: Any) -> Robot:
 
 def _draw(robot: Robot, path: Path) -> None:
     from taccel_lab.errors import InputError
-    from taccel_lab.robots.picture import draw_robot
+    from taccel_lab.robots.describe import draw_robot
 
     if path.suffix.lower() != ".png":
         raise InputError(f"--picture {path} must end in .png")

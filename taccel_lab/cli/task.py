@@ -74,7 +74,7 @@ class TaskRun:
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.files.output_folder import atomic_directory
         from taccel_lab.progress import stage_progress
-        from taccel_lab.tasks.run import run_task
+        from taccel_lab.tasks.catalogue import run_task
 
         if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
             raise InputError(f"seeds must lie in 1..{MOST_SEEDS}, got {self.seeds}")

@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the object of an episode goes, step by step."""
+"""How an object stands over the gel, the mesh of the gel for that, and where it goes by steps."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.geometry.press_mesh_options import PressMeshOptions
+from taccel_lab.model.embedding import rotate
+from taccel_lab.presses import Indenter, normal_frame
+from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.sensors.press_mesh import pad_press_mesh
 
 COMMAND = ("depth_mm", "shear_x_mm", "shear_y_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
 """Columns of what is asked of a step, in the object's frame at the start: depth past first touch,
@@ -64,3 +73,78 @@ def rolled_mm(commands: np.ndarray, height_mm: np.ndarray) -> np.ndarray:
     turns, [n, 2]: height times angle, as without sliding; ``commands`` is [n, 6]."""
     turn = np.radians(commands[:, 3:5])
     return height_mm[:, None] * np.column_stack([turn[:, 1], -turn[:, 0]])
+
+
+@dataclass(frozen=True)
+class Placing:
+    """Place and attitude of an object."""
+
+    x_mm: float
+    y_mm: float
+    yaw_deg: float = 0.0
+    tilt_deg: float = 0.0
+    """Of its axis, along which it comes down, from the face's normal."""
+    lean_deg: float = 0.0
+    """To which side the axis leans, from x towards y."""
+
+    @property
+    def at_mm(self) -> tuple[float, float]:
+        return self.x_mm, self.y_mm
+
+    def turn(self) -> np.ndarray:
+        """Attitude over a face whose normal is z, quaternion x, y, z, w."""
+        lean, tilt, yaw = (math.radians(a) for a in (self.lean_deg, self.tilt_deg, self.yaw_deg))
+        s, c = math.sin(tilt / 2), math.cos(tilt / 2)
+        leaning = np.array([-math.sin(lean) * s, math.cos(lean) * s, 0.0, c])
+        return _product(leaning, np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)]))
+
+    def frame(self, pad: Pad, indenter: Indenter) -> np.ndarray:
+        """gel_from_press, [7]: the object's origin is above the place when it touches.
+
+        Raises InputError for a place beside the pad."""
+        xy = np.array(self.at_mm)
+        top, normal = float(pad.top_mm(xy)), pad.top_normal(xy)
+        if not (math.isfinite(top) and np.isfinite(normal).all()):
+            raise InputError(f"({xy[0]:.3g}, {xy[1]:.3g}) mm lies beside the contact face")
+        base = normal_frame(np.append(xy, top) * 1e-3, normal)
+        turn = self.turn()
+        axis = rotate(turn, np.array([0.0, 0.0, 1.0]))
+        back = -_height_m(indenter, turn) / axis[2] * np.append(axis[:2], 0.0)
+        return np.concatenate([base[:3] + rotate(base[3:], back), _product(base[3:], turn)])
+
+    def mesh(
+        self, pad: Pad, indenter: Indenter, depth_mm: float, options: PressMeshOptions
+    ) -> TetMesh:
+        """The gel, graded as for any press around what the object touches."""
+        return pad_press_mesh(
+            pad, self.at_mm, turned(indenter, self.turn()).contact(depth_mm), options
+        )
+
+
+def turned(indenter: Indenter, turn: np.ndarray) -> Indenter:
+    """The same object in another attitude."""
+    shape = indenter.shape
+    if isinstance(shape, Ball):
+        return indenter
+    return replace(indenter, shape=TriangleMesh(rotate(turn, shape.vertices_m), shape.faces))
+
+
+def view_range_mm(grid: PixelGrid, view: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gel xy [mm] of the corners of the part ``view`` of an image about its middle, low and
+    high, [2]."""
+    half = 0.5 * np.array([grid.width_px - 1, grid.height_px - 1])
+    return grid.gel_from_pixel(half - view * half), grid.gel_from_pixel(half + view * half)
+
+
+def _height_m(indenter: Indenter, turn: np.ndarray) -> float:
+    """Of the object's origin over its lowest point."""
+    shape = indenter.shape
+    if isinstance(shape, Ball):
+        return shape.radius_m
+    return float(-rotate(turn, shape.vertices_m)[:, 2].min())
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions x, y, z, w."""
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    return np.append(vector, a[3] * b[3] - a[:3] @ b[:3])

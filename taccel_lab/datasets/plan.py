@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from taccel_lab.datasets.channels import camera_record, check_channels
-from taccel_lab.datasets.motion import TouchMotion
-from taccel_lab.datasets.placing import Placing, view_range_mm
+from taccel_lab.datasets.motion import Placing, TouchMotion, view_range_mm
 from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.file_cache import content_key

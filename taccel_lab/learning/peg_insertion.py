@@ -15,12 +15,11 @@ import torch
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.learning.poses import about_z, compose, planar_inverse
-from taccel_lab.learning.task import Judgement, LearningTask
+from taccel_lab.learning.task import Judgement, LearningTask, about_z, compose, planar_inverse
 from taccel_lab.model import Model
 from taccel_lab.state import State
+from taccel_lab.tasks.bodies import contact_config
 from taccel_lab.tasks.peg_scene import TURNS, PegPath, peg_parts, peg_scene
-from taccel_lab.tasks.physics import contact_config
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot in plain values, for people and JSON: joints, links, and what of it cannot be touched."""
+"""A robot in plain values and in a picture: joints, links, gels, and what cannot be touched."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.robots.catalogue import named, names
 from taccel_lab.robots.description import RobotJoint
@@ -22,8 +23,9 @@ from taccel_lab.robots.shapes import (
     SphereShape,
     SurfaceShape,
 )
+from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.robots.urdf import load_urdf
-from taccel_lab.scene import TriangleMesh
+from taccel_lab.scene import Ball, TriangleMesh, sphere_mesh
 
 
 def robot_of(text: str, **options: Any) -> Robot:
@@ -96,3 +98,56 @@ def _shape(shape: Shape) -> str:
         return f"cylinder r {1e3 * shape.radius_m:g}, length {1e3 * shape.length_m:g} mm"
     what = shape.what if isinstance(shape, SurfaceShape) else shape.path.name
     return f"{'hull of ' if shape.hull else ''}{what}"
+
+
+LINK_COLOR, GEL_COLOR = "#b8b8b8", "#7fb2d9"
+SIZE_PX = (600, 600)
+
+
+def draw_robot(
+    robot: Robot,
+    q: Any,
+    path: Path,
+    direction: tuple[float, float, float] = (1.0, -1.4, 0.6),
+) -> None:
+    """Draw shapes of links (grey) and gels at rest (blue) into a PNG file.
+
+    Args:
+        robot: Links without shape are not seen.
+        q: Coordinates, [dof].
+        path: The file.
+        direction: Where it is looked at from, in world axes.
+
+    Raises InputError for coordinates out of the limits, and shapes that cannot be made.
+    """
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(SIZE_PX))
+    frames = matrix_of(robot.targets(q))[0]
+    gels = {gel.mount: gel for gel in robot.soft_bodies()}
+    for body, frame in zip(robot.kinematic_bodies(), frames, strict=True):
+        shape = body.shape
+        if isinstance(shape, Ball):
+            shape = sphere_mesh(shape.radius_m, shape.radius_m / 10)
+        gel = gels.get(body.name)
+        if gel is not None:
+            points, faces = gel.mesh.nodes_m, gel.mesh.faces
+        else:
+            assert shape is not None  # Only frames of gels have none.
+            points, faces = shape.vertices_m, shape.faces
+        surface = pyvista.PolyData(
+            1e3 * (points @ frame[:3, :3].T + frame[:3, 3]),
+            np.column_stack([np.full(len(faces), 3), faces]),
+        )
+        color = LINK_COLOR if gel is None else GEL_COLOR
+        plotter.add_mesh(
+            surface, color=color, ambient=0.3, show_edges=gel is not None, edge_color="#3b5a75"
+        )
+        if gel is None:
+            edges = surface.extract_feature_edges(feature_angle=30.0)
+            if edges.n_points:  # A ball has none, and nothing cannot be drawn.
+                plotter.add_mesh(edges, color="#555555", line_width=1.2)
+    plotter.view_vector(direction, viewup=(0, 0, 1))  # type: ignore[arg-type]
+    picture = np.asarray(plotter.screenshot(return_img=True))
+    plotter.close()
+    write_image(path, picture[..., ::-1])

@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
-from taccel_lab.robots.arrays import Array, Constants, namespace
 from taccel_lab.robots.description import Link, RobotJoint, base_of, coordinate_map, limits_of
+from taccel_lab.robots.transforms import Array, Constants, namespace
 
 
 @dataclass(frozen=True)

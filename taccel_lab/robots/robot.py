@@ -13,7 +13,6 @@ import numpy as np
 from taccel_lab.bodies.bodies import check_pose
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
-from taccel_lab.robots.arrays import Array, Constants, is_tensor, namespace
 from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
@@ -35,7 +34,7 @@ from taccel_lab.robots.self_contact import (
     surfaces,
 )
 from taccel_lab.robots.shapes import MeshShape, SurfaceShape
-from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.robots.transforms import Array, Constants, is_tensor, matrix_of, namespace, pose_of
 from taccel_lab.scene import KinematicBody, Scene, SoftBody, Surface
 
 if TYPE_CHECKING:

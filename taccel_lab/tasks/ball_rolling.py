@@ -23,7 +23,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh
+from taccel_lab.tasks.bodies import G, contact_config, free_body, pad_body, pad_mesh
 from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
@@ -34,7 +34,6 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.physics import G, contact_config
 
 
 class RollingBall(FreeBody):
@@ -173,13 +172,12 @@ class BallRolling(TaskEpisode):
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         length = max(float(np.linalg.norm(self._goal[env])), 1e-12)
-        found = {
+        figures = {
             "distance_mm": 1e3 * self._distance[env],
             "part_of_way": self._moved[env] @ self._goal[env] / length**2,
             "slip_on_plane_mm": 1e3 * self._slip[env],
             "strongest_n": self._strongest[env],
         }
-        figures = {name: float(value) for name, value in found.items()}
         end = 2 * length
         if self._travel[env] < end - 1e-12:
             return "the gel had not gone its way", figures

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies that the files of tasks describe; it reads no files, and so needs no pydantic."""
+"""Bodies and physics that tasks have in common; it reads no files, and so needs no pydantic."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (
     AffineBody,
     Element,
+    KinematicBody,
     Material,
     SoftBody,
     TriangleMesh,
@@ -21,9 +23,26 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
+from taccel_lab.solvers import SolverConfig
 
 if TYPE_CHECKING:
-    from taccel_lab.tasks.parameters import FreeBody, PadParameters
+    from taccel_lab.tasks.parameters import Contact, FreeBody, PadParameters
+
+
+G = 9.81
+"""Gravity [m/s^2], downwards."""
+
+
+def contact_config(contact: Contact, quasi_static_s: float | None = None) -> SolverConfig:
+    """Settings of the solver, of a scene with inertia, or of one without that takes steps of
+    ``quasi_static_s``."""
+    config = SolverConfig(
+        dhat_m=1e-3 * contact.dhat_mm, absolute_tolerance_n=contact.absolute_tolerance_n
+    )
+    speed = 1e-3 * contact.friction_speed_mm_s
+    if quasi_static_s is None:
+        return replace(config, friction_speed_m_s=speed)
+    return replace(config, friction_eps_m=speed * quasi_static_s)
 
 
 def pad_mesh(pad: PadParameters) -> TetMesh:
@@ -71,3 +90,33 @@ def solid(shape: str, size_mm: Sequence[float]) -> TriangleMesh:
     if shape == "cylinder":
         return cylinder_mesh(size[0], size[1])
     return sphere_mesh(size[0], size[0] / 5)
+
+
+SIDES = ("left", "right")
+
+
+def gels_of(
+    pad: PadParameters, mesh: TetMesh | None = None
+) -> tuple[list[SoftBody], list[KinematicBody]]:
+    """The gels, and the frames that carry them: ``left mount``, ``right mount``.
+
+    ``mesh`` stands in place of the block of ``pad``: its contact face touches z = 0 from below.
+    """
+    mesh = pad_mesh(pad) if mesh is None else mesh
+    return (
+        [pad_body(pad, mesh, side, f"{side} mount") for side in SIDES],
+        [KinematicBody(None, name=f"{side} mount") for side in SIDES],
+    )
+
+
+def mounts_of(hands: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """Where the mounts are, [env, 2, 4, 4], the gels' faces at minus and plus ``half_m``, [env] or
+    [env, 2], of the hands [env, 4, 4]; a gel's own y is the hand's z."""
+    in_hand = np.tile(np.eye(4), (len(hands), 2, 1, 1))
+    half_m = np.broadcast_to(half_m.reshape(len(hands), -1), (len(hands), 2))
+    for k, side in enumerate((-1.0, 1.0)):
+        in_hand[:, k, :3, 0] = [0.0, -side, 0.0]
+        in_hand[:, k, :3, 1] = [0.0, 0.0, 1.0]
+        in_hand[:, k, :3, 2] = [-side, 0.0, 0.0]
+        in_hand[:, k, 0, 3] = side * half_m[:, k]
+    return hands[:, None] @ in_hand

@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks by name: a file of parameters each, and the class that its ``kind`` names."""
+"""Tasks by name: a file of parameters each, the class that its ``kind`` names; seeds are run."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.toml_file import read_toml
+from taccel_lab.progress import Progress, silent
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
-from taccel_lab.tasks.driven_grasp import DrivenGraspLift, DrivenGraspParameters
 from taccel_lab.tasks.episode import TaskEpisode
-from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
+from taccel_lab.tasks.grasp_lift import (
+    DrivenGraspLift,
+    DrivenGraspParameters,
+    GraspLift,
+    GraspLiftParameters,
+    SoftGraspParameters,
+)
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
@@ -22,6 +29,7 @@ from taccel_lab.tasks.peg_insertion import (
     PegInsertion,
     PegInsertionParameters,
 )
+from taccel_lab.tasks.result import TaskResult, TaskTrial
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
 from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
@@ -79,3 +87,42 @@ def read_task(path: Path) -> Task:
         raise InputError(f"{path}: kind must be one of {', '.join(KINDS)}, got {kind!r}")
     parameters, made_by = KINDS[kind]
     return Task(path.stem, parameters.checked(table, str(path)), made_by)
+
+
+def run_task(
+    task: Task,
+    seeds: Sequence[int],
+    device: str | None = None,
+    *,
+    steps: int | None = None,
+    progress: Progress = silent,
+) -> TaskResult:
+    """Run seeds, ``parameters.environments`` of them at a time as environments of one solver.
+
+    Ctrl-C ends the run after the last group that is finished; without one it goes on up.
+
+    Args:
+        task: The task.
+        seeds: Each decides one start.
+        device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
+        steps: End after so many, for a try; the judgement is then of that moment.
+        progress: Told of each step.
+    """
+    if not seeds:
+        raise InputError("a run needs at least one seed")
+    limit = steps or task.parameters.steps
+    groups = task.made_by.groups(task.parameters, seeds)
+    trials: list[TaskTrial] = []
+    started = time.perf_counter()
+    try:
+        for number, group in enumerate(groups):
+            episode = task.begin(group, device)
+            while not episode.over and episode.taken < limit:
+                episode.advance()
+                progress(task.name, number * limit + episode.taken, len(groups) * limit)
+            trials += episode.trials()
+    except KeyboardInterrupt:
+        if not trials:
+            raise
+    trials = task.made_by.conclude(task.parameters, trials, device)
+    return TaskResult(task.name, trials, time.perf_counter() - started, len(seeds))

@@ -111,7 +111,8 @@ class TaskEpisode(ABC):
         """What came of each seed."""
         found = []
         for env, (seed, start) in enumerate(zip(self.seeds, self.starts, strict=True)):
-            missed, figures = self.judge(env)
+            missed, found = self.judge(env)
+            figures = {name: float(value) for name, value in found.items()}
             cause = self._causes[env] or missed
             steps = int(self._steps[env])
             found.append(
@@ -133,6 +134,11 @@ class TaskEpisode(ABC):
         if friction:
             force = force + self.outputs.friction_wrenches().wrenches.numpy()[:, i, j, :3]
         return force
+
+    def forces_on(self, body: str, others: Sequence[str], friction: bool = True) -> np.ndarray:
+        """How hard each of several bodies pushes on a body [N], [env, other]."""
+        forces = [self.force_on(body, other, friction) for other in others]
+        return np.linalg.norm(np.stack(forces, axis=1), axis=2)
 
     def affine_frame(self, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Centre of mass [m], [env, 3], of an affine body, and its principal axes times a length

@@ -5,6 +5,10 @@ Fingers with a gel each close on a free body, stiff or soft, until all push with
 rise. The fingers follow their targets exactly (gels stand on kinematic bodies); the force comes
 from closing in small steps until it is measured. The gripper aims at the middle; the body lies
 beside it.
+
+Driven fingers are on links with mass, which slide on the base and which drives of limited force
+push: these say how hard the gels grip. Once both grip, their targets lie far inside of the object.
+The base goes where it is commanded.
 """
 
 from __future__ import annotations
@@ -21,10 +25,11 @@ from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.robots import drive
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody
+from taccel_lab.scene import AffineBody, Element, Material, PositionDrive, Scene, SoftBody
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
+from taccel_lab.tasks.bodies import contact_config, free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
@@ -38,7 +43,6 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.physics import contact_config
 
 
 class Object(FreeBody):
@@ -222,8 +226,7 @@ class GraspLift(TaskEpisode):
 
     def measure(self) -> None:
         policy, record = self.parameters.policy, self._record
-        grip = [self.force_on("object", pad, friction=False) for pad in self._pads]
-        record.grip_n = np.linalg.norm(np.stack(grip, axis=1), axis=2)
+        record.grip_n = self.forces_on("object", self._pads, friction=False)
         closed = self.seat <= 1e-3 * policy.closed_mm
         firm = record.grip_n.min(axis=1) >= policy.grip_n
         begins = self.running & ~record.gripping & (firm | closed)
@@ -250,3 +253,52 @@ class GraspLift(TaskEpisode):
 
     def forces(self) -> dict[str, float]:
         return {pad: float(self._record.grip_n[0, i]) for i, pad in enumerate(self._pads)}
+
+
+class FingerDrive(StrictModel):
+    """Of each finger."""
+
+    stiffness_n_m: Positive
+    damping_n_s_m: NotNegative
+    max_force_n: Positive
+
+
+class DrivenGraspParameters(GraspParameters):
+    """The file of a grasp and lift by drives."""
+
+    kind: Literal["driven-grasp"]
+    object: Object
+    drive: FingerDrive
+
+
+class DrivenGraspLift(GraspLift):
+    """Grasp and lift of some seeds."""
+
+    parameters: DrivenGraspParameters
+
+    def _in_scene(self, scene: Scene) -> Scene:
+        has = self.parameters.drive
+        servo = PositionDrive(has.stiffness_n_m, has.damping_n_s_m, max_effort=has.max_force_n)
+        drives = {joint.name: servo for joint in self.robot.joints if joint.moves}
+        placed = self.robot.placed(self._base)
+        self._driven = driven = drive(placed, drives, [float(self.seat[0])])
+        return Scene(
+            driven.soft_bodies,
+            driven.kinematic_bodies,
+            scene.env_count,
+            scene.time,
+            affine_bodies=[*scene.affine_bodies, *driven.affine_bodies],
+            joints=driven.joints,
+            planes=scene.planes,
+        )
+
+    def _targets(self) -> np.ndarray:
+        bases = np.tile(self._base, (len(self.seat), 1))
+        bases[:, 2] += self.raised
+        return self._driven.poses(len(self.seat), bases)
+
+    def control(self) -> Control:
+        asked = super().control()
+        inside = 1e-3 * self.parameters.policy.closed_mm
+        fingers = np.where(self.raised > 0, inside, self.seat)
+        return replace(asked, joint_targets=self._driven.joint_targets(fingers[:, None]))

@@ -12,8 +12,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.robots import Robot, named, on_seat
 from taccel_lab.scene import AffineBody, Plane, Scene, SoftBody, TimeStepping
-from taccel_lab.tasks.bodies import pad_body, pad_mesh
-from taccel_lab.tasks.physics import G
+from taccel_lab.tasks.bodies import G, pad_body, pad_mesh
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile

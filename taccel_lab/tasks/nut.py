@@ -17,10 +17,9 @@ from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import free_body
+from taccel_lab.tasks.bodies import SIDES, G, contact_config, free_body, gels_of, mounts_of
 from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
-from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
@@ -30,7 +29,6 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.physics import G, contact_config
 from taccel_lab.tasks.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 
 
@@ -192,8 +190,7 @@ class Nut(TaskEpisode):
 
     def measure(self) -> None:
         policy, run = self.parameters.policy, self.running
-        grip = [self.force_on("nut", side, friction=False) for side in SIDES]
-        self._grip[run] = np.linalg.norm(np.stack(grip, axis=1), axis=2)[run]
+        self._grip[run] = self.forces_on("nut", SIDES, friction=False)[run]
         self._on_bolt[run] = np.linalg.norm(self.force_on("nut", "bolt"), axis=1)[run]
         centre, axes = self.affine_frame()
         turn = axes @ np.linalg.inv(self._axes)
@@ -212,14 +209,13 @@ class Nut(TaskEpisode):
         sense = np.sign(self.parameters.policy.turns)
         turns = sense * (self._turned[env] - self._before[env, 0]) / (2 * np.pi)
         threads = sense * (self._travel[env] - self._before[env, 1]) / pitch
-        found = {
+        figures = {
             "turns": turns,
             "threads": threads,
             "behind_deg": np.degrees(np.abs(self._around[env])) - 360 * turns,
             "jam_force_n": self._jam[env],
             "grip_n": self._grip[env].mean(),
         }
-        figures = {name: float(value) for name, value in found.items()}
         if not figures["turns"] >= goal.turns:
             return f"turned by {figures['turns']:.2f} turns", figures
         off = abs(figures["threads"] - figures["turns"])

@@ -19,6 +19,7 @@ from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control
+from taccel_lab.tasks.bodies import contact_config
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -37,7 +38,6 @@ from taccel_lab.tasks.peg_scene import (
     targets,
 )
 from taccel_lab.tasks.pegs import Hole, Peg
-from taccel_lab.tasks.physics import contact_config
 
 SIDES = ("left", "right")
 
@@ -161,8 +161,7 @@ class PegInsertion(TaskEpisode):
 
     def measure(self) -> None:
         run = self.running
-        grip = [self.force_on("peg", side) for side in SIDES]
-        self._grip[run] = np.linalg.norm(np.stack(grip, axis=1), axis=2)[run]
+        self._grip[run] = self.forces_on("peg", SIDES)[run]
         self._on_hole[run] = np.linalg.norm(self.force_on("peg", "hole"), axis=1)[run]
         self._jam = np.maximum(self._jam, self._on_hole)
         body = self.model.bodies[self.model.body_id("peg")]
@@ -177,12 +176,11 @@ class PegInsertion(TaskEpisode):
             self._slip[run] = np.linalg.norm(relative - self._gripped_at, axis=1)[run]
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
-        found = {
+        figures = {
             "depth_mm": 1e3 * self._depth[env],
             "jam_force_n": self._jam[env],
             "slip_mm": 1e3 * self._slip[env],
         }
-        figures = {name: float(value) for name, value in found.items()}
         if not figures["depth_mm"] >= self.parameters.goal.depth_mm:
             return f"came {figures['depth_mm']:.1f} mm deep", figures
         return "", figures

@@ -29,11 +29,10 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import free_body
+from taccel_lab.tasks.bodies import SIDES, contact_config, free_body, gels_of, mounts_of
 from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.nut import Thread
-from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
@@ -43,7 +42,6 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.physics import contact_config
 
 FEWEST_MARKERS = 6
 """That a grip must press down."""
@@ -277,8 +275,7 @@ class TacMan(TaskEpisode):
 
     def measure(self) -> None:
         policy, goal, run = self.parameters.policy, self.parameters.goal, self.running.copy()
-        force = [self.force_on("handle", side) for side in SIDES]
-        self._force[run] = np.linalg.norm(np.stack(force, axis=1), axis=2)[run]
+        self._force[run] = self.forces_on("handle", SIDES)[run]
         self._now = self.markers_m()
         frames = self.handle_frames()
         if self.taken <= self.gripped_at:
@@ -313,7 +310,7 @@ class TacMan(TaskEpisode):
         self.running &= ~who
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
-        found = {
+        figures = {
             "opened_mm": self._opened[env, 0],
             "opened_deg": self._opened[env, 1],
             "switches": self._switches[env],
@@ -322,7 +319,6 @@ class TacMan(TaskEpisode):
             "markers": self._watched[env].sum(),
             "strongest_n": self._strongest[env],
         }
-        figures = {name: float(value) for name, value in found.items()}
         if self._given_up[env]:
             return self._given_up[env], figures
         if not self._done[env]:

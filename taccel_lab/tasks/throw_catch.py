@@ -18,10 +18,10 @@ from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import Scene, TimeScheme, TimeStepping
 from taccel_lab.solvers import Control
+from taccel_lab.tasks.bodies import SIDES, G, contact_config, gels_of, mounts_of
 from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_lift import Object
-from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     NotNegative,
@@ -29,7 +29,6 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.physics import G, contact_config
 
 
 class ThrowStart(StrictModel):
@@ -177,8 +176,7 @@ class ThrowCatch(TaskEpisode):
 
     def measure(self) -> None:
         run, policy = self.running, self.parameters.policy
-        force = [self.force_on("object", side, friction=False) for side in SIDES]
-        self._force[run] = np.linalg.norm(np.stack(force, axis=1), axis=2)[run]
+        self._force[run] = self.forces_on("object", SIDES, friction=False)[run]
         self._strongest = np.maximum(self._strongest, self._force.max(axis=1))
         self._caught |= run & self._closing & (self._force.min(axis=1) >= policy.grip_n)
         free = self._force.max(axis=1) == 0
@@ -193,14 +191,13 @@ class ThrowCatch(TaskEpisode):
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         goal, dt = self.parameters.goal, self.parameters.dt_s
-        found = {
+        figures = {
             "flown_s": self._longest[env] * dt,
             "above_mm": 1e3 * self._above[env],
             "off_mm": 1e3 * self._off[env],
             "held_s": self._held[env] * dt,
             "strongest_n": self._strongest[env],
         }
-        figures = {name: float(value) for name, value in found.items()}
         if figures["flown_s"] < goal.fly_s - 1e-9 or figures["above_mm"] < goal.above_mm:
             flown, above = figures["flown_s"], figures["above_mm"]
             return f"flew for {flown:.2f} s, {above:.0f} mm over the hand", figures

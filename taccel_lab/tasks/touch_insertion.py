@@ -22,9 +22,8 @@ from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import free_body
+from taccel_lab.tasks.bodies import SIDES, contact_config, free_body, gels_of, mounts_of
 from taccel_lab.tasks.episode import TaskEpisode
-from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
@@ -35,7 +34,6 @@ from taccel_lab.tasks.parameters import (
     TaskParameters,
 )
 from taccel_lab.tasks.pegs import Hole, Peg
-from taccel_lab.tasks.physics import contact_config
 
 
 class PegMarkers(StrictModel):
@@ -237,8 +235,7 @@ class TouchInsertion(TaskEpisode):
 
     def measure(self) -> None:
         policy, run = self.parameters.policy, self.running.copy()
-        grip = [self.force_on("peg", side, friction=False) for side in SIDES]
-        self._grip[run] = np.linalg.norm(np.stack(grip, axis=1), axis=2)[run]
+        self._grip[run] = self.forces_on("peg", SIDES, friction=False)[run]
         self._on_hole[run] = np.linalg.norm(self.force_on("peg", "hole"), axis=1)[run]
         self._jam = np.maximum(self._jam, self._on_hole)
         body = self.model.bodies[self.model.body_id("peg")]
@@ -295,14 +292,13 @@ class TouchInsertion(TaskEpisode):
         return -1e-3 * policy.aside_mm * np.sign(sides) * chosen
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
-        found = {
+        figures = {
             "depth_mm": 1e3 * self._depth[env],
             "tries": self._tries[env],
             "jam_force_n": self._jam[env],
             "slip_mm": 1e3 * self._slip[env],
             "grip_n": self._grip[env].mean(),
         }
-        figures = {name: float(value) for name, value in found.items()}
         if not figures["depth_mm"] >= self.parameters.goal.depth_mm:
             return f"came {figures['depth_mm']:.1f} mm deep", figures
         return "", figures

@@ -25,9 +25,9 @@ from taccel_lab.viewer.ball_press import (
     PressAnswer,
     SupersededError,
     formula_force_n,
+    kept_press,
     scaled,
 )
-from taccel_lab.viewer.kept_press import kept_press
 
 if TYPE_CHECKING:
     from taccel_lab.files.file_cache import CachedFile

@@ -1,29 +1,92 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene that steps in a thread of its own while a page shows it: play, pause, step, restart."""
+"""A scene that steps in a thread while a page shows it, and the page of a recorded task."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
+from taccel_lab.tasks.replay import read_replay
 from taccel_lab.tasks.scene_picture import surfaces
-from taccel_lab.viewer.bodies_view import BodiesView
 from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.gel_images import gel_images
+from taccel_lab.viewer.gel_states import Field, SensorImages
 from taccel_lab.viewer.sensor_panel import SensorPanel
+from taccel_lab.viewer.time_slider import TimeSlider
 
 if TYPE_CHECKING:
-    from viser import ViserServer
+    from viser import MeshHandle, ViserServer
 
     from taccel_lab.signals.gel_faces import Colors
     from taccel_lab.solvers import SolverIPC
     from taccel_lab.state import State
+
+
+COLORS = {"soft": (127, 178, 217), "affine": (224, 164, 88), "kinematic": (184, 184, 184)}
+"""As in the pictures of benchmarks."""
+CLEAR = {"kinematic": 0.35, "soft": 0.8}
+
+
+class BodiesView:
+    """Surfaces that move; positions are shown in mm."""
+
+    def __init__(
+        self, server: ViserServer, bodies: list[tuple[str, np.ndarray, np.ndarray]]
+    ) -> None:
+        """``bodies``: kind, vertices [m] and triangles of each; sharp edges are those of now."""
+        self._server = server
+        split = [split_at_creases(vertices, faces) for _, vertices, faces in bodies]
+        self._copied = [copied for copied, _ in split]
+        self._meshes: list[MeshHandle] = [
+            server.scene.add_mesh_simple(
+                f"/bodies/{k}", 1e3 * vertices[copied], faces, color=COLORS[kind],
+                opacity=CLEAR.get(kind), side="double", cast_shadow=False, receive_shadow=False,
+            )
+            for k, ((kind, vertices, _), (copied, faces)) in enumerate(
+                zip(bodies, split, strict=True)
+            )
+        ]  # fmt: skip
+
+    def move(self, vertices_m: list[np.ndarray]) -> None:
+        """Show them elsewhere; as many bodies and vertices as at first."""
+        with self._server.atomic():
+            for mesh, copied, vertices in zip(self._meshes, self._copied, vertices_m, strict=True):
+                mesh.vertices = (1e3 * vertices[copied]).astype(np.float32)
+
+
+LEAST_MM, LEAST_KPA = 0.01, 0.1
+"""Least reach of the colour bars: less is noise."""
+SHARE = 0.999
+"""Of pixels that the bar of the depth reaches: a face that folds over shows a few far away."""
+
+
+def gel_images(
+    rgb: np.ndarray, depth_m: np.ndarray, pressure_pa: np.ndarray, markers_px: np.ndarray
+) -> SensorImages:
+    """Images of a row of states.
+
+    Args:
+        rgb: Tactile images, uint8 [state, height, width, 3].
+        depth_m: [state, height, width]; negative where the face rose.
+        pressure_pa: [state, height, width].
+        markers_px: [state, marker, 2], at rest in the first.
+    """
+    depth_mm, pressure_kpa = 1e3 * depth_m, 1e-3 * pressure_pa
+    known = depth_mm[np.isfinite(depth_mm)]
+    low, high = np.quantile(known, (1 - SHARE, SHARE)) if known.size else (0.0, 0.0)
+    top = float(np.nanmax(pressure_kpa, initial=0.0))
+    maps = (
+        Field("depth", "mm", depth_mm, (min(float(low), 0.0), max(float(high), LEAST_MM))),
+        Field("contact pressure", "kPa", pressure_kpa, (0.0, max(top, LEAST_KPA))),
+    )
+    return SensorImages(rgb, markers_px, maps)
 
 
 DIRECTION = (1.0, -1.4, 0.25)
@@ -170,3 +233,27 @@ def _starter_colors() -> Colors:
     from taccel_lab.learning.gel_colors import default_colors
 
     return default_colors(None)
+
+
+def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
+    """Show what ``taccel-lab task record --states`` kept."""
+    replay = read_replay(folder)
+    every = np.concatenate([body.vertices_m.reshape(-1, 3) for body in replay.bodies])
+    look_at(server, 1e3 * every.astype(np.float64), DIRECTION)
+    view = BodiesView(server, [(b.kind, b.vertices_m[0], b.faces) for b in replay.bodies])
+    images = gel_images(replay.rgb, replay.depth_m, replay.pressure_pa, replay.markers_px)
+    caption = add_note(server.gui)
+    panel = SensorPanel(server, "Gel")
+
+    def show(frame: int) -> None:
+        view.move([body.vertices_m[frame] for body in replay.bodies])
+        forces = [(name, f"{values[frame]:.3f} N") for name, values in replay.forces_n.items()]
+        caption.content = PageText("**{}**, seed {}: {}\n\n{:.2f} s\n\n{}").format(
+            replay.task, replay.seed, replay.outcome, replay.times_s[frame],
+            page_table(forces, ("force", "")),
+        )  # fmt: skip
+        panel.show(images, frame)
+
+    slider = TimeSlider(server, len(replay.times_s), show)
+    show(0)
+    return slider

@@ -90,7 +90,7 @@ def _fill(
 
         fill_profile_page(server, read)
     elif source.kind is Kind.PRESS:
-        from taccel_lab.viewer.press_page import fill_press_page
+        from taccel_lab.viewer.press_folder import fill_press_page
 
         fill_press_page(server, source.path, read)
     elif source.kind is Kind.STUDY:
@@ -102,7 +102,7 @@ def _fill(
 
         DatasetPage(server, read)
     elif source.kind is Kind.REPLAY:
-        from taccel_lab.viewer.replay_page import fill_replay_page
+        from taccel_lab.viewer.live_scene import fill_replay_page
 
         fill_replay_page(server, source.path)
     else:

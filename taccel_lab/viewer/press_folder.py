@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a press, read: every step where they were kept, else its end."""
+"""The folder of a press, read: every step where they were kept, else its end; and its page."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,9 +17,18 @@ from taccel_lab.files.regular_file import require_regular_file
 from taccel_lab.files.tet_file import MAX_BYTES
 from taccel_lab.files.text_file import shown
 from taccel_lab.files.vtk_mesh import TETRA, TRIANGLE, cells_of, read_vtk
+from taccel_lab.report.page_text import PageText, add_note, page_table
+from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
+from taccel_lab.viewer.gel_view import GelView
 from taccel_lab.viewer.section import linear_tets
 from taccel_lab.with_error import with_error
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from taccel_lab.viewer.gel_states import GelStates
+
 
 STATES = "states.npz"
 PRESS = "press.json"
@@ -166,3 +175,17 @@ def _end_image(folder: Path) -> SensorImages | None:
         if (folder / name).is_file():
             return SensorImages(read_image(folder / name)[None])
     return None
+
+
+def fill_press_page(server: ViserServer, folder: Path, states: GelStates) -> GelView:
+    """Show the press in a folder, which ``read_press`` has read, at its end."""
+    add_note(server.gui, page_table(summary(folder)))
+    if not (folder / STATES).is_file():
+        words = (
+            "Only the end of this press was kept. `taccel-lab press … --states` keeps every step."
+        )
+        add_note(server.gui, PageText(words))
+    look_at(server, states.rest_mm)
+    view = GelView(server, states)
+    view.choose(state=states.count - 1)
+    return view

@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.benchmarks import learning
 from taccel_lab.benchmarks.command_line import main
-from taccel_lab.benchmarks.observation import gel_signal
+from taccel_lab.benchmarks.learning import gel_signal
 from taccel_lab.benchmarks.report.sections import SECTIONS, number
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.model.embedding import rotate

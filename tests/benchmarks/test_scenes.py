@@ -13,7 +13,7 @@ import pytest
 
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
-from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
+from taccel_lab.benchmarks.scenes.squeeze import surface_value, teddy_mesh, without_pinches
 from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface, check_tets

@@ -14,11 +14,9 @@ from tyro._docstrings import get_field_docstring
 from taccel_lab.benchmarks import quick
 from taccel_lab.benchmarks.command_line import COMMANDS, main, options_of, parse
 from taccel_lab.benchmarks.compare import IDENTITY, compare, identity
-from taccel_lab.benchmarks.launches import LaunchCounter
-from taccel_lab.benchmarks.memory import MemoryMeter
-from taccel_lab.benchmarks.peers import read_field
+from taccel_lab.benchmarks.measure import LaunchCounter, MemoryMeter
 from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
-from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
+from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios, read_peers
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.errors import InputError
@@ -255,7 +253,7 @@ def test_a_page_without_markers_is_refused() -> None:
 
 
 def test_every_peer_has_its_conditions() -> None:
-    for entry in read_field()["peg"]:
+    for entry in read_peers()["peg"]:
         assert entry["stop"] and entry["device"] and entry["kind"] in ("measured", "published")
         assert all(value > 0 for value in entry["fps"].values())
 

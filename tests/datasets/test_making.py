@@ -31,7 +31,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import CameraBlock, MarkersBlock, save_profile
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.viewer.dataset_touches import read_touch
+from taccel_lab.viewer.dataset_page import read_touch
 from tests.signals.find_dots import distances_px, find_dots
 from tests.support.dotted_profiles import LIGHT, with_painted_dots
 from tests.support.small_data_sets import ASSUMED, make, parts_of, plan, small_profile

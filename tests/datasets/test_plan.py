@@ -15,8 +15,7 @@ import pyvista
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.datasets.motion import TouchMotion, rolled_mm
-from taccel_lab.datasets.placing import Placing
+from taccel_lab.datasets.motion import Placing, TouchMotion, rolled_mm
 from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import touches_of
 from taccel_lab.datasets.spec import DatasetSpec, load_spec

@@ -20,7 +20,7 @@ import pytest
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cli.app import Command
-from taccel_lab.datasets.placing import Placing
+from taccel_lab.datasets.motion import Placing
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import Indenter
@@ -234,8 +234,7 @@ def _load_training(given: Path, out: Path) -> None:
 
 def _compare_results(given: Path, out: Path) -> None:
     from taccel_lab.benchmarks.compare import Compare
-    from taccel_lab.benchmarks.page import benchmark_page
-    from taccel_lab.benchmarks.results import read_result
+    from taccel_lab.benchmarks.results import benchmark_page, read_result
 
     Compare(given / "first.json", given / "second.json").run()
     benchmark_page(read_result(given / "first.json"))

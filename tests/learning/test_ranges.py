@@ -13,8 +13,7 @@ from gymnasium.vector import AutoresetMode
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.learning.catalogue import make_vec
-from taccel_lab.learning.starts import EpisodeDraws
-from taccel_lab.learning.vector_env import TactileVectorEnv
+from taccel_lab.learning.vector_env import EpisodeDraws, TactileVectorEnv
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.learning.tasks import peg_parameters

@@ -17,10 +17,9 @@ from gymnasium.vector import AutoresetMode
 
 from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.catalogue import named, run_task
 from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 from taccel_lab.tasks.grasp_scene import GRASPERS
-from taccel_lab.tasks.run import run_task
 from tests.learning.tasks import peg_parameters
 from tests.support.variants import variants
 from tests.test_architecture import HEAVY

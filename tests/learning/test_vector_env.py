@@ -18,8 +18,8 @@ from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
 from taccel_lab.files.toml_file import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names
+from taccel_lab.learning.grasp_lift import JointControl
 from taccel_lab.learning.gymnasium_envs import env_id
-from taccel_lab.learning.joint_control import JointControl
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
 from taccel_lab.robots import named as named_robot
 from taccel_lab.solvers import EnvStatus

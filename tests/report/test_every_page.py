@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import taccel_lab.report.page as page_module
-from taccel_lab.benchmarks.page import benchmark_page
-from taccel_lab.benchmarks.results import read_result
+from taccel_lab.benchmarks.results import benchmark_page, read_result
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures, check_page
 from taccel_lab.calibration.report.profile_page import profile_page

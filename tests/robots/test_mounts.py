@@ -18,7 +18,7 @@ from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.robots import Robot, load_urdf, named, on_seat
-from taccel_lab.robots.picture import draw_robot
+from taccel_lab.robots.describe import draw_robot
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
     AffineBody,

@@ -34,8 +34,8 @@ from taccel_lab.studies.report.describe import with_tables
 from taccel_lab.studies.report.preview import preview_design, write_preview
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import StudyOutput, StudySpec, spec_of
+from taccel_lab.tasks.catalogue import run_task
 from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
-from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.touch_insertion import TouchInsertionParameters
 from tests.geometry.vtu_files import read_mesh_vtu
 from tests.studies.coarse_presses import coarse

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.catalogue import named, run_task
 from taccel_lab.tasks.peg_scene import dog_bone
 from taccel_lab.tasks.result import TaskResult, success_interval
-from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.twist import TwistParameters
 from tests.support.robot_files import needs_real_robots
 

@@ -12,8 +12,15 @@ from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_tets
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.tasks.catalogue import named
-from taccel_lab.tasks.classification import Classification, ClassificationParameters
-from taccel_lab.tasks.depth_classifier import Learner, alike, folds, judge_by_folds, nearest
+from taccel_lab.tasks.classification import (
+    Classification,
+    ClassificationParameters,
+    Learner,
+    alike,
+    folds,
+    judge_by_folds,
+    nearest,
+)
 from taccel_lab.tasks.grasp_lift import SoftGraspParameters, SoftShape
 from taccel_lab.tasks.parts import PARTS, SEGMENTS
 from taccel_lab.tasks.result import TaskTrial

@@ -10,10 +10,14 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import Task, named
-from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
-from taccel_lab.tasks.hands import Finger, HandWithGels, PadSeat
-from taccel_lab.tasks.run import run_task
+from taccel_lab.tasks.catalogue import Task, named, run_task
+from taccel_lab.tasks.grasp_matrix import (
+    Finger,
+    GraspMatrix,
+    GraspMatrixParameters,
+    HandWithGels,
+    PadSeat,
+)
 from tests.support.robot_files import REAL_NAMES, needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")

@@ -11,11 +11,10 @@ import pytest
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError
-from taccel_lab.tasks.catalogue import Task, named
+from taccel_lab.tasks.catalogue import Task, named, run_task
 from taccel_lab.tasks.parameters import PlanarStart
 from taccel_lab.tasks.peg_insertion import PegFitParameters
 from taccel_lab.tasks.pegs import ROUND_SIDES, Hole, Peg
-from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
 
 DISC = ROUND_SIDES / 2 * np.sin(2 * np.pi / ROUND_SIDES)

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
-from taccel_lab.tasks.torsion import Torsion, contact_radius
+from taccel_lab.tasks.twist import Torsion, contact_radius
 
 Z = 1.959963984540054
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import Task, named
-from taccel_lab.tasks.run import run_task
+from taccel_lab.tasks.catalogue import Task, named, run_task
 from taccel_lab.tasks.tac_man import TacManParameters, rigid_fit
 from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
 

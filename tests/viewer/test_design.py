@@ -93,7 +93,7 @@ def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() 
 def test_the_press_of_the_catalogue_is_kept_between_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from taccel_lab.viewer.kept_press import kept_press
+    from taccel_lab.viewer.ball_press import kept_press
 
     with answers_of("flat_pad") as answers:
         _, found = pieces_until(answers, Choice({}), "quick")
@@ -117,7 +117,7 @@ def test_the_press_of_the_catalogue_is_kept_between_runs(
 
 
 def test_a_kept_press_knows_all_code_that_makes_it() -> None:
-    from taccel_lab.viewer.kept_press import SOURCES
+    from taccel_lab.viewer.ball_press import SOURCES
 
     code = "import sys, taccel_lab.viewer.design_press; print(*sys.modules, sep='\\n')"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -20,7 +20,7 @@ from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.press_folder import STATES, read_press
 from taccel_lab.viewer.sources import Kind, find_source
-from taccel_lab.viewer.study_presses import press_files, read_design_press
+from taccel_lab.viewer.study_page import press_files, read_design_press
 from tests.support.small_captures import write_profile
 
 
@@ -228,7 +228,7 @@ def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
 def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     from taccel_lab.datasets.reading import Dataset
-    from taccel_lab.viewer.dataset_touches import read_touch
+    from taccel_lab.viewer.dataset_page import read_touch
     from tests.support.small_data_sets import make, saved_profile
 
     channels = ["rgb", "depth_mm", "patch_forces_n", "markers_px"]

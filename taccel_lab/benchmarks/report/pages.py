@@ -68,7 +68,7 @@ class Report:
 
             written += draw_all(results, IMAGES)
         if self.scenes:
-            from taccel_lab.benchmarks.report.scene_picture import draw_scenes
+            from taccel_lab.benchmarks.report.plots import draw_scenes
 
             written.append(draw_scenes(IMAGES / "scenes.png"))
         for path in written:

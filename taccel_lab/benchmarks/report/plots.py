@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of the results."""
+"""Pictures of the results, and of the scenes in the middle of their motions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from taccel_lab.benchmarks.peers import read_field
+from taccel_lab.benchmarks.report.sections import Results, read_peers
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import build_scene
 from taccel_lab.files.atomic_file import write_by
 from taccel_lab.studies.report.figures import plain_log_ticks
-
-Results = dict[str, list[dict[str, Any]]]
+from taccel_lab.tasks.scene_picture import SceneCamera, surfaces
 
 
 def draw_all(results: Results, folder: Path) -> list[Path]:
@@ -64,7 +65,7 @@ def draw_speed(results: Results) -> Figure:
                 ms=4,
                 label=f"{scene}{f', lag {lag}' if lag else ''}, {device}",
             )
-    for entry in read_field()["peg"]:
+    for entry in read_peers()["peg"]:
         x = [int(count) for count in entry["fps"]]
         label = f"{entry['name']}, {entry['device']} ({entry['stop'].split(';')[0]})"
         axis.plot(x, list(entry["fps"].values()), "--", marker="x", lw=0.9, ms=5, label=label)
@@ -110,3 +111,34 @@ def draw_stress(document: dict[str, Any]) -> Figure:
     for axis in (left, right):
         axis.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+MOMENTS = {
+    "peg": (160, (1.3, -1.0, 0.6)),
+    "press_5215": (20, (0.5, -1.0, 0.55)),
+    "bolt": (40, (1.0, -1.2, 0.5)),
+    "hand": (14, (1.0, 0.9, 0.5)),
+    "squeeze": (36, (1.0, -0.55, 0.3)),
+}
+"""Step, and direction that it is looked at from."""
+
+
+def draw_scenes(path: Path) -> Path:
+    """Run each scene to its moment, render it, and put the pictures side by side."""
+    figure, axes = plt.subplots(1, len(MOMENTS), figsize=(15, 3.6), layout="constrained")
+    for axis, (name, (step, direction)) in zip(axes, MOMENTS.items(), strict=True):
+        runner = Runner(build_scene(name))
+        runner.run(step)
+        axis.imshow(render(runner, direction))
+        axis.set_title(f"{name}, step {step}", fontsize=10)
+        axis.axis("off")
+    return save(figure, path)
+
+
+def render(runner: Runner, direction: tuple[float, float, float]) -> np.ndarray:
+    """The surfaces of all bodies, seen from a direction; pixels [height, width, 3]."""
+    positions = runner.state.positions.numpy()[0]
+    camera = SceneCamera(surfaces(runner.bench.scene, runner.model, positions), direction)
+    picture = camera.picture()
+    camera.close()
+    return picture

@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a benchmark scene is: bodies, settings and a motion."""
+"""What a benchmark scene is: bodies, settings and a motion; pads, gels on mounts, poses."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.errors import InputError
-from taccel_lab.scene import Scene
+from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
+from taccel_lab.files.tet_file import read_tet_file
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.scene import Element, KinematicBody, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig
+from taccel_lab.tasks.peg_scene import GEL
 
 RESIDUAL_RATIO, RESIDUAL_N = 1e-4, 1e-5
 """A step counts as converged when the force residual is at most the first times the contact force,
@@ -91,3 +99,85 @@ def straight(points: np.ndarray, counts: list[int]) -> np.ndarray:
     path = np.concatenate(rows)
     path[..., 3:] /= np.linalg.norm(path[..., 3:], axis=-1, keepdims=True)
     return path
+
+
+SIZE_M = (40e-3, 40e-3, 5.925e-3)
+HELD_M = 2.9e-3
+"""Depth below which the published pads are held: their back is in a tray."""
+_FILES = {239: "single_sensor__pad_maxv_1e-07", 5215: "single_sensor__pad_maxv_1e-09"}
+_CELLS = {239: (8, 8, 2), 5215: (24, 24, 7)}
+
+
+def pad(nodes: int, source: str) -> tuple[TetMesh, str]:
+    """A pad in the gel frame (contact face at z = 0, outward z) of about so many nodes, and where
+    it is from."""
+    name = _FILES[nodes]
+    source = choose_source(source, f"pads/{name}.vtk", f"pads/{name}.npz")
+    if source == "generated":
+        return held_below(block_mesh(_CELLS[nodes], SIZE_M, jitter=0.15, seed=7), HELD_M), source
+    folder = mesh_folder() / "pads"
+    points, tets = read_tet_file(folder / f"{name}.vtk")
+    masks = np.load(folder / f"{name}.npz")
+    # The file's contact face looks to -z: half a turn about x.
+    return label(points * [1, -1, -1], tets, masks["stick_mask"], masks["coat_mask"]), source
+
+
+def label(nodes_m: np.ndarray, tets: np.ndarray, held: np.ndarray, touched: np.ndarray) -> TetMesh:
+    """Bonded are faces among held nodes, in contact those among touched ones; the rest are sides.
+
+    ``held``, ``touched``: bool, [node].
+    """
+    faces = boundary_faces(tets)
+    region = np.full(len(faces), int(Region.SIDE))
+    region[touched[faces].all(axis=1)] = int(Region.CONTACT)
+    region[held[faces].all(axis=1)] = int(Region.BOND)
+    return TetMesh(nodes_m, tets, faces, region)
+
+
+def held_below(mesh: TetMesh, depth_m: float) -> TetMesh:
+    """The same block, bonded on every face that lies deeper than that."""
+    z = mesh.nodes_m[:, 2]
+    return label(mesh.nodes_m, mesh.tets, z < z.max() - depth_m, z > z.max() - 1e-9)
+
+
+def mounted(
+    meshes: Mapping[str, TetMesh], friction: float, **options: Any
+) -> tuple[list[SoftBody], list[KinematicBody]]:
+    """A gel of linear tets for each name, and the mount that carries it; ``options``: of
+    ``SoftBody``."""
+    gels = [
+        SoftBody(
+            mesh, GEL, name=name, mount=f"{name} mount", friction_coefficient=friction,
+            element=Element.LINEAR, **options,
+        )
+        for name, mesh in meshes.items()
+    ]  # fmt: skip
+    return gels, [KinematicBody(None, name=f"{name} mount") for name in meshes]
+
+
+def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """world_from_gel [3, 3] of a gel whose face looks to ``outward``, its x axis near ``right``."""
+    z = outward / np.linalg.norm(outward)
+    x = right - (right @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def turn_about_z(angle: float) -> np.ndarray:
+    """Rotation matrix [3, 3]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def pose(matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Position and quaternion, [7]."""
+    return np.concatenate([place, Rotation.from_matrix(matrix).as_quat(canonical=True)])
+
+
+def same_side(poses: np.ndarray) -> np.ndarray:
+    """The same poses [step, ..., 7], each quaternion on the side of the one before."""
+    poses = poses.copy()
+    for before, after in pairwise(poses):
+        across = (before[..., 3:] * after[..., 3:]).sum(axis=-1, keepdims=True) < 0
+        after[..., 3:] = np.where(across, -after[..., 3:], after[..., 3:])
+    return poses

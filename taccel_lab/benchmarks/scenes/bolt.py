@@ -11,8 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose, same_side, turn_about_z
+from taccel_lab.benchmarks.scenes.base import (
+    BenchScene,
+    SceneOptions,
+    facing,
+    make_config,
+    mounted,
+    pose,
+    same_side,
+    turn_about_z,
+)
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import AffineBody, KinematicBody, Scene, TimeStepping, TriangleMesh

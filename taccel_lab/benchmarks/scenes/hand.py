@@ -14,9 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose, same_side
-from taccel_lab.benchmarks.scenes.pads import label
+from taccel_lab.benchmarks.scenes.base import (
+    BenchScene,
+    SceneOptions,
+    facing,
+    label,
+    make_config,
+    mounted,
+    pose,
+    same_side,
+)
 from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
 from taccel_lab.files.tet_file import read_tet_file

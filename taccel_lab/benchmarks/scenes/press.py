@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config, straight
-from taccel_lab.benchmarks.scenes.pads import pad
+from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config, pad, straight
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 

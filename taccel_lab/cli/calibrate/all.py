@@ -39,8 +39,7 @@ class CalibrateAll(CalibrationFiles):
 
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
-        from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.cli.unfinished import kept_blocks
+        from taccel_lab.cli.console import kept_blocks, notes, print_json, results, working
         from taccel_lab.profile.io import profile_saved
         from taccel_lab.progress import stage_progress
 

@@ -164,7 +164,7 @@ class Evidence:
 
     def _task(self, name: str) -> TaskResult:
         from taccel_lab.studies.metrics.design_task import design_task
-        from taccel_lab.tasks.run import run_task
+        from taccel_lab.tasks.catalogue import run_task
 
         task = design_task(self.parameters, name)
         return run_task(task, range(task.parameters.seeds), self.device)

@@ -11,8 +11,7 @@ import pytest
 
 from taccel_lab.benchmarks.stress.balance import Snapshot
 from taccel_lab.benchmarks.stress.case import StressCase
-from taccel_lab.benchmarks.stress.crossings import pierces
-from taccel_lab.benchmarks.stress.referees import Referees, StressFinding, Taken, take
+from taccel_lab.benchmarks.stress.referees import Referees, StressFinding, Taken, pierces, take
 from taccel_lab.benchmarks.stress.shapes import pose
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs

@@ -13,10 +13,8 @@ from taccel_lab.benchmarks.report.plots import draw_stress
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.benchmarks.stress import suite
 from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
-from taccel_lab.benchmarks.stress.pool import run_all
-from taccel_lab.benchmarks.stress.runner import BudgetOverrun, run_case, time_limit
-from taccel_lab.benchmarks.stress.suite import Stress, case_ids
-from taccel_lab.benchmarks.stress.summary import summarize, table
+from taccel_lab.benchmarks.stress.runner import BudgetOverrun, run_all, run_case, time_limit
+from taccel_lab.benchmarks.stress.suite import Stress, case_ids, summarize, table
 from taccel_lab.errors import InputError
 from tests.benchmarks.stress.rigged import rigged_case
 from tests.support.variants import variants

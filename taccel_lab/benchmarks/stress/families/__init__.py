@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from taccel_lab.benchmarks.stress.case import StressCase
-from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.case import Draw, StressCase
 from taccel_lab.benchmarks.stress.families import (
     close_calls,
     grasps,

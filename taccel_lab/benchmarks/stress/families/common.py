@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.case import Draw
 from taccel_lab.benchmarks.stress.shapes import soft_ball, soft_box, with_slivers
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh

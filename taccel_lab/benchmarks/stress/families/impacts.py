@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import StressCase
-from taccel_lab.benchmarks.stress.draw import Draw
+from taccel_lab.benchmarks.stress.case import Draw, StressCase
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
     FREE,
