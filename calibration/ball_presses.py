@@ -24,13 +24,13 @@ from taccel_lab.calibration.check.block_findings import (
     rejected_labels,
 )
 from taccel_lab.calibration.check.findings import name_some
-from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.contacts.usable import usable_circles
+from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent

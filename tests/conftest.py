@@ -74,7 +74,7 @@ LONG = (
     "calibration/record/test_page.py",
     "calibration/record/test_session.py",
     "calibration/live/test_live.py",
-    "calibration/contacts/test_real_contacts.py",
+    "calibration/circles/test_real_contacts.py",
     "cli/test_demo.py",
     "learning/test_task_policies.py",
     "learning/force/test_fit.py",

@@ -8,7 +8,7 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
 - slopes: a ball that is too small has contacts steeper than the gel beside them
-  (``taccel_lab.calibration.contacts.ball_radius``). A ball that is stated too large does not show
+  (``taccel_lab.calibration.circles.ball_radius``). A ball that is stated too large does not show
   there, which is remarked;
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of two
   balls differ as their radii do.
@@ -28,11 +28,11 @@ from taccel_lab.calibration.capture.sensor_facts import SensorFacts, catalogue_v
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.contacts.ball_radius import check_ball
-from taccel_lab.calibration.contacts.fit import fit_together
-from taccel_lab.calibration.contacts.grey import LABEL_SHARE, LABEL_SIGMA_PX
-from taccel_lab.calibration.surfaces.design import fitted_parameters, past_largest_pad
-from taccel_lab.calibration.surfaces.view import view_remarks
+from taccel_lab.calibration.circles.ball_radius import check_ball
+from taccel_lab.calibration.circles.contact_finder import fit_together
+from taccel_lab.calibration.circles.grey import LABEL_SHARE, LABEL_SIGMA_PX
+from taccel_lab.calibration.pad_design import fitted_parameters, past_largest_pad
+from taccel_lab.calibration.pad_view import view_remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 

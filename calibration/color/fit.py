@@ -18,6 +18,9 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
@@ -33,9 +36,6 @@ from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.color.untouched_light import light_beside, noise_floor_l1
-from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.networks.color_settings import STEEPEST

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.pixel_draw import draw_regions
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig, pixel_uv
 

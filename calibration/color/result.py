@@ -13,6 +13,7 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.capture.split import PressSplit
+from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
     HeldoutFailure,
@@ -22,7 +23,6 @@ from taccel_lab.calibration.color.heldout import (
     mean_heldout,
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.result import ScoredFit, in_figures, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError

@@ -19,9 +19,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
 from taccel_lab.geometry import PixelGrid

@@ -19,11 +19,18 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
+from taccel_lab.calibration.circles.ball_surface import (
+    depth_share,
+    layer_of,
+    sunk_share,
+)
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.untouched_light import noise_floor_l1
-from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.normals.heldout import HeldoutReading, in_background_light
 from taccel_lab.calibration.normals.network_fit import (
     InverseFit,
@@ -53,13 +60,6 @@ from taccel_lab.calibration.normals.score import (
 )
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.calibration.surfaces.ball_in_layer import (
-    depth_share,
-    layer_of,
-    sunk_share,
-)
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm

@@ -8,8 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet
-from taccel_lab.calibration.contacts.fit import place_heldout
-from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.circles.ball_surface import (
+    LARGEST_RADII,
+    ball_surface,
+    deeper_per_mm,
+)
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.contact_finder import place_heldout
+from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.light.fit import fit_press_light
 from taccel_lab.calibration.normals.reading_error import KnownPress, ReadingErrors, errors_of
 from taccel_lab.calibration.normals.samples import (
@@ -20,12 +26,6 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
 )
 from taccel_lab.calibration.normals.score import HeldoutNormals, inside_of, score_heldout
-from taccel_lab.calibration.surfaces.ball_in_layer import (
-    LARGEST_RADII,
-    ball_surface,
-    deeper_per_mm,
-)
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress
 from taccel_lab.signals.normal_model import NormalModel

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.pixel_draw import draw_regions
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig

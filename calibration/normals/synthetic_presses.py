@@ -17,15 +17,15 @@ import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer, press_in_view
+from taccel_lab.calibration.circles.press_surface import slope_of
+from taccel_lab.calibration.normals.random_tools import draw_tool
 from taccel_lab.calibration.normals.samples import (
     CaptureScene,
     InverseFrame,
     NormalSamples,
     usable_pixels,
 )
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_in_view
-from taccel_lab.calibration.surfaces.press_surface import slope_of
-from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel

@@ -31,10 +31,10 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.calibration.normals.touch import Touch
 from taccel_lab.calibration.pressure.overstress import Overstress
 from taccel_lab.calibration.result import NORMAL_95
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile

@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
-from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.circles.contact_finder import detect_contact
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.record.advice import Advice, contact_radius_mm, next_press
 from taccel_lab.calibration.record.camera_faults import FrozenWatch

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
-from taccel_lab.calibration.contacts.seen import seen_contact
+from taccel_lab.calibration.circles.seen import seen_contact
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

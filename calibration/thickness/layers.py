@@ -11,8 +11,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.surfaces.ball_in_layer import LARGEST_RADII, ball_in_layer
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII, ball_in_layer
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
 
 THINNEST_MM, THICKEST_MM = 1.0, 16.0

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.surfaces.ball_in_layer import LARGEST_RADII
+from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII
 from taccel_lab.calibration.thickness.layers import LayerFamily
 from taccel_lab.geometry import PixelGrid
 

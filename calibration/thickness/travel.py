@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.surfaces.ball_in_layer import (
+from taccel_lab.calibration.circles.ball_surface import (
     LARGEST_RADII,
     LAYER_SHARE,
     deeper_per_mm,

@@ -218,7 +218,7 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     from dataclasses import asdict
 
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.contacts.usable import usable_circles
+    from taccel_lab.calibration.circles.usable import usable_circles
 
     agreement = usable_circles(load_captures(folder), cache=False).agreement
     if agreement is None:

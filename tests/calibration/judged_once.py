@@ -17,8 +17,8 @@ import pytest
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.balls import check_slopes
-from taccel_lab.calibration.contacts import fit
-from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.circles import contact_finder as fit
+from taccel_lab.calibration.circles.contact_finder import detect_contact
 
 
 def detect_once(patch: pytest.MonkeyPatch) -> None:
@@ -38,7 +38,7 @@ def detect_once(patch: pytest.MonkeyPatch) -> None:
         image = read()
         return _remembered(starts, (image, scene.key), lambda: first(lambda: image, scene, name))
 
-    patch.setattr("taccel_lab.calibration.contacts.seen.detect_contact", detected)
+    patch.setattr("taccel_lab.calibration.circles.seen.detect_contact", detected)
     patch.setattr(fit, "_first", started)
 
 

@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.slope_law import hertz_slope
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
+from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.slope_law import hertz_slope
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

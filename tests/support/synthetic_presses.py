@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile

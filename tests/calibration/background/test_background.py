@@ -16,7 +16,7 @@ from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.capture import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.errors import InputError
-from tests.calibration.contacts.presses import BALL_MM, GRID, gel, pressed, scattered
+from tests.calibration.circles.presses import BALL_MM, GRID, gel, pressed, scattered
 from tests.calibration.drawn.faults import add_dust, add_noise, drift, poison, quantise
 from tests.support.synthetic_presses import tiny_profile
 

@@ -15,6 +15,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
@@ -29,7 +30,6 @@ from taccel_lab.calibration.color.untouched_light import (
 )
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.profiles import Profiles
-from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.unfinished import UnfinishedCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -19,14 +19,14 @@ from taccel_lab.calibration.capture import (
     load_captures,
 )
 from taccel_lab.calibration.capture.captures import without_labels
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Severity, Verdict, judge

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.grey import find_grey_contact
+from taccel_lab.calibration.circles.grey import find_grey_contact
 from taccel_lab.calibration.depth.curve import (
     SECTOR_COUNT,
     fit_response,

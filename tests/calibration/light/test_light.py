@@ -14,7 +14,7 @@ from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
-from tests.calibration.contacts.presses import gel, pressed, scattered
+from tests.calibration.circles.presses import gel, pressed, scattered
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift
 
 

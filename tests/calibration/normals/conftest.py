@@ -13,14 +13,14 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.circles.ball_surface import layer_surfaces
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions
-from taccel_lab.calibration.surfaces import BallSurface
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_surfaces
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.synthetic_presses import GRID, flat_background, known_change, synthetic_captures
 

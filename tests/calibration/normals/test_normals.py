@@ -11,8 +11,10 @@ import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.capture.captures import without_labels
+from taccel_lab.calibration.circles.bonded_layer import FAR_MM, press_layer
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import (
     READING,
@@ -33,8 +35,6 @@ from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import EXACT, CaptureScene, SampleOptions
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
-from taccel_lab.calibration.surfaces import BallSurface
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.circles.ball_surface import ball_surface, depth_share, layer_surfaces
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
@@ -28,9 +31,6 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
 )
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
-from taccel_lab.calibration.surfaces import BallSurface
-from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share, layer_surfaces
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig

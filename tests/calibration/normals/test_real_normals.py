@@ -11,10 +11,10 @@ from __future__ import annotations
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.contacts.usable import usable_circles
+from taccel_lab.calibration.circles.ball_surface import layer_surfaces
+from taccel_lab.calibration.circles.bonded_layer import BondedLayer
+from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_surfaces
-from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.real_data import labelled_presses
 

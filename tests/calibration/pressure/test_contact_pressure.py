@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.calibration.normals.touch import touch_of
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses.bonded_layer import layer_force_n

@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.circle_arrays import circle_of
-from taccel_lab.calibration.contacts.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.contacts.slope_law import (
+from taccel_lab.calibration.circles.circle_arrays import circle_of
+from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
+from taccel_lab.calibration.circles.rings import RingSamples
+from taccel_lab.calibration.circles.slope_law import (
     MAX_CONTACT_RATIO,
     SINK_IN_SCALE,
     slope_law,

@@ -18,17 +18,17 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.check.background import median_background
 from taccel_lab.calibration.check.frames import measure_presses
-from taccel_lab.calibration.contacts import fit
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fit import detect_contact
-from taccel_lab.calibration.contacts.labels import compare_with_labels
-from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.rim import fit_circle
-from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE, hertz_slope, slope_law
-from taccel_lab.calibration.contacts.working_size import WorkingSize
+from taccel_lab.calibration.circles import contact_finder as fit
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.contact_finder import detect_contact
+from taccel_lab.calibration.circles.labels import compare_with_labels
+from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.rim import fit_circle
+from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, hertz_slope, slope_law
+from taccel_lab.calibration.circles.working_size import WorkingSize
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.contacts.presses import (
+from tests.calibration.circles.presses import (
     BALL_MM,
     GRID,
     contacts_of,

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress
-from taccel_lab.calibration.contacts.fit import detect_contact
-from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.circles.contact_finder import detect_contact
+from taccel_lab.calibration.circles.result import DetectedContact
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid

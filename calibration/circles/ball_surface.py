@@ -11,13 +11,13 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, check_radius
-from taccel_lab.calibration.surfaces.bonded_layer import (
+from taccel_lab.calibration.circles.bonded_layer import (
     FAR_MM,
     BondedLayer,
     LayerPress,
     press_layer,
 )
-from taccel_lab.calibration.surfaces.press_surface import BallSurface, slope_of
+from taccel_lab.calibration.circles.press_surface import BallSurface, slope_of
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height

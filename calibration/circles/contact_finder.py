@@ -24,35 +24,35 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.once import Once
-from taccel_lab.calibration.contacts.color_change import (
+from taccel_lab.calibration.circles.color_change import (
     SUNK_RADII,
     ColorChange,
     color_change,
 )
-from taccel_lab.calibration.contacts.first_circle import (
+from taccel_lab.calibration.circles.first_circle import (
     MIN_RADIUS_PX,
     first_circle,
     gathered_share,
     turning_radius,
 )
-from taccel_lab.calibration.contacts.grey import find_grey_contact
-from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.contacts.photometric import (
+from taccel_lab.calibration.circles.grey import find_grey_contact
+from taccel_lab.calibration.circles.joint_fit import (
     FittedContact,
     PhotometricFit,
     fit_contacts,
 )
-from taccel_lab.calibration.contacts.result import (
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.result import (
     CutContactError,
     DetectedContact,
     FoundContacts,
     Refusal,
     UntouchedError,
 )
-from taccel_lab.calibration.contacts.rim import fit_rim
-from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
-from taccel_lab.calibration.contacts.uncertainty import circle_covariances
-from taccel_lab.calibration.contacts.working_size import WorkingSize
+from taccel_lab.calibration.circles.rim import fit_rim
+from taccel_lab.calibration.circles.rings import RingSamples, sample_rings
+from taccel_lab.calibration.circles.uncertainty import circle_covariances
+from taccel_lab.calibration.circles.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import enough_pixels
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError

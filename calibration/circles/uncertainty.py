@@ -19,11 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.map_terms import MapTerms
-from taccel_lab.calibration.contacts.photometric import PhotometricFit, fit_contacts
-from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
+from taccel_lab.calibration.circles.map_terms import MapTerms
+from taccel_lab.calibration.circles.rings import RingSamples
+from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE
 
 OTHER_SINK_IN_SCALE = 2.0
 OTHER_ROUNDS = 12

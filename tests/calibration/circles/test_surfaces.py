@@ -17,25 +17,25 @@ from hypothesis import strategies as st
 from taccel_lab.calibration import ball_presses
 from taccel_lab.calibration.base_profile import base_profile, captures_on_pad
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
-from taccel_lab.calibration.color.fit import calibrate_color
-from taccel_lab.calibration.depth import fit as depth_fit
-from taccel_lab.calibration.normals.fit import calibrate_normals
-from taccel_lab.calibration.surfaces import ball_in_layer as sink_in
-from taccel_lab.calibration.surfaces.ball_in_layer import ball_in_layer, layer_of
-from taccel_lab.calibration.surfaces.bonded_layer import (
+from taccel_lab.calibration.circles import ball_surface as sink_in
+from taccel_lab.calibration.circles.ball_surface import ball_in_layer, layer_of
+from taccel_lab.calibration.circles.bonded_layer import (
     FAR_MM,
     BondedLayer,
     press_in_view,
     press_layer,
 )
-from taccel_lab.calibration.surfaces.design import (
+from taccel_lab.calibration.color.fit import calibrate_color
+from taccel_lab.calibration.depth import fit as depth_fit
+from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.normals.random_tools import draw_tool
+from taccel_lab.calibration.pad_design import (
     MARGIN_MM,
     design_remarks,
     fitted_design,
     fitted_parameters,
 )
-from taccel_lab.calibration.surfaces.random_tools import draw_tool
-from taccel_lab.calibration.surfaces.view import (
+from taccel_lab.calibration.pad_view import (
     EDGE_MM,
     OVERHANG_SHARE,
     inside_mm,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM
+from taccel_lab.calibration.circles.bonded_layer import FAR_MM
 
 Tool = Callable[[np.random.Generator, np.ndarray, np.ndarray, float], np.ndarray]
 """(rng, x, y, reach_mm) -> height of the underside [mm], ``FAR_MM`` where there is none."""

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.color_change import color_change
-from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.contacts.fusion import fuse_circles
-from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
-from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.rim import fit_rim
-from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.color_change import color_change
+from taccel_lab.calibration.circles.contact_finder import find_contacts
+from taccel_lab.calibration.circles.fusion import fuse_circles
+from taccel_lab.calibration.circles.labels import LabelAgreement, agreement
+from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.rim import fit_rim
+from tests.calibration.circles.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.real_data import labelled_presses
 

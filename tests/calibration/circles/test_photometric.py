@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.color_change import color_change
-from taccel_lab.calibration.contacts.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.contacts.photometric import fit_contacts
-from taccel_lab.calibration.contacts.rings import sample_rings
-from taccel_lab.calibration.contacts.slope_law import WIDER_PX, slope_law
-from tests.calibration.contacts.presses import BALL_PX, GRID, gel, pressed, scattered
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.color_change import color_change
+from taccel_lab.calibration.circles.joint_fit import fit_contacts
+from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
+from taccel_lab.calibration.circles.rings import sample_rings
+from taccel_lab.calibration.circles.slope_law import WIDER_PX, slope_law
+from tests.calibration.circles.presses import BALL_PX, GRID, gel, pressed, scattered
 
 
 @pytest.mark.parametrize("presses", [1, 4, 12])

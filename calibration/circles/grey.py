@@ -16,8 +16,8 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
-from taccel_lab.calibration.contacts.rim import RAY_COUNT, circle_on_rays, sample_rays
+from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
+from taccel_lab.calibration.circles.rim import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -30,8 +30,8 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.circle_arrays import circle_array, circle_of
-from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.circles.circle_arrays import circle_array, circle_of
+from taccel_lab.calibration.circles.result import DetectedContact
 from taccel_lab.errors import InputError
 
 MIN_PRESSES = 8

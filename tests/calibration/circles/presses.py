@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE, slope_law
-from taccel_lab.calibration.contacts.usable import usable_presses
+from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, slope_law
+from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
 from tests.support.synthetic_presses import memory_captures
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.cache import cached_contacts
-from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.contacts.fusion import choose_circles, fuse_circles
-from taccel_lab.calibration.contacts.labels import (
+from taccel_lab.calibration.circles.cache import cached_contacts
+from taccel_lab.calibration.circles.contact_finder import find_contacts
+from taccel_lab.calibration.circles.fusion import choose_circles, fuse_circles
+from taccel_lab.calibration.circles.labels import (
     LabelAgreement,
     LabelPlacement,
     compare_with_labels,
 )
-from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
-from taccel_lab.calibration.contacts.result import DetectedContact, Refusal
+from taccel_lab.calibration.circles.remarks import PRESSES_LEFT_OUT
+from taccel_lab.calibration.circles.result import DetectedContact, Refusal
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.surfaces import remarks
+from taccel_lab.calibration.shared_remarks import PAD_EDGE, SCALE_PAST_PAD
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -83,11 +83,11 @@ def view_remarks(
     if looks_past_pad(parameters):
         # Normals are read wherever its camera sees; a layer stands for the pad in plan alone.
         blocks = ("color",)
-        return [remarks.SCALE_PAST_PAD(**figures, blocks=blocks)] if least < 0 else []
+        return [SCALE_PAST_PAD(**figures, blocks=blocks)] if least < 0 else []
     if least < -OVERHANG_SHARE * max(size_x, size_y):
-        return [remarks.SCALE_PAST_PAD(**figures)]
+        return [SCALE_PAST_PAD(**figures)]
     share = float((inside[used] < EDGE_MM).mean())
-    return [remarks.PAD_EDGE(**figures, share=share, edge=EDGE_MM, grave=least < 0)]
+    return [PAD_EDGE(**figures, share=share, edge=EDGE_MM, grave=least < 0)]
 
 
 def pixels_on_pad(profile: SensorProfile, grid: PixelGrid, mask: np.ndarray) -> np.ndarray:

@@ -13,16 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts import cache, fit
-from taccel_lab.calibration.contacts.cache import cached_contacts, kept_contacts
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
-from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.usable import too_many_lost, usable_circles, usable_presses
+from taccel_lab.calibration.circles import cache
+from taccel_lab.calibration.circles import contact_finder as fit
+from taccel_lab.calibration.circles.cache import cached_contacts, kept_contacts
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.usable import too_many_lost, usable_circles, usable_presses
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CACHE_VARIABLE
-from tests.calibration.contacts.presses import (
+from tests.calibration.circles.presses import (
     contacts_of,
 )
 from tests.support.synthetic_presses import GRID as DRAWN_GRID

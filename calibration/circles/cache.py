@@ -15,11 +15,11 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
-import taccel_lab.calibration.contacts
+import taccel_lab.calibration.circles
 import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
+from taccel_lab.calibration.circles.contact_finder import find_contacts
+from taccel_lab.calibration.circles.result import DetectedContact, FoundContacts, Refusal
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CachedFile
 from taccel_lab.progress import Progress, silent
@@ -66,7 +66,7 @@ def kept_contacts(captures: CaptureSet) -> CachedFile[FoundContacts]:
 @cache
 def _code_sha256() -> str:
     """Of the modules that search, so that contacts of another version are never taken."""
-    packages = (taccel_lab.calibration.contacts, taccel_lab.calibration.light)
+    packages = (taccel_lab.calibration.circles, taccel_lab.calibration.light)
     folders = [Path(str(package.__file__)).parent for package in packages]
     files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

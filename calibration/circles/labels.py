@@ -14,8 +14,8 @@ from taccel_lab.calibration.capture.captures import (
     CaptureSet,
     ContactCircle,
 )
-from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles.result import DetectedContact
 
 SLOPE_PRIOR = 2.0
 """Presses that the line of the radii counts a slope of one as."""

@@ -8,7 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.contacts.rim import RAY_COUNT, sample_rays
+from taccel_lab.calibration.circles.rim import RAY_COUNT, sample_rays
 
 MIN_RADIUS_PX = 4.0
 SPECK_SHARES = (1 / 75, 1 / 45)

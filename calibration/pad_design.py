@@ -14,7 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.surfaces import remarks
+from taccel_lab.calibration.shared_remarks import (
+    FLAT_PAD_ASSUMED,
+    IMAGES_ACROSS,
+    PAD_TURNED,
+    SCALE_PAST_PAD,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -101,7 +106,7 @@ def past_largest_pad(sensor: str, grid: PixelGrid, overrides: Mapping[str, Any])
     if all(made[name] <= side for name, side in sides.items()):
         return []
     return [
-        remarks.SCALE_PAST_PAD(
+        SCALE_PAST_PAD(
             mm_per_px_x=grid.mm_per_px_x,
             mm_per_px_y=grid.mm_per_px_y,
             width=grid.width_px * grid.mm_per_px_x,
@@ -158,14 +163,14 @@ def design_remarks(
         if "thickness_mm" in overrides:
             return []
         thickness = sensor_family(FLAT_PAD).parameters().values()["thickness_mm"]
-        return [remarks.FLAT_PAD(thickness_mm=thickness)]
+        return [FLAT_PAD_ASSUMED(thickness_mm=thickness)]
     if grid is None or not lies_across(sensor, grid):
         return []
     if _turned(sensor, grid):
-        return [remarks.PAD_TURNED(sensor=sensor)]
+        return [PAD_TURNED(sensor=sensor)]
     width, height = grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y
     lie = "lie down" if width > height else "stand upright"
-    return [remarks.IMAGES_ACROSS(lie=lie, width_mm=width, height_mm=height, sensor=sensor)]
+    return [IMAGES_ACROSS(lie=lie, width_mm=width, height_mm=height, sensor=sensor)]
 
 
 def _turned(sensor: str, grid: PixelGrid) -> dict[str, Any]:

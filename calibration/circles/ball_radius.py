@@ -17,11 +17,11 @@ from functools import cache
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.contacts.fit import FittedTogether
-from taccel_lab.calibration.contacts.photometric import PhotometricFit, fit_contacts
-from taccel_lab.calibration.contacts.remarks import BALL_FROM_BELOW, WRONG_BALL_RADIUS
-from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE
-from taccel_lab.calibration.contacts.uncertainty import OTHER_SINK_IN_SCALE
+from taccel_lab.calibration.circles.contact_finder import FittedTogether
+from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
+from taccel_lab.calibration.circles.remarks import BALL_FROM_BELOW, WRONG_BALL_RADIUS
+from taccel_lab.calibration.circles.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE
+from taccel_lab.calibration.circles.uncertainty import OTHER_SINK_IN_SCALE
 from taccel_lab.report.remark import Remark
 
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
