@@ -24,9 +24,8 @@ from taccel_lab.calibration.check.block_findings import (
     rejected_labels,
 )
 from taccel_lab.calibration.check.findings import name_some
-from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions

@@ -223,7 +223,7 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
 
 
 TEXT_FORMATS = {"tomllib", "yaml", "csv", "json"}
-OWN_FILES = {"calibration/circles/cache.py": "json", "calibration/live/recorded.py": "json"}
+OWN_FILES = {"calibration/circles/usable.py": "json", "calibration/live/recorded.py": "json"}
 """A digest guards what a cache kept; rows of an interrupted reading begin with one."""
 WRITERS = {
     "calibration/markers/track_files.py": "csv",

@@ -22,7 +22,7 @@ from taccel_lab.calibration.check.pressed_background import (
     MAX_COMPARED,
     find_pressed_background,
 )
-from taccel_lab.calibration.circles.working_size import WorkingSize
+from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark

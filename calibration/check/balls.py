@@ -29,10 +29,9 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.circles.ball_radius import check_ball
-from taccel_lab.calibration.circles.contact_finder import fit_together
 from taccel_lab.calibration.circles.grey import LABEL_SHARE, LABEL_SIGMA_PX
-from taccel_lab.calibration.pad_design import fitted_parameters, past_largest_pad
-from taccel_lab.calibration.pad_view import view_remarks
+from taccel_lab.calibration.circles.remarks import BALL_FROM_BELOW
+from taccel_lab.calibration.pad import fitted_parameters, past_largest_pad, view_remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 
@@ -229,10 +228,10 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         ),
         provenance={},
     )
-    found = check_ball(chosen, fit_together(chosen))
-    if found is None or (found.consistent and _told_otherwise(folder)):
+    found = check_ball(chosen, remarks.BY_COLOR)
+    if found is None or (found.code == BALL_FROM_BELOW.code and _told_otherwise(folder)):
         return []
-    return found.remarks(remarks.BY_COLOR)
+    return [found]
 
 
 def _told_otherwise(folder: CaptureFolder) -> bool:

@@ -11,9 +11,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.circles.color_change import WorkingSize
+from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.result import CutContactError, DetectedContact, UntouchedError
-from taccel_lab.calibration.circles.seen import seen_contact
-from taccel_lab.calibration.circles.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError

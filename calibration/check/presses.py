@@ -13,8 +13,7 @@ from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_c
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.circles.circle_arrays import circle_array
-from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.result import DetectedContact, circle_array
 from taccel_lab.calibration.circles.usable import too_many_lost
 from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
 from taccel_lab.errors import InputError

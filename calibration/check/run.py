@@ -26,7 +26,7 @@ from taccel_lab.calibration.check.presses import (
     rejected_labels,
 )
 from taccel_lab.calibration.check.targets import check_targets
-from taccel_lab.calibration.pad_design import design_remarks
+from taccel_lab.calibration.pad import design_remarks
 from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid

@@ -11,13 +11,12 @@ either: before a ball is called wrong, each has had the sink-in that suits it be
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.circles.contact_finder import FittedTogether
+from taccel_lab.calibration.circles.contact_finder import fit_together
 from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
 from taccel_lab.calibration.circles.remarks import BALL_FROM_BELOW, WRONG_BALL_RADIUS
 from taccel_lab.calibration.circles.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE
@@ -37,107 +36,69 @@ SURE = 3.0
 """Standard errors, over the presses, that a rise has to have."""
 
 
-@dataclass(frozen=True)
-class BallCheck:
-    """Residual of the joint fit against the ball's radius."""
+def check_ball(captures: CaptureSet, blocks: Sequence[str] = ()) -> Remark | None:
+    """Whether the colours of presses of one ball allow its stated radius: ``WRONG_BALL_RADIUS``, or
+    ``BALL_FROM_BELOW`` where they do. None with fewer than 4 fitted presses.
 
-    stated_mm: float
-    tried_mm: tuple[float, ...]
-    rms_levels: tuple[float, ...]
-    """Residual of the joint fit with each radius [levels]."""
-    lowest_mm: float
-    """Smallest radius of those tried that the colours allow [mm]; none below the stated one are
-    tried where that is allowed."""
-    pinned: int
-    """Presses whose contact is as large as the stated ball."""
-    count: int
-
-    @property
-    def consistent(self) -> bool:
-        """The stated radius is allowed."""
-        return self.stated_mm >= self.lowest_mm and not self.is_too_narrow
-
-    @property
-    def is_too_narrow(self) -> bool:
-        """Many contacts are as wide as the stated ball."""
-        return self.pinned > self.count / 4
-
-    def remarks(self, blocks: Sequence[str] = ()) -> list[Remark]:
-        """That the radius is wrong, with figures, or that nothing bounds it from above; ``blocks``
-        are those that it concerns."""
-        at = self.tried_mm.index(self.stated_mm)
-        if self.consistent:
-            return [
-                BALL_FROM_BELOW(
-                    rms=self.rms_levels[at],
-                    stated=self.stated_mm,
-                    larger=self.tried_mm[-1],
-                    larger_rms=self.rms_levels[-1],
-                    blocks=blocks,
-                )
-            ]
-        best = int(np.argmin(self.rms_levels))
-        return [
-            WRONG_BALL_RADIUS(
-                rms=self.rms_levels[at],
-                stated=self.stated_mm,
-                best_rms=self.rms_levels[best],
-                best=self.tried_mm[best],
-                lowest=self.lowest_mm,
-                pinned=self.pinned,
-                count=self.count,
-                blocks=blocks,
-            )
-        ]
-
-
-def check_ball(captures: CaptureSet, found: FittedTogether) -> BallCheck | None:
-    """Fit the presses again with other balls; None with fewer than 4 fitted presses."""
+    ``blocks`` are those that the remark concerns.
+    """
+    found, stated = fit_together(captures), captures.ball_radius_mm
     if found.fit is None or len(found.samples) < MIN_PRESSES:
         return None
-    start = found.fit
+    start, count = found.fit, len(found.samples)
 
     @cache
     def fitted(factor: float, sink_in: float) -> PhotometricFit:
         ball_px = [factor * ball for ball in found.ball_px]
         return fit_contacts(found.samples, start, ball_px, iterations=ROUNDS, sink_in=sink_in)
 
-    def best(factor: float, sink_ins: Sequence[float]) -> PhotometricFit:
-        return min((fitted(factor, one) for one in sink_ins), key=lambda fit: fit.rms_levels)
+    def judged(fits: dict[float, PhotometricFit]) -> tuple[float, int]:
+        """Smallest radius [mm] that the colours allow, and presses whose contact is as large as the
+        stated ball."""
+        contacts = zip(fits[1.0].contacts, found.ball_px, strict=True)
+        largest = 0.99 * MAX_CONTACT_RATIO
+        pinned = sum(contact.circle.radius_px > largest * ball for contact, ball in contacts)
+        return stated * _lowest(fits), pinned
 
     fits = {factor: fitted(factor, SINK_IN_SCALE) for factor in FACTORS if factor >= 1.0}
-    check = _judged(captures.ball_radius_mm, found.ball_px, fits)
-    if check.consistent:
-        # Smaller balls cannot take that back: the lowest one allowed would only be lower.
-        return check
-    # Contacts as wide as the ball speak against it whatever the gel does beside them.
-    sink_ins = SINK_INS[:1] if check.is_too_narrow else SINK_INS
-    fits = {factor: best(factor, sink_ins) for factor in FACTORS}
-    return _judged(captures.ball_radius_mm, found.ball_px, fits)
-
-
-def _judged(
-    stated_mm: float, ball_px: Sequence[float], fits: dict[float, PhotometricFit]
-) -> BallCheck:
-    """What fits with the stated ball and others say, factors rising."""
-    sums = np.array([np.log(np.maximum(fit.sums_by_press, 1e-9)) for fit in fits.values()])
-    stated = zip(fits[1.0].contacts, ball_px, strict=True)
-    largest = 0.99 * MAX_CONTACT_RATIO
-    return BallCheck(
-        stated_mm=stated_mm,
-        tried_mm=tuple(stated_mm if f == 1.0 else f * stated_mm for f in fits),
-        rms_levels=tuple(fit.rms_levels for fit in fits.values()),
-        lowest_mm=stated_mm * _lowest(list(fits), sums),
-        pinned=sum(contact.circle.radius_px > largest * ball for contact, ball in stated),
-        count=len(ball_px),
+    lowest, pinned = judged(fits)
+    # Where larger balls allow the stated one, smaller ones cannot take that back.
+    if stated < lowest or pinned > count / 4:
+        # Contacts as wide as the ball speak against it whatever the gel does beside them.
+        sink_ins = SINK_INS[:1] if pinned > count / 4 else SINK_INS
+        fits = {
+            factor: min((fitted(factor, one) for one in sink_ins), key=lambda fit: fit.rms_levels)
+            for factor in FACTORS
+        }
+        lowest, pinned = judged(fits)
+    if stated >= lowest and pinned <= count / 4:
+        return BALL_FROM_BELOW(
+            rms=fits[1.0].rms_levels,
+            stated=stated,
+            larger=FACTORS[-1] * stated,
+            larger_rms=fits[FACTORS[-1]].rms_levels,
+            blocks=blocks,
+        )
+    best = min(fits, key=lambda factor: fits[factor].rms_levels)
+    return WRONG_BALL_RADIUS(
+        rms=fits[1.0].rms_levels,
+        stated=stated,
+        best_rms=fits[best].rms_levels,
+        best=best * stated,
+        lowest=lowest,
+        pinned=pinned,
+        count=count,
+        blocks=blocks,
     )
 
 
-def _lowest(factors: Sequence[float], log_sums: np.ndarray) -> float:
-    """Smallest factor whose residuals do not surely exceed the best ones, shape [factor, press].
+def _lowest(fits: dict[float, PhotometricFit]) -> float:
+    """Smallest factor whose residuals do not surely exceed the best ones; factors rise.
 
     Between two factors that are tried, the rise is taken as linear.
     """
+    factors = list(fits)
+    log_sums = np.array([np.log(np.maximum(fit.sums_by_press, 1e-9)) for fit in fits.values()])
     best = int(np.argmin(log_sums.mean(axis=1)))
     rise = (log_sums - log_sums[best]) / 2  # of the residual, not of its square
     mean = rise.mean(axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -17,7 +17,6 @@ from taccel_lab.calibration.circles.bonded_layer import (
     LayerPress,
     press_layer,
 )
-from taccel_lab.calibration.circles.press_surface import BallSurface, slope_of
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
@@ -39,6 +38,33 @@ RIM_STEPS = 0.15
 """A contact on a grid is wider than without one by this part of a step, since points beside it are
 pressed for the part of them that touches: what 8 to 60 points per radius say of Hertz's contact and
 of balls 0.3 to 1.6 mm in 4 mm (0.06 to 0.3)."""
+
+
+@dataclass(frozen=True)
+class BallSurface:
+    """Deformed and undeformed contact face of the gel on the image's pixel grid, gel frame."""
+
+    height_m: np.ndarray
+    """z of the deformed contact face [m], shape [height_px, width_px]."""
+    rest_height_m: np.ndarray
+    """z of the undeformed contact face [m], shape [height_px, width_px]."""
+    normals: np.ndarray
+    """Outward unit normals of the deformed face, shape [height_px, width_px, 3]."""
+    rest_normals: np.ndarray
+    """Outward unit normals of the undeformed face, shape [height_px, width_px, 3]."""
+    depth_mm: float
+    """Travel of the indenter past first touch [mm]."""
+    provider: str
+    """What made the surface."""
+
+    def displacement_mm(self) -> np.ndarray:
+        """Rise of the face over its rest position [mm], negative below, shape [height, width]."""
+        return (self.height_m - self.rest_height_m) * 1e3
+
+
+def slope_of(normals: np.ndarray) -> np.ndarray:
+    """dh/dx and dh/dy of outward normals, shape [..., 2]."""
+    return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)
 
 
 SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[BallSurface]]
@@ -80,7 +106,6 @@ def ball_surface(
         rest_height_m=rest.height_m,
         normals=normals_from_slopes(slope + slope_of(rest.normals)),
         rest_normals=rest.normals,
-        contact_radius_px=circle.radius_px,
         depth_mm=depth_mm,
         provider=f"bonded layer of {layer.thickness_mm:g} mm, nu {layer.poisson_ratio:g}",
     )

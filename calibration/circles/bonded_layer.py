@@ -145,7 +145,7 @@ class _Sinking:
     ) -> None:
         self.rows, self.columns = shape
         rows, columns = (
-            _fast_length(count + int(2 * PADDING * layer.thickness_mm / step))
+            next_fast_len(count + int(2 * PADDING * layer.thickness_mm / step), real=True)
             for count, step in zip(shape, step_mm[::-1], strict=True)
         )
         self.padded = rows, columns
@@ -163,16 +163,8 @@ class _Sinking:
         return np.asarray(irfft(waves, columns, axis=1))[:, : self.columns]
 
 
-@lru_cache(maxsize=128)
-def _sinking(shape: tuple[int, ...], step_mm: tuple[float, float], layer: BondedLayer) -> _Sinking:
-    """That of a grid, which frames of one sensor share."""
-    return _Sinking(shape, step_mm, layer)
-
-
-def _fast_length(count: int) -> int:
-    """A length not below ``count`` whose transform is fast."""
-    length = next_fast_len(count, real=True)
-    return count if length is None else int(length)
+_sinking = lru_cache(maxsize=128)(_Sinking)
+"""Sinking on a grid, which frames of one sensor share."""
 
 
 def pressure_under(

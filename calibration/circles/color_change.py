@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colour change of a press: what the light's drift does not explain, smoothed, pixels square"""
+"""The colour change of a press: what the light's drift does not explain, smoothed, pixels square.
+
+Contacts are looked for at one size (``WorkingSize``). The search knows a contact by parts of the
+image's shorter side, from its smoothing (1/240) to the specks that it opens (1/45), and its limits
+were chosen on pictures of 240 to 480 rows. More rows tell it nothing more, and cost it the fourth
+power of their number. Blocks of ``factor`` x ``factor`` pixels become one, their mean; a contact's
+circle comes back in the camera's own pixels.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,13 +20,14 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.smoothing import smoothed
-from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_SHARE = 1 / 240
 """Standard deviation of the smoothing, as a part of the image's shorter side."""
 SUNK_RADII = 2.0
 """The gel around a contact sinks notably up to this many contact radii."""
+SHORTER_PX = 480
+"""Pictures keep at least so many pixels along their shorter side."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +39,6 @@ class ColorChange:
     that pixels are square and a round contact is a circle."""
     mask: np.ndarray | None
     """Pixels whose smoothed change rests on usable ones, shape [rows, width_px]; None: all."""
-    ratio: float
-    """mm_per_px_y / mm_per_px_x."""
-    smoothing_px: float
     drift: LightDrift
 
     def strength(self) -> np.ndarray:
@@ -40,12 +46,16 @@ class ColorChange:
         size = np.linalg.norm(self.change, axis=-1)
         return size if self.mask is None else np.where(self.mask, size, 0.0)
 
-    def noise_levels(self, circle: ContactCircle) -> float:
-        """Robust standard deviation of the size of the change far from a contact [levels], whose
-        circle is in pixels of ``change``."""
+    @property
+    def grid(self) -> PixelGrid:
+        """Of its square pixels, each as wide as 1."""
         rows, columns = self.change.shape[:2]
-        far = circle.far(PixelGrid(columns, rows, 1.0, 1.0), SUNK_RADII, self.mask)
-        return spread_about_median(self.strength()[far])
+        return PixelGrid(columns, rows, 1.0, 1.0)
+
+
+def smoothing_px(image: np.ndarray) -> float:
+    """Standard deviation of the smoothing of an image's change [px]."""
+    return float(np.clip(min(image.shape[:2]) * SMOOTHING_SHARE, 0.7, 4.0))
 
 
 def color_change(
@@ -64,7 +74,7 @@ def color_change(
     """
     if mask is not None and mask.all():
         mask = None
-    sigma = float(np.clip(min(image.shape[:2]) * SMOOTHING_SHARE, 0.7, 4.0))
+    sigma = smoothing_px(image)
     drift = drift or fit_light(
         image, background, mask if light_by is None else light_by, gradient=light_by is None
     )
@@ -79,4 +89,70 @@ def color_change(
         change = cv2.resize(change, size, interpolation=cv2.INTER_LINEAR)
         if near is not None:
             near = cv2.resize(near.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return ColorChange(change, near, ratio, sigma, drift)
+    return ColorChange(change, near, drift)
+
+
+@dataclass(frozen=True)
+class WorkingSize:
+    """How pictures of one grid are shrunk, and circles brought back."""
+
+    whole: PixelGrid
+    """Of the camera's pixels."""
+
+    @cached_property
+    def factor(self) -> int:
+        """Pixels of the camera along each side of one that is worked with."""
+        return max(1, min(self.whole.height_px, self.whole.width_px) // SHORTER_PX)
+
+    @cached_property
+    def grid(self) -> PixelGrid:
+        """Of the pixels that are worked with: their number and proportions. Its scale stays that
+        of the camera's pixels. What fills no block at the right and lower border is left out."""
+        return PixelGrid(
+            self.whole.width_px // self.factor,
+            self.whole.height_px // self.factor,
+            self.whole.mm_per_px_x,
+            self.whole.mm_per_px_y,
+        )
+
+    def length_px(self, length_mm: float) -> float:
+        """A length along x in pixels that are worked with."""
+        return length_mm / self.whole.mm_per_px_x / self.factor
+
+    def picture(self, image: np.ndarray) -> np.ndarray:
+        """Means of the blocks of an image, shape [height_px, width_px(, channel)] in and out."""
+        if self.factor == 1:
+            return image
+        height, width = self.grid.height_px * self.factor, self.grid.width_px * self.factor
+        size = (self.grid.width_px, self.grid.height_px)
+        return cv2.resize(image[:height, :width], size, interpolation=cv2.INTER_AREA)
+
+    def mask(self, mask: np.ndarray | None) -> np.ndarray | None:
+        """Blocks all of whose pixels may be used, bool, [height_px, width_px]."""
+        if mask is None:
+            return None
+        return self.picture(mask.astype(np.float32)) > 1 - 0.5 / self.factor**2
+
+    def enlarged(self, picture: np.ndarray) -> np.ndarray:
+        """A picture of the working size, as large as the camera's."""
+        size = (self.whole.width_px, self.whole.height_px)
+        return cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
+
+    def circle(self, circle: ContactCircle) -> ContactCircle:
+        """A circle of the camera's pixels, in those that are worked with."""
+        return _scaled(circle, 1 / self.factor)
+
+    def whole_circle(self, circle: ContactCircle) -> ContactCircle:
+        """A circle of the pixels that are worked with, in the camera's."""
+        return _scaled(circle, float(self.factor))
+
+
+def _scaled(circle: ContactCircle, factor: float) -> ContactCircle:
+    """Borders of pixels, not their centres, lie at whole multiples."""
+    if factor == 1:
+        return circle
+    return ContactCircle(
+        (circle.u_px + 0.5) * factor - 0.5,
+        (circle.v_px + 0.5) * factor - 0.5,
+        circle.radius_px * factor,
+    )

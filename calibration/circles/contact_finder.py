@@ -4,13 +4,13 @@
 1. The light's drift is taken off each frame (``light``); what is left, smoothed, is the colour
    change of the press (``color_change``).
 2. A disc that stands out gives a first circle (``first_circle``), the steepest drop of colour along
-   rays from its centre says whether it is round (``rim``).
+   rays from its centre says whether it is round.
 3. All presses together are explained by one map from the slope that a ball leaves to the colour
-   change; that moves centres and radii to a fraction of a pixel (``photometric``).
+   change; that moves centres and radii to a fraction of a pixel (``joint_fit``).
 
 A single press goes the same way with a smaller map. All of it works on pictures of one size
-(``working_size``). On a grey sensor darkness stands for depth, not for slope: each press is found
-by itself there (``grey``).
+(``WorkingSize``). On a grey sensor darkness stands for depth, not for slope: each press is found by
+itself there (``grey``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +28,14 @@ from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.circles.color_change import (
     SUNK_RADII,
     ColorChange,
+    WorkingSize,
     color_change,
+    smoothing_px,
 )
 from taccel_lab.calibration.circles.first_circle import (
     MIN_RADIUS_PX,
     first_circle,
+    fit_rim,
     gathered_share,
     turning_radius,
 )
@@ -39,22 +43,20 @@ from taccel_lab.calibration.circles.grey import find_grey_contact
 from taccel_lab.calibration.circles.joint_fit import (
     FittedContact,
     PhotometricFit,
+    RingSamples,
     fit_contacts,
+    sample_rings,
 )
-from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.result import (
     CutContactError,
     DetectedContact,
-    FoundContacts,
     Refusal,
     UntouchedError,
 )
-from taccel_lab.calibration.circles.rim import fit_rim
-from taccel_lab.calibration.circles.rings import RingSamples, sample_rings
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
-from taccel_lab.calibration.circles.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import enough_pixels
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
@@ -68,7 +70,7 @@ MIN_CONTRAST_DARK_LEVELS = 5.0
 """The same on a dark sensor: a tenth of its background's 90th percentile, but at least this."""
 MIN_CONTRAST_OVER_NOISE = 6.0
 MIN_ROUND = 0.9
-"""Least ``roundness`` of a contact."""
+"""Least score of a contact: about 1 and more where all speaks for a ball's round one."""
 RIM_WORTH = 0.75
 """What the share of rays that see a rim adds to that of the colour change that a ball explains: a
 smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's."""
@@ -123,39 +125,71 @@ def detect_contact(
         ball_px = scene.size.length_px(ball_radius_mm)
     start = replace(start, kept=start.change)
     together = FittedTogether({0: start}, {}, [ball_px], *_refine([start], [ball_px]))
-    return _accept(start, together.judged()[0], together.samples[0], grid, label)
+    return _accept(start, together.judged()[0], together.samples[0], label)
+
+
+def seen_contact(
+    press: CapturedPress,
+    background: np.ndarray,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+    grey: Channel | None = None,
+) -> DetectedContact:
+    """Contact of ``press`` as its image alone shows it, without ball or scale, found once: the
+    check of the captures, which may be made before and after the scale is known, and the scale
+    itself look for the same circles.
+
+    Of ``grid`` only the proportions of a pixel count. Errors as of ``detect_contact``, with the
+    press's source.
+    """
+    ratio = round(grid.mm_per_px_y / grid.mm_per_px_x, 9)
+    own = PixelGrid(grid.width_px, grid.height_px, min(1.0, 1 / ratio), min(1.0, ratio))
+
+    def look() -> DetectedContact | InputError:
+        try:
+            return detect_contact(
+                press.image(), background, own, mask=mask, name=press.source, label=press.circle,
+                grey=grey, once=press.once,
+            )  # fmt: skip
+        except InputError as fault:
+            return fault
+
+    seen = content_key({"background": background, "mask": mask, "ratio": ratio, "grey": grey})
+    found = press.once.of(("contact", seen), look)
+    if isinstance(found, InputError):
+        raise found
+    return found
 
 
 def find_contacts(
     captures: CaptureSet, progress: Progress = silent, grey: Channel | None = None
-) -> FoundContacts:
+) -> list[DetectedContact | Refusal]:
     """Contact of every press, or the reason why it has none; the presses are fitted together, but
     those of a ``grey`` sensor (the channel that darkens with depth).
 
     A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
     border of the image cuts is found by its part inside where its label says that it is one.
     """
-    found: dict[int, DetectedContact] = {}
-    refusals: dict[int, Refusal] = {}
+    found: dict[int, DetectedContact | Refusal] = {}
     if grey is None:
         together = fit_together(captures, progress)
-        refusals |= together.refusals
+        found |= together.refusals
         judged = zip(together.starts.items(), together.judged(), together.samples, strict=True)
         for (i, start), contact, samples in judged:
             press = captures.presses[i]
-            with _refused(press, i, refusals):
-                found[i] = _accept(start, contact, samples, captures.grid, press.circle)
+            with _refused(press, i, found):
+                found[i] = _accept(start, contact, samples, press.circle)
     for i, press in enumerate(captures.presses):
         if press.checked and press.circle is not None:
             found[i] = DetectedContact(press.circle, 0.0, 0.0)
         elif grey is not None:
-            with _refused(press, i, refusals):
+            with _refused(press, i, found):
                 found[i] = detect_contact(
                     press.image(), captures.background, captures.grid, mask=captures.mask,
                     name=press.source, label=press.circle, grey=grey,
                 )  # fmt: skip
             progress(TASK, i + 1, len(captures.presses))
-    return FoundContacts([found.get(i) for i in range(len(captures.presses))], refusals)
+    return [found[i] for i in range(len(captures.presses))]
 
 
 def fit_together(captures: CaptureSet, progress: Progress = silent) -> FittedTogether:
@@ -187,33 +221,12 @@ def fit_together(captures: CaptureSet, progress: Progress = silent) -> FittedTog
 
 
 @contextmanager
-def _refused(press: CapturedPress, i: int, refusals: dict[int, Refusal]) -> Iterator[None]:
+def _refused(press: CapturedPress, i: int, found: dict[int, Any]) -> Iterator[None]:
     """Keeps why a press cannot be used."""
     try:
         yield
     except InputError as error:
-        refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
-
-
-def place_heldout(
-    press: CapturedPress, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
-) -> ContactCircle:
-    """Where a press is that had no part in a fit: by its label, or found in ``image`` without one.
-
-    ``labels`` says how those of the training presses lie. Raises InputError when there is no label
-    and the image shows no contact.
-    """
-    ball_mm = press.radius_mm or captures.ball_radius_mm
-    if press.circle is not None:
-        return labels.applied(press.circle, ball_mm / captures.grid.mm_per_px_x)
-    return detect_contact(
-        image,
-        captures.background,
-        captures.grid,
-        mask=captures.mask,
-        name=press.source,
-        ball_radius_mm=ball_mm,
-    ).circle
+        found[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
 
 
 @dataclass(frozen=True)
@@ -267,11 +280,12 @@ class _First:
     circle: ContactCircle
     contrast_levels: float
     drift: LightDrift
-    smoothing_px: float
 
 
 @dataclass(frozen=True)
 class _Start:
+    """A press in whose image the search has begun."""
+
     name: str
     scene: _Scene
     read: Callable[[], np.ndarray]
@@ -326,21 +340,20 @@ class _LostContactError(InputError):
 
 def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     change = scene.change(read())
-    strength = change.strength()
-    center, radius = first_circle(change.change, strength)
-    seen = ContactCircle(float(center[0]), float(center[1]) / change.ratio, radius)
-    far = scene.far(seen)
+    circle = first_circle(change)
+    far = scene.far(replace(circle, v_px=circle.v_px / scene.ratio))
     usable = far.size if scene.mask is None else scene.mask.sum()
     # The contact has a say in the light of a picture that it mostly fills.
     if far.sum() < MOSTLY * usable and enough_pixels(far):
         change = scene.change(read(), light_by=far)
-        strength = change.strength()
-        center, radius = first_circle(change.change, strength)
-    disc = _distance(strength.shape, center) <= radius
+        circle = first_circle(change)
+    strength = change.strength()
+    disc = circle.distance_px(change.grid) <= circle.radius_px
     contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
     bright = float(np.percentile(scene.background, 90))
     needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
-    noise = change.noise_levels(ContactCircle(float(center[0]), float(center[1]), radius))
+    # The size of the change far from the contact.
+    noise = spread_about_median(strength[circle.far(change.grid, SUNK_RADII, change.mask)])
     noisy = contrast <= MIN_CONTRAST_OVER_NOISE * noise
     if contrast < needed or noisy:
         raise (UntouchedError if noisy else InputError)(
@@ -349,23 +362,19 @@ def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
             f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. If it shows a "
             "contact, give its circle; a frame without one teaches nothing and is left out"
         )
-    turning = turning_radius(change.change, center, radius)
-    radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
-    circle = ContactCircle(float(center[0]), float(center[1]), radius)
-    return _First(circle, contrast, change.drift, change.smoothing_px)
-
-
-def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
-    return np.hypot(
-        np.arange(shape[1])[None, :] - center[0], np.arange(shape[0])[:, None] - center[1]
+    radius = float(
+        np.clip(1.05 * turning_radius(change, circle), 0.5 * circle.radius_px, circle.radius_px)
     )
+    first = replace(circle, radius_px=radius)
+    return _First(first, contrast, change.drift)
 
 
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[PhotometricFit, list[RingSamples]]:
     circles: Sequence[ContactCircle] = [start.first.circle for start in starts]
-    blur = float(np.hypot(starts[0].first.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
+    ours = smoothing_px(starts[0].scene.background)
+    blur = float(np.hypot(ours, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
         samples = [
@@ -381,50 +390,28 @@ def _refine(
     return fit, samples
 
 
-def _rim_share(change: ColorChange, circle: ContactCircle) -> float:
-    """Share of the rays from a contact's centre that see its rim."""
-    center = np.array([circle.u_px, circle.v_px])
-    return float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
-
-
-def roundness(explained: float, rim_share: float, gathered: float) -> float:
-    """How much speaks for a ball's round contact, about 1 and more where all does.
-
-    Args:
-        explained: Share of the colour change that a ball's slope explains, at most 1.
-        rim_share: Share of the rays from the centre that see the rim.
-        gathered: Share of the strong colour change that lies within two radii.
-    """
-    return (explained + RIM_WORTH * min(rim_share, MOST_RIM)) * min(1.0, gathered / GATHERED)
-
-
 def _accept(
-    start: _Start,
-    contact: FittedContact,
-    samples: RingSamples,
-    grid: PixelGrid,
-    label: ContactCircle | None,
+    start: _Start, contact: FittedContact, samples: RingSamples, label: ContactCircle | None
 ) -> DetectedContact:
     """The contact in the image's own pixels; InputError when it is none, or when the border cuts it
     and no label lies in it."""
-    change, circle, pixels = start.change, contact.circle, start.scene.size.factor
-    own = start.scene.whole_circle(circle)
-    height, width = change.change.shape[:2]
-    limit = min(height, width) / 2
+    change, circle, size = start.change, contact.circle, start.scene.size
+    own, grid = start.scene.whole_circle(circle), size.whole
+    limit = min(change.change.shape[:2]) / 2
     center = np.array([circle.u_px, circle.v_px])
-    rim, gathered = (
-        _rim_share(change, circle),
-        gathered_share(change.strength(), center, circle.radius_px),
-    )
-    score = roundness(contact.explained, rim, gathered)
+    # Share of the rays from the centre that see the rim.
+    rim = float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
+    gathered = gathered_share(change, circle)
+    score = contact.explained + RIM_WORTH * min(rim, MOST_RIM)
+    score *= min(1.0, gathered / GATHERED)
     if score < MIN_ROUND or not MIN_RADIUS_PX <= circle.radius_px <= limit:
         raise InputError(
             f"{start.name}: no round contact found; {rim:.0%} of the rays agree on a circle of "
-            f"radius {own.radius_px:.1f} px ({pixels * MIN_RADIUS_PX:g} to {pixels * limit:g} are "
-            f"contacts); a ball's slope explains {max(contact.explained, 0):.0%} of the colour "
-            f"change, {gathered:.0%} of which lies within two radii; that is a score of "
-            f"{max(score, 0):.2f}, at least {MIN_ROUND:g} is needed. If it shows a contact, give "
-            "its circle"
+            f"radius {own.radius_px:.1f} px ({size.factor * MIN_RADIUS_PX:g} to "
+            f"{size.factor * limit:g} are contacts); a ball's slope explains "
+            f"{max(contact.explained, 0):.0%} of the colour change, {gathered:.0%} of which lies "
+            f"within two radii; that is a score of {max(score, 0):.2f}, at least {MIN_ROUND:g} is "
+            "needed. If it shows a contact, give its circle"
         )
     beyond = own.beyond_px(grid)
     known = label is not None and label.center_gap_px(own, grid) < own.radius_px
@@ -437,7 +424,7 @@ def _accept(
             + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
             + f"; {samples.visible:.0%} of it and its surroundings can be seen: it is left out"
         )
-    sigma = pixels * np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
+    sigma = size.factor * np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
     return DetectedContact(
         circle=own,
         radius_sigma_px=float(sigma[2]),

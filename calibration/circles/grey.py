@@ -16,8 +16,8 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.circles.first_circle import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
-from taccel_lab.calibration.circles.rim import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -72,7 +72,7 @@ def find_grey_contact(
     except CutContactError:
         if label is None or label.beyond_px(grid) <= 0:
             raise
-        return _contact(label, max(LABEL_SIGMA_PX, LABEL_SHARE * label.radius_px), peak)
+        return DetectedContact(label, max(LABEL_SIGMA_PX, LABEL_SHARE * label.radius_px), peak)
     for _ in range(3):
         radius = _steepest_radius(smooth, center, radius)
         center = _isoline_center(smooth, center, radius, peak)
@@ -80,11 +80,7 @@ def find_grey_contact(
     steepest, fall = _rim_radii(values, center, radius)
     circle = ContactCircle(float(center[0]), float(center[1] / ratio), float(steepest))
     # Half the distance between the steepest drop and its steepest fall.
-    return _contact(circle, max(0.5 * (fall - steepest), 0.5), peak)
-
-
-def _contact(circle: ContactCircle, radius_sigma_px: float, peak: float) -> DetectedContact:
-    return DetectedContact(circle, radius_sigma_px, peak)
+    return DetectedContact(circle, max(0.5 * (fall - steepest), 0.5), peak)
 
 
 def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, float]:

@@ -20,12 +20,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.circles.circle_arrays import circle_of
 from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.circles.rings import RingSamples
+from taccel_lab.calibration.circles.result import circle_of
 from taccel_lab.calibration.circles.slope_law import (
     MAX_CONTACT_RATIO,
     SINK_IN_SCALE,
@@ -33,6 +33,13 @@ from taccel_lab.calibration.circles.slope_law import (
 )
 from taccel_lab.calibration.robust_spread import spread_about_zero
 
+RING_COUNT = 34
+RAY_COUNT = 48
+REACH_RADII = 1.4
+"""Radius of the outermost ring, in contact radii: the gel beside a ball is modelled less well than
+under it, and shadows lie there."""
+SECTORS = 12
+"""Sectors over the angle, each cut into an inner and an outer part."""
 ITERATIONS = 14
 PASSES = 4
 """Solutions of one round, each with more steps at their limits."""
@@ -58,6 +65,64 @@ PRIOR_SAMPLES = 30.0
 
 
 @dataclass(frozen=True)
+class RingSamples:
+    """Colour changes of one press on rings around its contact: few samples, evenly spread over what
+    matters. Those outside the image or on masked pixels are left out."""
+
+    u_px: np.ndarray
+    """Columns, shape [n]."""
+    v_px: np.ndarray
+    """Rows, shape [n]."""
+    unit_u: np.ndarray
+    """Columns as -1..1 over the image, shape [n]."""
+    unit_v: np.ndarray
+    change: np.ndarray
+    """Colour change [levels], shape [n, 3]."""
+    weight: np.ndarray
+    """Root of the area that a sample stands for, relative to the mean, shape [n]."""
+    sector: np.ndarray
+    """Index of the sample's sector, shape [n]."""
+    reach_px: float
+    visible: float
+    """Share of the samples that could be taken."""
+
+
+def sample_rings(
+    change: np.ndarray, circle: ContactCircle, mask: np.ndarray | None = None
+) -> RingSamples:
+    """Colour change [height_px, width_px, 3] at the rings around ``circle``, square pixels."""
+    height, width = change.shape[:2]
+    rings = (np.arange(RING_COUNT) + 0.5) / RING_COUNT
+    angle = np.arange(RAY_COUNT) * (2 * np.pi / RAY_COUNT)
+    distance = (rings * REACH_RADII * circle.radius_px)[:, None]
+    u = (circle.u_px + distance * np.cos(angle)).ravel()
+    v = (circle.v_px + distance * np.sin(angle)).ravel()
+    taken = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+    if mask is not None:
+        at = np.clip(np.rint(v), 0, height - 1).astype(int), np.clip(np.rint(u), 0, width - 1)
+        taken &= mask[at[0], at[1].astype(int)]
+    ring_weight = np.sqrt(rings / rings.mean())
+    turn = np.arange(RAY_COUNT) * SECTORS // RAY_COUNT
+    sector = 2 * turn[None, :] + (rings * REACH_RADII > 1.0)[:, None]
+    u, v = u[taken], v[taken]
+    values = np.zeros((0, 3))
+    if len(u):
+        columns, lines = u.astype(np.float32)[None], v.astype(np.float32)[None]
+        values = cv2.remap(change, columns, lines, cv2.INTER_LINEAR)[0].astype(np.float64)
+    return RingSamples(
+        u_px=u,
+        v_px=v,
+        unit_u=2 * u / (width - 1) - 1,
+        unit_v=2 * v / (height - 1) - 1,
+        change=values.reshape(-1, 3),
+        weight=np.repeat(ring_weight, RAY_COUNT)[taken],
+        sector=sector.ravel()[taken],
+        reach_px=float(REACH_RADII * circle.radius_px),
+        visible=float(taken.mean()),
+    )
+
+
+@dataclass(frozen=True)
 class FittedContact:
     """Circle of one press in pixels of the sampled picture."""
 
@@ -66,8 +131,6 @@ class FittedContact:
     """Of u, v and radius [px^2], shape [3, 3]."""
     explained: float
     """Share of the colour change's energy that the map explains, at most 1."""
-    rms_levels: float
-    """Root mean square of what it leaves, a channel [levels]."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +170,6 @@ class _State:
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
     gain: np.ndarray = field(default_factory=lambda: np.ones(3))
     weight: np.ndarray = field(default_factory=lambda: np.ones(1))
-    rms: float = 0.0
     step: np.ndarray = field(default_factory=lambda: np.zeros(OWN))
     """The last one, of circle, offsets and gains, shape [9]."""
     damping: float = 0.0
@@ -130,14 +192,14 @@ class _State:
         samples, seen = self.samples, self.seen
         change = samples.change - np.average(samples.change, axis=0, weights=self.weight**2)
         energy = np.sum((change * self.weight[:, None]) ** 2)
-        count = samples.sector_count
+        count = 2 * SECTORS
         inside = (samples.sector == np.arange(count)[:, None]).astype(float)
         pulls = (inside * seen.left[:, None]) @ seen.rows.T @ seen.jacobian[..., :OWN]
         sums = pulls.sum(axis=0)
         bread = np.linalg.inv(seen.own)
         covariance = (bread @ (sums.T @ sums) @ bread)[:3, :3] * (count / max(count - 3, 1))
         explained = 1.0 - float(np.sum(seen.left**2) / max(energy, 1e-9))
-        return FittedContact(circle_of(self.shape), covariance, explained, self.rms)
+        return FittedContact(circle_of(self.shape), covariance, explained)
 
 
 @dataclass(frozen=True)
@@ -278,8 +340,9 @@ class _JointFit:
         du, dv = s.u_px - press.shape[0], s.v_px - press.shape[1]
         distance = np.hypot(du, dv) + 1e-9
         along = np.stack([du, dv]) / distance
-        law = slope_law(press.shape[2], press.ball_px, self.blur_px, 1.5 * s.reach_px, self.sink_in)
-        (normal, drop), away, by_radius, by_blur = law.with_rates(distance)
+        (normal, drop), away, by_radius, by_blur = slope_law(
+            distance, press.shape[2], press.ball_px, self.blur_px, 1.5 * s.reach_px, self.sink_in
+        )
         rows = self.terms.rows(*(normal * along), drop, s.unit_u, s.unit_v)
         model = self.map @ rows[PLAIN:]
         left = s.change.T - press.offset[:, None] - press.gain[:, None] * model
@@ -314,7 +377,6 @@ class _JointFit:
 
     def _weigh(self, press: _State, left: np.ndarray) -> None:
         distance = np.linalg.norm(left, axis=0)
-        press.rms = float(np.sqrt(np.mean(distance**2) / 3))
         if self.map.any():
             reach = HUBER * (spread_about_zero(distance) + 1e-6)
             press.weight = press.samples.weight * np.sqrt(

@@ -50,9 +50,10 @@ class MapTerms:
     def rows(self, *factors: np.ndarray) -> np.ndarray:
         """u, v, 1 and the terms, shape [3 + count, n]; ``factors`` are ``FACTORS``, shape [n]."""
         rows = np.ones((len(self._powers), len(factors[0])))
-        for row, (parent, factor) in zip(rows, self._recipe, strict=True):
-            if parent is not None:
-                np.multiply(rows[parent], factors[factor], out=row)
+        for row, powers in zip(rows, self._powers, strict=True):
+            for factor, power in zip(factors, powers, strict=True):
+                for _ in range(power):
+                    row *= factor
         return rows
 
     @cached_property
@@ -62,13 +63,14 @@ class MapTerms:
         for i, powers in enumerate(self._powers):
             for factor in range(3):
                 if powers[factor]:
-                    rates[factor, i, self._row(_less(powers, factor))] = powers[factor]
+                    less = tuple(power - (k == factor) for k, power in enumerate(powers))
+                    rates[factor, i, self._powers.index(less)] = powers[factor]
         return rates
 
     def taken_over(self, coefficients: np.ndarray, terms: MapTerms) -> np.ndarray:
         """``coefficients`` [.., terms.count] of other terms, all of which are among these."""
         taken = np.zeros((*coefficients.shape[:-1], self.count))
-        taken[..., [self._row(powers) - PLAIN for powers in terms._terms()]] = coefficients
+        taken[..., [self._powers.index(one) - PLAIN for one in terms._terms()]] = coefficients
         return taken
 
     @cached_property
@@ -83,21 +85,3 @@ class MapTerms:
                     yield (i, total - i, 0, *place)
         for place in PLACES if self.drop_place else PLACES[:1]:
             yield (0, 0, 1, *place)
-
-    @cached_property
-    def _recipe(self) -> list[tuple[int | None, int]]:
-        """Each row as another one and the factor by which that is multiplied."""
-        recipe = []
-        for powers in self._powers:
-            last = max((k for k, power in enumerate(powers) if power), default=0)
-            parent = self._row(_less(powers, last)) if any(powers) else None
-            recipe.append((parent, last))
-        return recipe
-
-    def _row(self, powers: tuple[int, ...]) -> int:
-        return self._powers.index(powers)
-
-
-def _less(powers: tuple[int, ...], factor: int) -> tuple[int, ...]:
-    """One power of a factor less."""
-    return tuple(power - (k == factor) for k, power in enumerate(powers))

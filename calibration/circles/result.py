@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,10 +54,11 @@ class CutContactError(InputError):
     """A contact that reaches out of the image, or is mostly masked."""
 
 
-@dataclass(frozen=True)
-class FoundContacts:
-    """Contacts of a capture set: one or a refusal for every press, in order."""
+def circle_array(circles: Sequence[ContactCircle]) -> np.ndarray:
+    """u, v and radius of each circle [px], shape [n, 3]."""
+    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles]).reshape(-1, 3)
 
-    contacts: list[DetectedContact | None]
-    refusals: dict[int, Refusal]
-    """By the index of the press."""
+
+def circle_of(shape: np.ndarray) -> ContactCircle:
+    """The circle of u, v and radius [px], shape [3]."""
+    return ContactCircle(*(float(x) for x in shape))

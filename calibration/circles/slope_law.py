@@ -16,8 +16,6 @@ presses on three sensors all ask for more, up to twice as much.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -31,40 +29,6 @@ SINK_IN_SCALE = 1.25
 TABLE_STEPS = 280
 
 
-@dataclass(frozen=True)
-class SlopeLaw:
-    """Tables over the distance from the press's centre."""
-
-    step_px: float
-    """Distance from one entry to the next; the first is at 0."""
-    tables: np.ndarray
-    """Horizontal part of the unit normal, 0..1, and how far the gel has sunk, in ball radii, of the
-    contact and of one that is ``WIDER_PX`` wider, shape [2, 2, n]."""
-    blur_px: float
-    """Standard deviation of what blurs them."""
-
-    def at(self, distance_px: np.ndarray) -> np.ndarray:
-        """Normal and sinking at distances from the centre, shape [2, n] of [n]."""
-        return self._between(self.tables[0], distance_px)
-
-    def with_rates(self, distance_px: np.ndarray) -> np.ndarray:
-        """``at``, and how both change with the distance, with the contact's radius and with the
-        blur, shape [4, 2, n] of [n]."""
-        both, wider = self.tables
-        by_distance = np.gradient(both, self.step_px, axis=1)
-        by_radius = (wider - both) / WIDER_PX
-        # A Gaussian spreads as heat does: its width's rate is its width times the curvature.
-        by_blur = self.blur_px * np.gradient(by_distance, self.step_px, axis=1)
-        tables = np.concatenate([both, by_distance, by_radius, by_blur])
-        return self._between(tables, distance_px).reshape(4, 2, -1)
-
-    def _between(self, tables: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
-        position = np.minimum(distance_px / self.step_px, tables.shape[1] - 1.001)
-        low = position.astype(np.intp)
-        rises = np.diff(tables, axis=1)
-        return np.take(tables, low, axis=1) + np.take(rises, low, axis=1) * (position - low)
-
-
 def hertz_slope(ratio: np.ndarray) -> np.ndarray:
     """Slope of Hertz's half-space outside the contact over that at its rim; ``ratio`` = r/a >= 1"""
     ratio = np.maximum(ratio, 1.0)
@@ -72,31 +36,48 @@ def hertz_slope(ratio: np.ndarray) -> np.ndarray:
 
 
 def slope_law(
+    distance_px: np.ndarray,
     contact_px: float,
     ball_px: float,
     blur_px: float,
     reach_px: float,
     sink_in: float = SINK_IN_SCALE,
-) -> SlopeLaw:
-    """The law for a contact and a ball of these radii [px], out to ``reach_px``.
+) -> np.ndarray:
+    """Horizontal part of the unit normal, 0..1, and how far the gel has sunk, in ball radii, at
+    distances from the press's centre; and how both change with the distance, with the contact's
+    radius and with the blur, shape [4, 2, n] of [n].
 
-    ``blur_px`` is the standard deviation of what blurs the picture; ``sink_in`` scales the damping
-    length.
+    Args:
+        distance_px: Where the law is read, up to ``reach_px``.
+        contact_px: Radius of the contact.
+        ball_px: Radius of the ball.
+        blur_px: Standard deviation of what blurs the picture.
+        reach_px: How far out it is tabulated.
+        sink_in: Damping length over ``sqrt(R^2 - a^2)``.
     """
     contact = np.array([[min(contact_px, MAX_CONTACT_RATIO * ball_px)]])
     contact = np.minimum(contact + [[0.0], [WIDER_PX]], LARGEST_RATIO * ball_px)
     beside = np.sqrt(ball_px**2 - contact**2)
-    distance = np.linspace(0.0, reach_px, TABLE_STEPS)
-    inside = np.minimum(distance, contact)
-    past = np.maximum(distance - contact, 0.0)
+    away = np.linspace(0.0, reach_px, TABLE_STEPS)
+    inside = np.minimum(away, contact)
+    past = np.maximum(away - contact, 0.0)
     slope = inside / np.sqrt(ball_px**2 - inside**2)
-    slope *= hertz_slope(distance / contact) * np.exp(-past / (sink_in * beside))
-    step = distance[1]
+    slope *= hertz_slope(away / contact) * np.exp(-past / (sink_in * beside))
+    step = away[1]
     sunk = np.cumsum(slope[:, ::-1], axis=1)[:, ::-1] * (step / ball_px)
-    both = np.stack([slope / np.sqrt(1 + slope**2), sunk], axis=1)
+    tables = np.stack([slope / np.sqrt(1 + slope**2), sunk], axis=1)
     if blur_px > 0.05 * step:
-        both = _blur(both, blur_px / step)
-    return SlopeLaw(step, both, blur_px)
+        tables = _blur(tables, blur_px / step)
+    both, wider = tables
+    by_distance = np.gradient(both, step, axis=1)
+    # A Gaussian spreads as heat does: its width's rate is its width times the curvature.
+    by_blur = blur_px * np.gradient(by_distance, step, axis=1)
+    tables = np.concatenate([both, by_distance, (wider - both) / WIDER_PX, by_blur])
+    position = np.minimum(distance_px / step, TABLE_STEPS - 1.001)
+    low = position.astype(np.intp)
+    rises = np.diff(tables, axis=1)
+    values = np.take(tables, low, axis=1) + np.take(rises, low, axis=1) * (position - low)
+    return values.reshape(4, 2, *distance_px.shape)
 
 
 def _blur(both: np.ndarray, sigma: float) -> np.ndarray:

@@ -19,10 +19,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.circles.circle_arrays import circle_array
-from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
+from taccel_lab.calibration.circles.joint_fit import PhotometricFit, RingSamples, fit_contacts
 from taccel_lab.calibration.circles.map_terms import MapTerms
-from taccel_lab.calibration.circles.rings import RingSamples
+from taccel_lab.calibration.circles.result import circle_array
 from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE
 
 OTHER_SINK_IN_SCALE = 2.0

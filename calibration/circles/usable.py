@@ -1,24 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which presses a fit may use: those with a contact; a few without one do not stop the others."""
+"""Which presses a fit may use: those with a contact; a few without one do not stop the others.
+
+Colour and normals look for the same contacts in the same images, and so does every later run. What
+is found is kept in the user's cache folder by everything that the search sees: images, background,
+mask, scale, balls, corrections by a person, and the text of the modules that search.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO, Literal
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.cache import cached_contacts
-from taccel_lab.calibration.circles.contact_finder import find_contacts
-from taccel_lab.calibration.circles.fusion import choose_circles, fuse_circles
+import numpy as np
+
+import taccel_lab.calibration.circles
+import taccel_lab.calibration.light
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
-    LabelAgreement,
     LabelPlacement,
-    compare_with_labels,
+    choose_circles,
+    fuse_circles,
 )
 from taccel_lab.calibration.circles.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.circles.result import DetectedContact, Refusal
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.file_cache import CachedFile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import Channel
@@ -27,6 +40,8 @@ LEAST_PRESSES = 6
 """With so many left, presses without a contact do not stop the others."""
 MAX_LOST_SHARE = 0.5
 """Part of the presses that may be lost; beyond, something is wrong with the whole set."""
+
+Found = list[DetectedContact | Refusal]
 
 
 def usable_presses(
@@ -42,41 +57,97 @@ def usable_presses(
     ``grey`` sensor (``find_contacts``) are found soon enough without.
 
     Raises:
-        InputError: Too many are lost (``too_many_lost``); with every reason.
+        InputError: Too many are lost (``too_many_lost``); with every reason. The cache folder
+            cannot be written.
     """
     if cache and grey is None:
         found = cached_contacts(captures, progress)
     else:
         found = find_contacts(captures, progress, grey)
-    refusals = [found.refusals[i] for i in sorted(found.refusals)]
-    contacts = [contact for contact in found.contacts if contact is not None]
+    refusals = [one for one in found if isinstance(one, Refusal)]
+    contacts = [one for one in found if isinstance(one, DetectedContact)]
     if not refusals:
         return captures, contacts, []
-    remark = left_out_remark(len(captures.presses), refusals)
-    kept = tuple(
-        press
-        for press, contact in zip(captures.presses, found.contacts, strict=True)
-        if contact is not None
-    )
+    count, reasons = len(captures.presses), [refusal.message for refusal in refusals]
+    if too_many_lost(count, [refusal.cut for refusal in refusals]):
+        raise InputError("\n".join(reasons))
     names = ", ".join(refusal.name for refusal in refusals)
-    provenance = {**captures.provenance, "left_out": names}
-    return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
-
-
-def left_out_remark(press_count: int, refusals: Sequence[Refusal]) -> Remark:
-    """Says which presses are left out and why; InputError with every reason where too many are."""
-    if too_many_lost(press_count, [refusal.cut for refusal in refusals]):
-        raise InputError("\n".join(refusal.message for refusal in refusals))
-    return PRESSES_LEFT_OUT(
+    remark = PRESSES_LEFT_OUT(
         lost=len(refusals),
-        count=press_count,
-        names=", ".join(refusal.name for refusal in refusals),
-        reasons="; ".join(refusal.message for refusal in refusals),
+        count=count,
+        names=names,
+        reasons="; ".join(reasons),
         advice=" With its circle in captures.toml a press that the border cuts is used by its part "
         "in the image"
         if any(refusal.cut for refusal in refusals)
         else "",
     )
+    kept = tuple(
+        press
+        for press, one in zip(captures.presses, found, strict=True)
+        if isinstance(one, DetectedContact)
+    )
+    provenance = {**captures.provenance, "left_out": names}
+    return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
+
+
+def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
+    """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are.
+
+    Raises:
+        InputError: The cache folder cannot be written.
+    """
+    count = len(captures.presses)
+    kept = CachedFile(
+        "contacts",
+        {
+            "code": _code_sha256(),
+            "background": captures.background,
+            "mask": captures.mask,
+            "grid": asdict(captures.grid),
+            "ball_radius_mm": captures.ball_radius_mm,
+            "presses": [
+                {
+                    # Names and places are part of the refusals' messages.
+                    "name": press.name,
+                    "source": press.source,
+                    "sha256": press.sha256,
+                    "radius_mm": press.radius_mm,
+                    "label": asdict(press.circle) if press.circle else None,
+                    "checked": press.checked,
+                }
+                for press in captures.presses
+            ],
+        },
+        lambda file: _load(file, count),
+        _save,
+    )
+    return kept.read_or_make(lambda: find_contacts(captures, progress))
+
+
+@cache
+def _code_sha256() -> str:
+    """Of the modules that search, so that contacts of another version are never taken."""
+    packages = (taccel_lab.calibration.circles, taccel_lab.calibration.light)
+    folders = [Path(str(package.__file__)).parent for package in packages]
+    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def _save(file: BinaryIO, found: Found) -> None:
+    file.write(json.dumps(to_jsonable([asdict(one) for one in found]), allow_nan=False).encode())
+
+
+def _load(file: BinaryIO, count: int) -> Found:
+    values = json.load(file)
+    if len(values) != count:
+        raise ValueError("it is of another number of presses")
+    return [
+        DetectedContact(**{**value, "circle": ContactCircle(**value["circle"])})
+        if "circle" in value
+        else Refusal(**value)
+        for value in values
+    ]
 
 
 def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
@@ -103,8 +174,6 @@ class UsableCircles:
     Fused circles are at least as certain as found ones."""
     remarks: list[Remark]
     """On presses left out."""
-    agreement: LabelAgreement | None
-    """Of found circles with labels; None where nobody gave any."""
 
     @property
     def labels(self) -> LabelPlacement:
@@ -135,21 +204,35 @@ def usable_circles(
             "labels needs all of them, fused or detected does not"
         )
     captures, found, remarks = usable_presses(captures, progress, cache=cache)
+    sigmas_px = [(contact.center_sigma_px, contact.radius_sigma_px) for contact in found]
+    if which == "labels":
+        given = [press.circle for press in captures.presses if press.circle is not None]
+        sigmas_px = [fuse_circles(given, found).label_sigma_px] * len(found)
     return UsableCircles(
         captures,
         found,
         choose_circles(captures, found, which),
-        _sigmas_px(captures, found, which),
+        sigmas_px,
         remarks,
-        compare_with_labels(captures, found),
     )
 
 
-def _sigmas_px(
-    captures: CaptureSet, found: Sequence[DetectedContact], which: str
-) -> list[tuple[float, float]]:
-    """Standard deviations of centre and radius of the chosen circles."""
-    if which != "labels":
-        return [(contact.center_sigma_px, contact.radius_sigma_px) for contact in found]
-    given = [press.circle for press in captures.presses if press.circle is not None]
-    return [fuse_circles(given, found).label_sigma_px] * len(found)
+def place_heldout(
+    press: CapturedPress, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
+) -> ContactCircle:
+    """Where a press is that had no part in a fit: by its label, or found in ``image`` without one.
+
+    ``labels`` says how those of the training presses lie. Raises InputError when there is no label
+    and the image shows no contact.
+    """
+    ball_mm = press.radius_mm or captures.ball_radius_mm
+    if press.circle is not None:
+        return labels.applied(press.circle, ball_mm / captures.grid.mm_per_px_x)
+    return detect_contact(
+        image,
+        captures.background,
+        captures.grid,
+        mask=captures.mask,
+        name=press.source,
+        ball_radius_mm=ball_mm,
+    ).circle

@@ -18,9 +18,8 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame

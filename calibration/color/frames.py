@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.pixel_draw import draw_regions

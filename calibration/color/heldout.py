@@ -24,10 +24,9 @@ from taccel_lab.calibration.capture.captures import (
     ContactCircle,
 )
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.circles.ball_surface import SurfaceMaker
-from taccel_lab.calibration.circles.contact_finder import place_heldout
+from taccel_lab.calibration.circles.ball_surface import BallSurface, SurfaceMaker
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.usable import place_heldout
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.untouched_light import light_beside

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError

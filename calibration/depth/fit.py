@@ -25,7 +25,7 @@ from taccel_lab.calibration.base_profile import (
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
-from taccel_lab.calibration.circles.fusion import choose_circles
+from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.calibration.depth.curve import (

@@ -14,8 +14,8 @@ from taccel_lab.calibration.circles.ball_surface import (
     deeper_per_mm,
 )
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.circles.contact_finder import place_heldout
 from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.usable import place_heldout
 from taccel_lab.calibration.light.fit import fit_press_light
 from taccel_lab.calibration.normals.reading_error import KnownPress, ReadingErrors, errors_of
 from taccel_lab.calibration.normals.samples import (

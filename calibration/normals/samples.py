@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.errors import InputError

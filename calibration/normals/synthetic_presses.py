@@ -17,8 +17,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
+from taccel_lab.calibration.circles.ball_surface import slope_of
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer, press_in_view
-from taccel_lab.calibration.circles.press_surface import slope_of
 from taccel_lab.calibration.normals.random_tools import draw_tool
 from taccel_lab.calibration.normals.samples import (
     CaptureScene,

@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
-from taccel_lab.calibration.pad_view import require_view_on_pad
+from taccel_lab.calibration.pad import require_view_on_pad
 from taccel_lab.calibration.refit import remarks
 from taccel_lab.calibration.refit.frames import refit_frames
 from taccel_lab.calibration.refit.light_change import (

@@ -12,10 +12,8 @@ from taccel_lab.calibration.base_profile import captures_on_pad
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
-from taccel_lab.calibration.circles.contact_finder import place_heldout
-from taccel_lab.calibration.circles.press_surface import BallSurface
-from taccel_lab.calibration.circles.usable import usable_circles
+from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
+from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
 from taccel_lab.calibration.refit.light_change import RefitFrame
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

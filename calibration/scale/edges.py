@@ -37,10 +37,6 @@ class MeasuredEdge:
     length_mm: float
     line: EdgeLine
 
-    @property
-    def name(self) -> str:
-        return self.frame.source
-
 
 def measure_edges(
     edges: Sequence[EdgeCapture], background: np.ndarray, mask: np.ndarray | None
@@ -80,17 +76,25 @@ def scale_from_edges(
     """
     if not measured:
         raise InputError("no pressed edge was found:\n" + "\n".join(refused[:5]))
+    vectors = np.array([edge.line.vector_px for edge in measured])
+    wanted_mm = np.array([edge.length_mm for edge in measured])
+    sigmas_px = np.array([edge.line.length_sigma_px for edge in measured])
     used = np.ones(len(measured), dtype=bool)
     while True:
-        scale, left = _fit(measured, used)
-        spread = spread_about_zero(left[used]) + _noise(measured, scale)
-        short = used & (left > _TOO_SHORT_SIGMAS * spread)
+        scale = _fit(vectors, wanted_mm, sigmas_px, used)
+        left = wanted_mm - _lengths_mm(vectors, scale)
+        noise = float(np.median(sigmas_px) * scale.mean() / 2)
+        short = used & (left > _TOO_SHORT_SIGMAS * (spread_about_zero(left[used]) + noise))
         if not short.any() or used.sum() <= max(3, len(measured) // 2):
             break
         used[int(np.argmax(np.where(used, left, -np.inf)))] = False
-    covariance = _covariance(measured, used, scale, left)
-    sigma = np.sqrt(np.diag(covariance))
     chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
+    # The law by which the jump decays beyond an end is the same for all: its error does not
+    # average out.
+    shared = float(np.mean([edge.line.systematic_px / edge.line.length_px for edge in chosen]))
+    covariance = _covariance(vectors[used], sigmas_px[used], scale, left[used])
+    covariance += np.outer(scale, scale) * shared**2
+    sigma = np.sqrt(np.diag(covariance))
     return ScaleEstimate(
         "edge",
         Estimate(float(scale[0]), float(sigma[0]), "mm/px"),
@@ -100,7 +104,7 @@ def scale_from_edges(
             "correlation": float(covariance[0, 1] / (sigma[0] * sigma[1])),
             "edges": [
                 {
-                    "name": edge.name,
+                    "name": edge.frame.source,
                     "ends_px": edge.line.ends_px.tolist(),
                     "length_px": edge.line.length_px,
                     "sigma_px": edge.line.length_sigma_px,
@@ -113,60 +117,46 @@ def scale_from_edges(
             ],
             "edge_rms_mm": float(np.sqrt(np.mean(left[used] ** 2))),
         },
-        remarks=tuple(_remarks(measured, used)),
+        remarks=tuple(_remarks(chosen)),
         refused=tuple(refused),
     )
 
 
-def _lengths_mm(measured: Sequence[MeasuredEdge], scale: np.ndarray) -> np.ndarray:
-    vectors = np.array([edge.line.vector_px for edge in measured])
+def _lengths_mm(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return np.linalg.norm(vectors * scale, axis=1)
 
 
-def _noise(measured: Sequence[MeasuredEdge], scale: np.ndarray) -> float:
-    return float(np.median([edge.line.length_sigma_px for edge in measured]) * scale.mean() / 2)
-
-
-def _fit(measured: Sequence[MeasuredEdge], used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scale [2] and what each edge lacks in length [mm], shape [edge]."""
-    lengths = np.array([edge.length_mm for edge in measured])
-    sigmas = np.array([edge.line.length_sigma_px for edge in measured])
-    first = float(np.median(lengths / [edge.line.length_px for edge in measured]))
+def _fit(
+    vectors: np.ndarray, wanted_mm: np.ndarray, sigmas_px: np.ndarray, used: np.ndarray
+) -> np.ndarray:
+    """Scale along x and y, shape [2]."""
+    first = float(np.median(wanted_mm / [np.linalg.norm(vector) for vector in vectors]))
 
     def residuals(x: np.ndarray) -> np.ndarray:
         scale = np.exp(x)
-        short = (lengths - _lengths_mm(measured, scale)) / (sigmas * np.sqrt(scale[0] * scale[1]))
+        short = wanted_mm - _lengths_mm(vectors, scale)
+        short /= sigmas_px * np.sqrt(scale[0] * scale[1])
         return np.append(short[used], (x[1] - x[0]) / SQUARE_SIGMA)
 
     fit = least_squares(residuals, np.log([first, first]), loss="huber", f_scale=1.5)
-    scale = np.exp(fit.x)
-    return scale, lengths - _lengths_mm(measured, scale)
+    return np.exp(fit.x)
 
 
 def _covariance(
-    measured: Sequence[MeasuredEdge], used: np.ndarray, scale: np.ndarray, left: np.ndarray
+    vectors: np.ndarray, sigmas_px: np.ndarray, scale: np.ndarray, left: np.ndarray
 ) -> np.ndarray:
-    """Of both scales, from the spread of the edges and what is common to all of their ends."""
-    chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
-    vectors = np.array([edge.line.vector_px for edge in chosen])
-    lengths = _lengths_mm(chosen, scale)
-    jacobian = vectors**2 * scale / lengths[:, None]
-    stated = np.array([edge.line.length_sigma_px for edge in chosen]) * float(scale.mean())
+    """Of both scales, from the spread of the edges."""
+    jacobian = vectors**2 * scale / _lengths_mm(vectors, scale)[:, None]
+    count, stated = len(vectors), sigmas_px * float(scale.mean())
     excess = 1.0
-    if len(chosen) > 3:
-        excess = max(1.0, float(np.mean((left[used] / stated) ** 2) * len(chosen)
-                                / (len(chosen) - 2)))  # fmt: skip
+    if count > 3:
+        excess = max(1.0, float(np.mean((left / stated) ** 2) * count / (count - 2)))
     square = np.array([-1.0, 1.0]) / (SQUARE_SIGMA * float(scale.mean()))
     information = (jacobian / stated[:, None]).T @ (jacobian / stated[:, None]) / excess
-    covariance = np.linalg.inv(information + np.outer(square, square))
-    # The law by which the jump decays beyond an end is the same for all: its error does not
-    # average out.
-    shared = float(np.mean([edge.line.systematic_px / edge.line.length_px for edge in chosen]))
-    return covariance + np.outer(scale, scale) * shared**2
+    return np.linalg.inv(information + np.outer(square, square))
 
 
-def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray) -> list[Remark]:
-    chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
+def _remarks(chosen: Sequence[MeasuredEdge]) -> list[Remark]:
     angles = np.radians([edge.line.angle_deg for edge in chosen])
     along = {"x": np.cos(angles) ** 2, "y": np.sin(angles) ** 2}
     lacking = [axis for axis, share in along.items() if share.max(initial=0.0) < 0.5]

@@ -3,21 +3,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from taccel_lab.calibration.base_profile import require_image_of
-from taccel_lab.calibration.camera.pixel_grid import stated_scale_remarks
-from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
+from taccel_lab.calibration.camera.find_boards import detect_views
+from taccel_lab.calibration.camera.pixel_grid import origin_px, stated_scale_remarks
+from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, MarkerCaptures
+from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale import remarks
-from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
+from taccel_lab.calibration.scale.ball_contacts import (
+    measure_contacts,
+    scale_from_spheres,
+    scale_from_stage,
+)
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.pitches import scale_from_boards, scale_from_markers
+from taccel_lab.calibration.scale.estimate import (
+    CombinedAxis,
+    ScaleEstimate,
+    agreement_remarks,
+    combine,
+)
 from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
-from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_spheres
-from taccel_lab.calibration.scale.stage import scale_from_stage
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -26,6 +35,8 @@ from taccel_lab.report.remark import Remark
 
 STATED_ERROR = 0.05
 """Standard deviation of a scale that is stated and not measured, as a share."""
+PITCH_SIGMA = 0.01
+"""How well the distance of painted or printed markers is known, as a share."""
 UNSURE_SHARE = 0.05
 """Relative standard deviation of a scale from which on it is called weak."""
 
@@ -49,12 +60,12 @@ def calibrate_scale(
     gel_boards = [board for board in folder.boards if board.entry.on_gel]
     jobs: list[tuple[str, Callable[[], ScaleEstimate]]] = []
     if gel_boards:
-        jobs.append(("board", lambda: scale_from_boards(gel_boards, base)))
+        jobs.append(("board", lambda: _from_boards(gel_boards, base)))
     if folder.edges:
         jobs.append(("edge", lambda: _from_edges(folder)))
     markers = folder.markers
     if markers is not None and (markers.pitch_x_mm or markers.pitch_y_mm):
-        jobs.append(("markers", lambda: scale_from_markers(markers)))
+        jobs.append(("markers", lambda: _from_markers(markers)))
     if not jobs and not folder.presses:
         raise InputError(
             f"{folder.source} holds nothing of known length: give a board on the gel (on_gel = "
@@ -63,21 +74,34 @@ def calibrate_scale(
         )
     estimates: list[ScaleEstimate] = []
     failures: dict[str, str] = {}
-    for done, (name, job) in enumerate(jobs):
-        progress("measuring known lengths", done, len(jobs))
+
+    def attempt(name: str, job: Callable[[], ScaleEstimate]) -> None:
         try:
             estimates.append(job())
         except InputError as error:
             failures[name] = str(error)
+
+    for done, (name, job) in enumerate(jobs):
+        progress("measuring known lengths", done, len(jobs))
+        attempt(name, job)
     if jobs:
         progress("measuring known lengths", len(jobs), len(jobs))
-    axes = _combine(estimates)
+    axes = combine(estimates)
     if folder.presses:
-        _add_spheres(folder, axes, estimates, failures, progress)
-        axes = _combine(estimates)
+        ratio = 1.0
+        if "x" in axes and "y" in axes:
+            ratio = axes["y"].estimate.value / axes["x"].estimate.value
+        progress("finding contacts", 0, 1)
+        contacts, refused = measure_contacts(folder, ratio)
+        progress("finding contacts", 1, 1)
+        attempt("spheres", lambda: scale_from_spheres(contacts, refused))
+        placed = [contact for contact in contacts if contact.press.stage_mm is not None]
+        if placed:
+            attempt("stage", lambda: scale_from_stage(placed))
+        axes = combine(estimates)
     if not axes and folder.mm_per_px is not None:
         estimates.append(_stated(folder, folder.mm_per_px))
-        axes = _combine(estimates)
+        axes = combine(estimates)
     if not estimates:
         raise InputError(
             f"{folder.source}: no known length could be measured:\n" + "\n".join(failures.values())
@@ -94,13 +118,60 @@ def calibrate_scale(
     )
 
 
-def _combine(estimates: list[ScaleEstimate]) -> dict[str, CombinedAxis]:
-    axes = {}
-    for axis in ("x", "y"):
-        named = [(e.method, one) for e in estimates if (one := e.along(axis)) is not None]
-        if named:
-            axes[axis] = combine_axis(named)
-    return axes
+def _from_boards(boards: Sequence[BoardCaptures], base: SensorProfile) -> ScaleEstimate:
+    """Scale from boards that lie on the gel or are pressed into it, at the origin of ``base``.
+
+    Raises:
+        InputError: No board was found, or its pitch is not stated.
+    """
+    detections = detect_views(boards)
+    views = detections.views
+    found = fit_on_gel(views, center_px=origin_px(base, views[0].size_px))
+    return ScaleEstimate(
+        "board",
+        found.frame.mm_per_px_x,
+        found.frame.mm_per_px_y,
+        inputs={view.name: view.sha256 for view in views},
+        evidence={
+            "points": [len(view.index) for view in found.views],
+            "heldout_rms_px": found.fit.heldout_px,
+            "scale_range": list(found.scale_range),
+            "correlation": found.frame.correlation,
+        },
+        remarks=found.remarks,
+        refused=detections.refused,
+    )
+
+
+def _from_markers(markers: MarkerCaptures) -> ScaleEstimate:
+    """Scale from the markers at rest.
+
+    Raises:
+        InputError: No picture at rest, or no markers on a lattice.
+    """
+    rest = find_rest(markers)
+    along_x, along_y, sigma = marker_pitch_px(rest.frame.image())
+    found = []
+    for pitch_mm, pitch_px in ((markers.pitch_x_mm, along_x), (markers.pitch_y_mm, along_y)):
+        if pitch_mm is None:
+            found.append(None)
+            continue
+        value = pitch_mm / pitch_px
+        share = (sigma / pitch_px) ** 2 + PITCH_SIGMA**2
+        found.append(Estimate(value, value * share**0.5, "mm/px"))
+    return ScaleEstimate(
+        "markers",
+        found[0],
+        found[1],
+        inputs={rest.frame.name: rest.frame.sha256},
+        evidence={
+            "pitch_x_px": along_x,
+            "pitch_y_px": along_y,
+            "pitch_sigma_px": sigma,
+            "pitch_share_sigma": PITCH_SIGMA,
+        },
+        remarks=rest.remarks,
+    )
 
 
 def _stated(folder: CaptureFolder, mm_per_px: tuple[float, float]) -> ScaleEstimate:
@@ -119,32 +190,6 @@ def _stated(folder: CaptureFolder, mm_per_px: tuple[float, float]) -> ScaleEstim
 def _from_edges(folder: CaptureFolder) -> ScaleEstimate:
     background = folder.require_background().image()
     return scale_from_edges(*measure_edges(folder.edges, background, folder.mask))
-
-
-def _add_spheres(
-    folder: CaptureFolder,
-    axes: dict[str, CombinedAxis],
-    estimates: list[ScaleEstimate],
-    failures: dict[str, str],
-    progress: Progress,
-) -> None:
-    progress("finding contacts", 0, 1)
-    ratio = 1.0
-    if "x" in axes and "y" in axes:
-        ratio = axes["y"].estimate.value / axes["x"].estimate.value
-    contacts, refused = measure_contacts(folder, ratio)
-    placed = [contact for contact in contacts if contact.press.stage_mm is not None]
-    jobs: dict[str, Callable[[], ScaleEstimate]] = {
-        "spheres": lambda: scale_from_spheres(contacts, refused)
-    }
-    if placed:
-        jobs["stage"] = lambda: scale_from_stage(placed)
-    for name, job in jobs.items():
-        try:
-            estimates.append(job())
-        except InputError as error:
-            failures[name] = str(error)
-    progress("finding contacts", 1, 1)
 
 
 def _image_size(folder: CaptureFolder) -> tuple[int, int]:

@@ -9,8 +9,7 @@ from typing import Any
 from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.result import ResultSummary
-from taccel_lab.calibration.scale.combine import CombinedAxis
-from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.estimate import CombinedAxis, ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile

@@ -19,7 +19,7 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.circles.ball_surface import layer_of
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.pad_design import with_thickness
+from taccel_lab.calibration.pad import with_thickness
 from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.calibration.thickness.layers import STEPS, THICKEST_MM, LayerFamily
 from taccel_lab.calibration.thickness.rings import BallImage, RingEstimate, estimate_by_rings

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from taccel_lab.benchmarks.results import ResultFile, Suite, note
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.published_meshes import data_folder
@@ -215,15 +217,23 @@ def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
 
 def _contact_report(folder: Path) -> dict[str, Any]:
     """Contacts found without any label, against the labels."""
-    from dataclasses import asdict
-
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.circles.usable import usable_circles
+    from taccel_lab.calibration.circles.result import circle_array
+    from taccel_lab.calibration.circles.usable import usable_presses
 
-    agreement = usable_circles(load_captures(folder), cache=False).agreement
-    if agreement is None:
+    captures, contacts, _ = usable_presses(load_captures(folder))
+    pairs = [
+        (contact.circle, press.circle)
+        for press, contact in zip(captures.presses, contacts, strict=True)
+        if press.circle is not None
+    ]
+    if not pairs:
         raise InputError(f"{folder} holds no labels to compare with")
-    return {"agreement": asdict(agreement)}
+    found, given = (circle_array(circles) for circles in zip(*pairs, strict=True))
+    off = found - given
+    center, radius = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    medians = {"center_median_px": np.median(center), "radius_median_px": np.median(radius)}
+    return {"agreement": {name: float(value) for name, value in medians.items()}}
 
 
 def _pick(report: dict[str, Any], path: str) -> float:

@@ -17,7 +17,7 @@ import pytest
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.balls import check_slopes
-from taccel_lab.calibration.circles import contact_finder as fit
+from taccel_lab.calibration.circles import contact_finder
 from taccel_lab.calibration.circles.contact_finder import detect_contact
 
 
@@ -26,7 +26,7 @@ def detect_once(patch: pytest.MonkeyPatch) -> None:
     starts for presses that are fitted together, a third of the work."""
     known: dict[str, Any] = {}
     starts: dict[str, Any] = {}
-    first = fit._first
+    first = contact_finder._first
 
     def detected(*given: Any, name: str, **named: Any) -> Any:
         # The name is a path, which is another in every test.
@@ -38,8 +38,8 @@ def detect_once(patch: pytest.MonkeyPatch) -> None:
         image = read()
         return _remembered(starts, (image, scene.key), lambda: first(lambda: image, scene, name))
 
-    patch.setattr("taccel_lab.calibration.circles.seen.detect_contact", detected)
-    patch.setattr(fit, "_first", started)
+    patch.setattr("taccel_lab.calibration.circles.contact_finder.detect_contact", detected)
+    patch.setattr(contact_finder, "_first", started)
 
 
 def judge_slopes_once(patch: pytest.MonkeyPatch) -> None:

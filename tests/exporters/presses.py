@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel

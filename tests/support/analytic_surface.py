@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.slope_law import hertz_slope
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -61,7 +61,6 @@ def analytic_surface(
         rest_height_m=np.zeros(shape),
         normals=normals,
         rest_normals=np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*shape, 3)),
-        contact_radius_px=circle.radius_px,
         depth_mm=float(-height_mm[0]),
         provider="analytic hertz" + ("" if math.isinf(decay_mm) else f", decay {decay_mm:g} mm"),
     )

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.press_surface import BallSurface
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration

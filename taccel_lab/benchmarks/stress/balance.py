@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The force residual at the end of a step, put together anew in numpy.
 
-Elastic and viscous forces, inertia, weight and the stiffness of affine bodies are computed here
+Elastic forces, inertia, weight and the stiffness of affine bodies are computed here
 from the scene; forces of contact and friction are those that a user reads (``Outputs``), which
 ``contact_law`` holds against their laws. What is left on the unknowns is compared with the
 tolerance that the step claims to have met. Bodies with joints are left out (their forces are the

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.result import DetectedContact
+from taccel_lab.calibration.circles.result import DetectedContact, circle_array
 from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, slope_law
 from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
@@ -37,8 +39,8 @@ def pressed(
     du = np.arange(grid.width_px)[None, :] - circle.u_px
     dv = (np.arange(grid.height_px)[:, None] - circle.v_px) * ratio
     distance = np.hypot(du, dv) + 1e-12
-    law = slope_law(circle.radius_px, ball_px, blur_px, float(distance.max()) + 1, sink_in)
-    normal, drop = law.at(distance)
+    reach_px = float(distance.max()) + 1
+    normal, drop = slope_law(distance, circle.radius_px, ball_px, blur_px, reach_px, sink_in)[0]
     up = np.sqrt(1 - normal**2)
     light = np.linspace(1 - falloff, 1 + falloff, grid.width_px)[None, :]
     image = gel(grid)
@@ -69,6 +71,12 @@ def scattered(count: int, seed: int = 0, grid: PixelGrid = GRID) -> list[Contact
         )
         for _ in range(count)
     ]
+
+
+def offsets(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.ndarray:
+    """Found minus given u, v, radius of each press [px], shape [n, 3]."""
+    given = [press.circle for press in captures.presses if press.circle is not None]
+    return circle_array([contact.circle for contact in contacts]) - circle_array(given)
 
 
 def contacts_of(captures: CaptureSet) -> list[DetectedContact]:

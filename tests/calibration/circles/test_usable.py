@@ -13,14 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.circles import cache
-from taccel_lab.calibration.circles import contact_finder as fit
-from taccel_lab.calibration.circles.cache import cached_contacts, kept_contacts
-from taccel_lab.calibration.circles.circle_arrays import circle_array
-from taccel_lab.calibration.circles.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
-from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.circles.result import DetectedContact
-from taccel_lab.calibration.circles.usable import too_many_lost, usable_circles, usable_presses
+from taccel_lab.calibration.circles import contact_finder, usable
+from taccel_lab.calibration.circles.labels import (
+    LABEL_SHIFT_PX,
+    LabelPlacement,
+    choose_circles,
+    fuse_circles,
+)
+from taccel_lab.calibration.circles.result import DetectedContact, circle_array
+from taccel_lab.calibration.circles.usable import (
+    cached_contacts,
+    too_many_lost,
+    usable_circles,
+    usable_presses,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from tests.calibration.circles.presses import (
@@ -94,10 +100,10 @@ CUT = {2: ContactCircle(152.0, 60.0, 15.0), 5: ContactCircle(158.0, 116.0, 14.0)
 
 def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside() -> None:
     captures = with_cut_presses(synthetic_captures(7)[0], CUT)
-    usable = usable_circles(captures, cache=False)
-    assert len(usable.circles) == 7 and usable.remarks == []
+    used = usable_circles(captures, cache=False)
+    assert len(used.circles) == 7 and used.remarks == []
     for i, circle in CUT.items():
-        found, sigma_px = usable.contacts[i].circle, usable.contacts[i].center_sigma_px
+        found, sigma_px = used.contacts[i].circle, used.contacts[i].center_sigma_px
         assert found.center_gap_px(circle, DRAWN_GRID) < 1.0 + 3 * sigma_px
         assert found.radius_px == pytest.approx(circle.radius_px, abs=2.0)
     # Without a label nothing says that what is left of it is a contact's.
@@ -109,7 +115,7 @@ def test_a_contact_that_the_fit_loses_does_not_stop_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     captures = with_cut_presses(synthetic_captures(10)[0], CUT)
-    monkeypatch.setattr(fit, "MIN_LABELLED_VISIBLE", 0.6)
+    monkeypatch.setattr(contact_finder, "MIN_LABELLED_VISIBLE", 0.6)
     kept, _, (remark,) = usable_presses(captures)
     assert "1 of 10 presses were left out: p5" in remark.message
     assert len(kept.presses) == 9
@@ -134,16 +140,16 @@ def test_cached_contacts_are_those_that_were_found(
     captures: CaptureSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = usable_presses(captures, cache=True)
-    monkeypatch.setattr(cache, "find_contacts", searched)
+    monkeypatch.setattr(usable, "find_contacts", searched)
     again = usable_presses(captures, cache=True)
     assert [asdict(c) for c in again[1]] == [asdict(c) for c in first[1]]
     assert again[2] == first[2] and "p4" in again[2][0].message
 
 
-def test_nothing_is_kept_unless_asked(captures: CaptureSet) -> None:
+def test_nothing_is_kept_unless_asked(captures: CaptureSet, tmp_path: Path) -> None:
     captures = replace(captures, presses=captures.presses[:3])
     usable_presses(captures)
-    assert not kept_contacts(captures).path.exists()
+    assert not [*tmp_path.iterdir()]
 
 
 def test_anything_that_matters_asks_for_a_search(
@@ -151,7 +157,7 @@ def test_anything_that_matters_asks_for_a_search(
 ) -> None:
     captures = replace(captures, presses=captures.presses[:3])
     cached_contacts(captures)
-    monkeypatch.setattr(cache, "find_contacts", searched)
+    monkeypatch.setattr(usable, "find_contacts", searched)
     mask = captures.mask.copy()
     mask[0, 0] = not mask[0, 0]
     first, *others = captures.presses
@@ -171,20 +177,23 @@ def test_anything_that_matters_asks_for_a_search(
     ):
         with pytest.raises(SearchedAgainError):
             cached_contacts(changed)
-    monkeypatch.setattr(cache, "_code_sha256", lambda: "another version")
+    monkeypatch.setattr(usable, "_code_sha256", lambda: "another version")
     with pytest.raises(SearchedAgainError):
         cached_contacts(captures)
 
 
-@pytest.mark.parametrize("text", ["{", '{"contacts": [], "refusals": {}}'])
-def test_a_damaged_file_is_told_and_made_anew(captures: CaptureSet, text: str) -> None:
+@pytest.mark.parametrize("text", ["{", "[]"])
+def test_a_damaged_file_is_told_and_made_anew(
+    captures: CaptureSet, tmp_path: Path, text: str
+) -> None:
     captures = replace(captures, presses=captures.presses[:3])
     found = cached_contacts(captures)
-    kept_contacts(captures).path.write_text(text)
+    (kept,) = (path for path in tmp_path.rglob("*") if path.is_file())
+    kept.write_text(text)
     with pytest.warns(UserWarning, match="are damaged"):
         again = cached_contacts(captures)
-    assert again.contacts == found.contacts
-    assert cached_contacts(captures).contacts == found.contacts
+    assert again == found
+    assert cached_contacts(captures) == found
 
 
 def circles(values: np.ndarray) -> list[ContactCircle]:
@@ -219,21 +228,18 @@ def test_fusion_beats_both(true_spread: float) -> None:
 def test_a_shift_that_all_labels_share_is_told_and_taken_off() -> None:
     """Labels 3 px below and 2 px too wide, as on a set of real presses."""
     rng, shift = np.random.default_rng(1), np.array([0.5, -3.0, 2.0])
-    errors, offs = [], []
+    errors = []
     for _ in range(40):
         truth = presses(25, 4.0, rng)
         label = truth + shift + rng.normal(0, 1.5, truth.shape)
         found = truth + rng.normal(0, 0.7, truth.shape)
         fused = fuse_circles(circles(label), contacts(found, 0.7, 0.7))
         errors.append(circle_array(fused.circles) - truth)
-        offs.append((fused.shift_px - shift) / fused.shift_sigma_px)
         assert fused.label_sigma_px == pytest.approx((1.5, 1.5), rel=0.5)
     error = np.array(errors)
     # Less than a twelfth of the shift is left; the plain mean of both left a half.
     assert np.abs(error.mean(axis=(0, 1))).max() < 0.25
     assert np.sqrt((error**2).mean()) < 0.7
-    # The stated uncertainty also holds what the detection may be off by in common.
-    assert np.sqrt(np.mean(np.square(offs))) < 1.1
 
 
 def test_a_press_that_its_label_places_is_off_by_what_is_stated() -> None:
@@ -262,7 +268,6 @@ def test_a_common_error_within_the_stated_one_is_not_blamed_on_the_labels() -> N
     off = circle_array(fused.circles)[:, 2] - truth[:, 2]
     # A fifth of it, as 3^2 / (3^2 + 6^2), may still be the labels'.
     assert off.mean() == pytest.approx(-1.2, abs=0.4)
-    assert abs(fused.shift_px[2]) < 1.5 * fused.shift_sigma_px[2]
 
 
 def test_the_shift_comes_from_training_presses_alone() -> None:
@@ -276,7 +281,6 @@ def test_the_shift_comes_from_training_presses_alone() -> None:
     spoilt_label[::4] = rng.uniform(10, 90, label[::4].shape)
     spoilt_found[::4] = rng.uniform(10, 90, label[::4].shape)
     spoilt = fuse_circles(circles(spoilt_label), contacts(spoilt_found, 0.5, 0.5), training)
-    assert np.array_equal(spoilt.shift_px, clean.shift_px)
     assert [c for c, known in zip(spoilt.circles, training, strict=True) if known] == [
         c for c, known in zip(clean.circles, training, strict=True) if known
     ]

@@ -13,9 +13,8 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.ball_surface import layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_surfaces
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions

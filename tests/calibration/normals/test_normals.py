@@ -11,9 +11,9 @@ import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.capture.captures import without_labels
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, press_layer
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import (
@@ -348,7 +348,7 @@ def test_edges_and_punches_are_read_by_a_network_trained_on_other_tools(
         rise_mm = press_layer(tool, 0.5, (0.1, 0.1), PAD).rise_mm
         flat, rise_m = flat_rest(GRID), 1e-3 * rise_mm
         shown = rise_m, flat.height_m, normals_from_height(rise_m, GRID), flat.normals
-        surface = BallSurface(*shown, 1.0, 0.5, "layer")
+        surface = BallSurface(*shown, 0.5, "layer")
         found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
         off = np.abs(1e3 * found.rise_m - rise_mm)
         dent = rise_mm < -0.02

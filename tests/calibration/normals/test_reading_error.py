@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.ball_surface import ball_surface, depth_share, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import (
+    BallSurface,
+    ball_surface,
+    depth_share,
+    layer_surfaces,
+)
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.circles.press_surface import BallSurface
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model

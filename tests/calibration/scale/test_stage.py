@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.scale.spheres import BallContact
-from taccel_lab.calibration.scale.stage import scale_from_stage
+from taccel_lab.calibration.scale.ball_contacts import BallContact, scale_from_stage
 from taccel_lab.errors import InputError
 
 SCALE = np.array([0.0634, 0.0621])
@@ -31,7 +30,7 @@ def contacts(
         press = CapturedPress(
             f"{k}", f"{k}", "", circle, lambda: np.zeros(0), stage_mm=places[k + step]
         )
-        found.append(BallContact(press, 2.0, (circle.u_px, circle.v_px), 16.0, 1.0, True))
+        found.append(BallContact(press, 2.0, circle))
     return found
 
 
@@ -55,7 +54,7 @@ def test_the_interval_holds_the_scale() -> None:
 
 def test_one_wrong_contact_changes_little() -> None:
     found = contacts(noise_px=0.5)
-    found[7] = BallContact(found[7].press, 2.0, (300.0, 10.0), 16.0, 1.0, True)
+    found[7] = BallContact(found[7].press, 2.0, ContactCircle(300.0, 10.0, 16.0))
     estimate = scale_from_stage(found)
     assert estimate.x is not None and estimate.x.value == pytest.approx(SCALE[0], rel=0.01)
 

@@ -13,7 +13,7 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_of, sunk_share
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.pad_design import fitted_design
+from taccel_lab.calibration.pad import fitted_design
 from taccel_lab.calibration.thickness.fit import (
     GelThickness,
     gel_thickness,

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.circles.circle_arrays import circle_array
 from taccel_lab.calibration.circles.color_change import color_change
-from taccel_lab.calibration.circles.joint_fit import fit_contacts
+from taccel_lab.calibration.circles.joint_fit import fit_contacts, sample_rings
 from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.circles.rings import sample_rings
+from taccel_lab.calibration.circles.result import circle_array
 from taccel_lab.calibration.circles.slope_law import WIDER_PX, slope_law
 from tests.calibration.circles.presses import BALL_PX, GRID, gel, pressed, scattered
 
@@ -46,9 +45,9 @@ def test_rates_of_the_slope_law_are_its_differences() -> None:
     distance = np.linspace(3.0, 60.0, 50)
 
     def law(radius: float = 22.0, blur_px: float = 3.0, moved: float = 0.0) -> np.ndarray:
-        return slope_law(radius, 30.0, blur_px, 120.0).at(distance + moved)
+        return slope_law(distance + moved, radius, 30.0, blur_px, 120.0)[0]
 
-    _, away, by_radius, by_blur = slope_law(22.0, 30.0, 3.0, 120.0).with_rates(distance)
+    _, away, by_radius, by_blur = slope_law(distance, 22.0, 30.0, 3.0, 120.0)
     assert away == pytest.approx((law(moved=0.4) - law(moved=-0.4)) / 0.8, abs=2e-3)
     assert by_radius == pytest.approx((law(22.0 + WIDER_PX) - law()) / WIDER_PX, abs=1e-9)
     assert by_blur == pytest.approx((law(blur_px=3.1) - law(blur_px=2.9)) / 0.2, abs=2e-3)

@@ -18,14 +18,12 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.check.background import median_background
 from taccel_lab.calibration.check.frames import measure_presses
-from taccel_lab.calibration.circles import contact_finder as fit
-from taccel_lab.calibration.circles.circle_arrays import circle_array
+from taccel_lab.calibration.circles import contact_finder
+from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import detect_contact
-from taccel_lab.calibration.circles.labels import compare_with_labels
+from taccel_lab.calibration.circles.first_circle import fit_circle
 from taccel_lab.calibration.circles.result import DetectedContact
-from taccel_lab.calibration.circles.rim import fit_circle
 from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, hertz_slope, slope_law
-from taccel_lab.calibration.circles.working_size import WorkingSize
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.circles.presses import (
@@ -33,6 +31,7 @@ from tests.calibration.circles.presses import (
     GRID,
     contacts_of,
     gel,
+    offsets,
     press_set,
     pressed,
     scattered,
@@ -51,15 +50,7 @@ from tests.support.synthetic_presses import GRID as PLAIN_GRID
 from tests.support.synthetic_presses import (
     flat_background,
     press_image,
-    synthetic_captures,
-    with_circles,
 )
-
-
-def offsets(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.ndarray:
-    """Found minus true u, v, radius of each press [px]."""
-    truth = [press.circle for press in captures.presses if press.circle is not None]
-    return circle_array([contact.circle for contact in contacts]) - circle_array(truth)
 
 
 def in_sigmas(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.ndarray:
@@ -138,8 +129,7 @@ def test_grey_dark_and_small() -> None:
     assert np.hypot(found.circle.u_px - 80, found.circle.v_px - 70) < 1.0
     # A grey sensor darkens with depth; the slope does not show.
     circle = ContactCircle(100.0, 75.0, 22.0)
-    law = slope_law(22.0, 30.0, 1.0, 200.0)
-    _, drop = law.at(circle.distance_px(GRID))
+    _, drop = slope_law(circle.distance_px(GRID), 22.0, 30.0, 1.0, 200.0)[0]
     grey = np.repeat((150.0 + 120 * (drop - drop.min()))[..., None], 3, axis=-1)
     base = np.full_like(grey, 150.0)
     dented = quantise(add_noise(2 * base - grey, 1.0, rng))
@@ -203,21 +193,10 @@ def test_poisoned_pixels_have_no_effect() -> None:
     assert contacts_of(spoilt) == contacts_of(captures)
 
 
-def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
-    circles = scattered(4)
-    captures = press_set(circles, [pressed(c) for c in circles])
-    moved = [dataclasses.replace(c, u_px=c.u_px + 3) for c in circles]
-    found = compare_with_labels(with_circles(captures, moved), contacts_of(captures))
-    assert found is not None and found.shift_u_px == pytest.approx(-3, abs=0.1)
-    assert found.center_median_px == pytest.approx(3, abs=0.1)
-    assert found.center_median_shifted_px < 0.1
-
-
 @given(contact=st.floats(5, 28), blur_px=st.floats(0, 3))
 def test_slope_law(contact: float, blur_px: float) -> None:
-    law = slope_law(contact, 30.0, blur_px, 120.0)
     distance = np.linspace(0.0, 119.9, 400)
-    normal, drop = law.at(distance)
+    normal, drop = slope_law(distance, contact, 30.0, blur_px, 120.0)[0]
     assert (normal >= -1e-12).all() and (normal < 1).all()
     assert (np.diff(drop) <= 1e-12).all()
     middle = distance < contact - 4 * blur_px - 1
@@ -283,24 +262,15 @@ def test_a_straight_edge_is_not_a_ball() -> None:
         detect_contact(image, flat_background(), PLAIN_GRID, name="edge.png")
 
 
-def test_agreement_counts_labelled_presses_only() -> None:
-    captures, _ = synthetic_captures(4)
-    captures = with_circles(captures, {2: None})
-    found = contacts_of(captures)
-    agreement = compare_with_labels(captures, found)
-    assert agreement is not None and agreement.count == 3
-    assert agreement.center_median_px < 1.0
-    assert compare_with_labels(with_circles(captures, [None] * 4), found) is None
-
-
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_real_presses(taxim_captures: CaptureSet, every: int) -> None:
     some = taxim_captures.only(range(0, 48, every))
     # Labels are clicked by hand: even pixels, odd radii; 3 px are 0.09 mm.
-    agreement = compare_with_labels(some, contacts_of(some))
-    assert agreement is not None and agreement.count == 48 // every
-    assert agreement.center_median_px < 2.2 and agreement.center_p90_px < 4.5
-    assert agreement.radius_median_px < 1.8 and agreement.radius_p90_px < 3.3
+    off = offsets(some, contacts_of(some))
+    assert len(off) == 48 // every
+    center, radius = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    assert np.median(center) < 2.2 and np.percentile(center, 90) < 4.5
+    assert np.median(radius) < 1.8 and np.percentile(radius, 90) < 3.3
 
 
 def test_real_background_is_refused(taxim_captures: CaptureSet) -> None:
@@ -347,9 +317,9 @@ def traced(call: Callable[[], Any]) -> tuple[Any, int]:
 
 def test_large_pictures_show_the_same_contacts() -> None:
     circles, captures = scattered(2), large_set(2)
-    found, peak = traced(lambda: fit.find_contacts(captures))
-    for circle, contact in zip(circles, found.contacts, strict=True):
-        assert contact is not None and found.refusals == {}
+    found, peak = traced(lambda: contact_finder.find_contacts(captures))
+    for circle, contact in zip(circles, found, strict=True):
+        assert isinstance(contact, DetectedContact)
         whole = ((circle.u_px + 0.5) * TIMES - 0.5, (circle.v_px + 0.5) * TIMES - 0.5)
         at = contact.circle.u_px, contact.circle.v_px
         assert np.hypot(at[0] - whole[0], at[1] - whole[1]) < 0.05 * circle.radius_px * TIMES
@@ -379,13 +349,13 @@ def test_pictures_that_are_not_kept_are_read_again(monkeypatch: pytest.MonkeyPat
         return replace(press, read=lambda: reads.append(press.name) or press.read())
 
     captures = replace(small, presses=tuple(map(noted, small.presses)))
-    kept, once = fit.find_contacts(captures), len(reads)
-    monkeypatch.setattr(fit, "KEPT_BYTES", 0)
-    again = fit.find_contacts(captures)
-    assert again.contacts == kept.contacts
+    kept, once = contact_finder.find_contacts(captures), len(reads)
+    monkeypatch.setattr(contact_finder, "KEPT_BYTES", 0)
+    again = contact_finder.find_contacts(captures)
+    assert again == kept
     # To be weighed, in each round of the joint fit, and to judge what it found; where the search
     # starts is known from before.
-    assert len(reads) == once + len(circles) * (1 + len(fit.ROUNDS) + 1)
+    assert len(reads) == once + len(circles) * (1 + len(contact_finder.ROUNDS) + 1)
 
 
 def test_the_median_holds_no_more_than_a_band_of_large_pictures() -> None:
@@ -405,7 +375,7 @@ def test_circles_come_back(width: int, height: int, factor: int) -> None:
     v, u = np.mgrid[:height, :width].astype(np.float32)
     small = size.picture(np.stack([u, v], axis=-1))
     assert small.shape == (size.grid.height_px, size.grid.width_px, 2)
-    corner = size.whole_circle(fit.ContactCircle(0.0, 0.0, 1.0))
+    corner = size.whole_circle(ContactCircle(0.0, 0.0, 1.0))
     assert small[0, 0] == pytest.approx([corner.u_px, corner.v_px], abs=1e-3)
     assert size.circle(corner).u_px == pytest.approx(0.0, abs=1e-9)
     mask = np.ones((height, width), dtype=bool)
