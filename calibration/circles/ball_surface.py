@@ -131,7 +131,7 @@ def ball_in_layer(
     away2 = x[None, :] ** 2 + y[:, None] ** 2
     cap = ball_mm - np.sqrt(np.maximum(ball_mm**2 - away2, 0.0))
     tool = np.where(away2 < ball_mm**2, cap, FAR_MM)
-    depth_mm, found = _pressed_to(wanted_mm, tool, (step, step), ball_mm, layer)
+    depth_mm, found = _pressed_to(wanted_mm, tool, step, ball_mm, layer)
     spline = RectBivariateSpline(rows, columns, found.rise_mm)
     return depth_mm, np.asarray(spline(np.arange(grid.height_px), np.arange(grid.width_px)))
 
@@ -194,11 +194,7 @@ def deeper_per_mm(rim_mm: float, ball_mm: float, depth_mm: float) -> float:
 
 
 def _pressed_to(
-    wanted_mm: float,
-    tool_mm: np.ndarray,
-    step_mm: tuple[float, float],
-    ball_mm: float,
-    layer: BondedLayer,
+    wanted_mm: float, tool_mm: np.ndarray, step_mm: float, ball_mm: float, layer: BondedLayer
 ) -> tuple[float, LayerPress]:
     """Depth at which the contact has the wanted radius, and the layer then.
 
@@ -207,9 +203,9 @@ def _pressed_to(
     depth = min(wanted_mm**2 / ball_mm, 0.5 * layer.thickness_mm)
     found = None
     for _ in range(MAX_TRIES):
-        found = press_layer(tool_mm, depth, step_mm, layer, start=found)
-        area = float(found.contact.sum()) * step_mm[0] * step_mm[1]
-        radius = np.sqrt(max(area, step_mm[0] * step_mm[1]) / np.pi) - RIM_STEPS * step_mm[0]
+        found = press_layer(tool_mm, depth, (step_mm, step_mm), layer, start=found)
+        area = float(found.contact.sum()) * step_mm * step_mm
+        radius = np.sqrt(max(area, step_mm * step_mm) / np.pi) - RIM_STEPS * step_mm
         if abs(radius - wanted_mm) < RADIUS_TOLERANCE * wanted_mm:
             break
         depth = min(depth * (wanted_mm / radius) ** 2, 0.95 * layer.thickness_mm)

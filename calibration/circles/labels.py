@@ -126,22 +126,13 @@ class LabelPlacement:
         )
 
 
-@dataclass(frozen=True)
-class FusedCircles:
-    """Fused circles with what they say of the labels."""
-
-    circles: list[ContactCircle]
-    """One a press, in order."""
-    label_sigma_px: tuple[float, float]
-    """Scatter of the labels beside their shift: along an axis, and in radius [px]."""
-
-
 def fuse_circles(
     labels: Sequence[ContactCircle],
     detected: Sequence[DetectedContact],
     training: Sequence[bool] | None = None,
-) -> FusedCircles:
-    """One circle per press from a given and a detected one, in order.
+) -> tuple[list[ContactCircle], tuple[float, float]]:
+    """One circle per press from a given and a detected one, in order; the labels' scatter beside
+    their shift, along an axis and in radius [px].
 
     What the presses have in common (the labels' shift and scatter, mean and spread of the radii) is
     taken from the ``training`` presses; from all without.
@@ -170,10 +161,8 @@ def fuse_circles(
         share = float(np.clip(true_variance / radius[train].var(ddof=1), 0.0, 1.0))
         middle = radius[train].mean()
         fused[:, 2] = middle + share * (radius - middle)
-    return FusedCircles(
-        [circle_of(shape) for shape in fused],
-        (float(np.sqrt(scatter[0])), float(np.sqrt(scatter[2]))),
-    )
+    label_sigma_px = float(np.sqrt(scatter[0])), float(np.sqrt(scatter[2]))
+    return [circle_of(shape) for shape in fused], label_sigma_px
 
 
 def choose_circles(
@@ -201,7 +190,7 @@ def choose_circles(
         if not any(known):
             # Nothing tells where labels lie against detected circles.
             return circles
-        given = fuse_circles(given, [detected[i] for i in labelled], known).circles
+        given, _ = fuse_circles(given, [detected[i] for i in labelled], known)
     for i, circle in zip(labelled, given, strict=True):
         circles[i] = circle
     return circles

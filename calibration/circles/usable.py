@@ -207,7 +207,7 @@ def usable_circles(
     sigmas_px = [(contact.center_sigma_px, contact.radius_sigma_px) for contact in found]
     if which == "labels":
         given = [press.circle for press in captures.presses if press.circle is not None]
-        sigmas_px = [fuse_circles(given, found).label_sigma_px] * len(found)
+        sigmas_px = [fuse_circles(given, found)[1]] * len(found)
     return UsableCircles(
         captures,
         found,
