@@ -83,13 +83,19 @@ def color_change(
     if mask is not None:
         # A sample next to masked pixels rests on fewer; one among them on none.
         near = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma) > 0.5
+        near = square_pixels(near.astype(np.uint8), grid, cv2.INTER_NEAREST) > 0
+    return ColorChange(square_pixels(change, grid), near, drift)
+
+
+def square_pixels(
+    picture: np.ndarray, grid: PixelGrid, interpolation: int = cv2.INTER_LINEAR
+) -> np.ndarray:
+    """A picture of ``grid`` with its rows resampled, so that a round contact is a circle."""
     ratio = grid.mm_per_px_y / grid.mm_per_px_x
-    if abs(ratio - 1) > 1e-6:
-        size = (change.shape[1], max(2, round(change.shape[0] * ratio)))
-        change = cv2.resize(change, size, interpolation=cv2.INTER_LINEAR)
-        if near is not None:
-            near = cv2.resize(near.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    return ColorChange(change, near, drift)
+    if abs(ratio - 1) <= 1e-6:
+        return picture
+    size = (picture.shape[1], max(2, round(picture.shape[0] * ratio)))
+    return cv2.resize(picture, size, interpolation=interpolation)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.circles.color_change import square_pixels
 from taccel_lab.calibration.circles.first_circle import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
 from taccel_lab.calibration.robust_spread import spread_about_zero
@@ -53,10 +54,8 @@ def find_grey_contact(
     values = np.asarray(drop, dtype=np.float32)
     if mask is not None:
         values = np.where(mask, values, np.float32(np.median(values[mask])))
+    values = square_pixels(values, grid)
     ratio = grid.mm_per_px_y / grid.mm_per_px_x
-    if abs(ratio - 1) > 1e-6:  # rows are resampled so that a round contact is a circle
-        size = (values.shape[1], max(2, round(values.shape[0] * ratio)))
-        values = cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)
     smooth = cv2.GaussianBlur(values, (0, 0), SMOOTHING_PX)
     noise = spread_about_zero(values - smooth) + 0.05
     peak = float(smooth.max())

@@ -40,11 +40,12 @@ REACH_RADII = 1.4
 under it, and shadows lie there."""
 SECTORS = 12
 """Sectors over the angle, each cut into an inner and an outer part."""
-ITERATIONS = 14
 PASSES = 4
 """Solutions of one round, each with more steps at their limits."""
 OWN = 9
 """Unknowns of a press: u, v and radius, an offset and a gain of each colour."""
+START = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+"""Offsets and gains that a fit begins with."""
 GAIN_PRIOR = 0.15
 """Spread of the gain of a press's colour change around the map's."""
 FIRST_GAIN_PRIOR = 1e-3
@@ -165,11 +166,10 @@ class _State:
 
     samples: RingSamples
     ball_px: float
-    shape: np.ndarray
-    """u, v, radius [px], shape [3]."""
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    gain: np.ndarray = field(default_factory=lambda: np.ones(3))
-    weight: np.ndarray = field(default_factory=lambda: np.ones(1))
+    own: np.ndarray
+    """u, v and radius [px], an offset [levels] and a gain of each colour, shape [9]."""
+    weight: np.ndarray
+    """Of each sample, those that the map leaves too much of having less, shape [n]."""
     step: np.ndarray = field(default_factory=lambda: np.zeros(OWN))
     """The last one, of circle, offsets and gains, shape [9]."""
     damping: float = 0.0
@@ -180,11 +180,10 @@ class _State:
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest step of u, v, radius, offsets and gains, shape [9] each."""
         reach = np.repeat([MAX_STEP * self.ball_px, np.inf, MAX_GAIN_STEP], 3)
-        now = np.concatenate([self.shape, self.offset, self.gain])
         low, high = np.full(OWN, -np.inf), np.full(OWN, np.inf)
         low[2], high[2] = 0.05 * self.ball_px, MAX_CONTACT_RATIO * self.ball_px
         low[6:], high[6:] = GAINS
-        return np.maximum(low - now, -reach), np.minimum(high - now, reach)
+        return np.maximum(low - self.own, -reach), np.minimum(high - self.own, reach)
 
     def contact(self) -> FittedContact:
         """The circle with what speaks for it."""
@@ -199,7 +198,7 @@ class _State:
         bread = np.linalg.inv(seen.own)
         covariance = (bread @ (sums.T @ sums) @ bread)[:3, :3] * (count / max(count - 3, 1))
         explained = 1.0 - float(np.sum(seen.left**2) / max(energy, 1e-9))
-        return FittedContact(circle_of(self.shape), covariance, explained)
+        return FittedContact(circle_of(self.own[:3]), covariance, explained)
 
 
 @dataclass(frozen=True)
@@ -224,10 +223,10 @@ def fit_contacts(
     samples: Sequence[RingSamples],
     start: Sequence[ContactCircle] | PhotometricFit,
     ball_px: Sequence[float],
+    iterations: int,
     *,
     blur_px: float | None = None,
     terms: MapTerms | None = None,
-    iterations: int = ITERATIONS,
     settled: float = 1.0,
     sink_in: float = SINK_IN_SCALE,
 ) -> PhotometricFit:
@@ -266,8 +265,8 @@ class _JointFit:
             _State(
                 sample,
                 ball,
-                np.array([c.u_px, c.v_px, min(c.radius_px, 0.9 * ball)]),
-                weight=sample.weight,
+                np.array([c.u_px, c.v_px, min(c.radius_px, 0.9 * ball), *START]),
+                sample.weight,
             )
             for sample, c, ball in zip(samples, start, ball_px, strict=True)
         ]
@@ -282,7 +281,7 @@ class _JointFit:
             self.blur_guess, self.blur_px = blur_px or before.blur_px, before.blur_px
             self.map = self.terms.taken_over(before.map, before.terms)
             for press, gain, offset in zip(self.presses, before.gains, before.offsets, strict=True):
-                press.gain, press.offset = gain, offset
+                press.own[3:6], press.own[6:] = offset, gain
 
     def round(self) -> np.ndarray:
         """One step of presses, blur and map together; of each circle [px], shape [press_count]."""
@@ -296,9 +295,7 @@ class _JointFit:
             # A step back says that the one before went too far: residuals bend what is fitted.
             back = step[:3] @ press.step[:3] < 0
             press.damping, press.step = 2 * press.damping + 0.5 if back else press.damping / 2, step
-            press.shape = press.shape + step[:3]
-            press.offset = press.offset + step[3:6]
-            press.gain = press.gain + step[6:]
+            press.own = press.own + step
         # What blurs adds up by squares: a picture changes with that of the blur evenly.
         square = self.blur_px**2 + 2 * self.blur_px * change[0]
         self.blur_px = float(np.sqrt(np.clip(square, self.blur_px**2 / 4, 16 * self.blur_px**2)))
@@ -337,15 +334,15 @@ class _JointFit:
     def _see(self, press: _State) -> _Seen:
         """Residual, rates and normal equations of a press."""
         s = press.samples
-        du, dv = s.u_px - press.shape[0], s.v_px - press.shape[1]
+        du, dv = s.u_px - press.own[0], s.v_px - press.own[1]
         distance = np.hypot(du, dv) + 1e-9
         along = np.stack([du, dv]) / distance
         (normal, drop), away, by_radius, by_blur = slope_law(
-            distance, press.shape[2], press.ball_px, self.blur_px, 1.5 * s.reach_px, self.sink_in
+            distance, press.own[2], press.ball_px, self.blur_px, 1.5 * s.reach_px, self.sink_in
         )
         rows = self.terms.rows(*(normal * along), drop, s.unit_u, s.unit_v)
         model = self.map @ rows[PLAIN:]
-        left = s.change.T - press.offset[:, None] - press.gain[:, None] * model
+        left = s.change.T - press.own[3:6, None] - press.own[6:, None] * model
         self._weigh(press, left)
         by_nx, by_ny, by_drop = (self.map @ self.terms.rates[:, PLAIN:]) @ rows
         outward = along[0] * by_nx + along[1] * by_ny
@@ -371,7 +368,7 @@ class _JointFit:
         variance = float(np.trace(gram[-3:, -3:])) / max(3 * rows.shape[1], 1)
         prior = variance * PRIOR_SAMPLES / self.gain_prior**2
         equations[own[6:], own[6:]] += prior
-        slope[6:OWN] -= prior * (press.gain - 1)
+        slope[6:OWN] -= prior * (press.own[6:] - 1)
         equations[own, own] += 1e-9 * np.trace(equations[:OWN, :OWN])
         return _Seen(rows, jacobian, equations, slope)
 
@@ -388,7 +385,7 @@ class _JointFit:
         count = self.terms.count
         found = np.zeros((3, 1 + count + 12 + 3, OWN + 1 + 3 * count))
         terms = slice(1, 1 + count)
-        for c, (rates, gain) in enumerate(zip(found, press.gain, strict=True)):
+        for c, (rates, gain) in enumerate(zip(found, press.own[6:], strict=True)):
             moved = 1 + count + 4 * c + np.arange(4)
             rates[moved, [0, 1, 2, OWN]] = gain
             rates[0, 3 + c] = 1.0
@@ -422,6 +419,6 @@ class _JointFit:
             sums_by_press=self.sums.copy(),
             terms=self.terms,
             map=self.map,
-            gains=np.array([press.gain for press in self.presses]),
-            offsets=np.array([press.offset for press in self.presses]),
+            gains=np.array([press.own[6:] for press in self.presses]),
+            offsets=np.array([press.own[3:6] for press in self.presses]),
         )

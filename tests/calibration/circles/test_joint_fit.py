@@ -75,7 +75,7 @@ def test_a_channel_without_light_has_no_say() -> None:
     samples = sample_rings(change, circle)
     kept = np.array([1.0, 0.0, 1.0])
     dark = replace(samples, change=samples.change * kept)
-    found = fit_contacts([dark], [circle], [BALL_PX], blur_px=1.5)
+    found = fit_contacts([dark], [circle], [BALL_PX], blur_px=1.5, iterations=14)
     assert not found.map[1].any()
     assert circle_array([found.contacts[0].circle]) == pytest.approx(
         circle_array([circle]), abs=0.3
