@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.dots.board_lattice import board_lattice, oriented
+from taccel_lab.calibration.camera.board_lattice import board_lattice, oriented
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.5

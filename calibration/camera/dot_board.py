@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.dots.board_lattice import board_lattice
+from taccel_lab.calibration.camera.board_lattice import board_lattice
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.dots import DotFit
 from taccel_lab.calibration.dots.marker_picture import find_markers
