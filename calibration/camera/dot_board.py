@@ -15,8 +15,7 @@ from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.board_lattice import board_lattice
-from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.dots import DotFit
+from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How large the dots are and where they roughly lie, from the picture alone.
+"""How large the dots are and where they roughly lie, from the grey picture alone.
 
 The scale-normalised Laplacian of a Gaussian answers most where its width fits a disc: at sigma =
 r / sqrt(2), with 2/e of the disc's contrast (T. Lindeberg, "Feature detection with automatic scale
@@ -14,17 +14,17 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.dots.grey_picture import (
-    bright_level,
-    grey_levels,
-    local_contrast,
-    reduced,
-)
 from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.errors import InputError
 
-DISC_RESPONSE = 2.0 / np.e
+MIN_SIZE_PX = 32
+_FINE = 6.0
+"""Width, in its own pixels, of a Gaussian that is wide enough to be sampled."""
+_FLOOR = 0.08
+"""Share of the picture's bright level below which the light is too weak to divide by."""
+_DISC_RESPONSE = 2.0 / np.e
 """Answer of the filter of the right width to a disc of contrast one."""
-MIN_SIGMA_PX = 1.0
+_MIN_SIGMA_PX = 1.0
 _LONGEST_PX = 1000
 """Larger pictures are looked at reduced; dots that then vanish are too small for their sensor."""
 _RATIO = 1.2
@@ -34,16 +34,6 @@ _AROUND = 4.0
 """Neighbourhood of the local contrast, in widths of the filter."""
 MIN_CONTRAST = 0.03
 """Relative contrast below which a blob is taken for shading or noise."""
-
-
-@dataclass(frozen=True)
-class Blobs:
-    """Local extrema of the filter, strongest first."""
-
-    uv_px: np.ndarray
-    """Whole pixels (u, v), shape [blob, 2]."""
-    contrast: np.ndarray
-    """Contrast that a disc of the filter's width would have, positive, shape [blob]."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +50,71 @@ class DotScale:
     """Ratio of contrasts across that threshold: 1 for a continuum, large for clean dots."""
     count: int
     """Blobs above the threshold."""
-    noise: float
-    """Standard deviation of the filter's answer in the picture's quiet part, as a contrast."""
 
     @property
     def radius_px(self) -> float:
         """Radius of a disc that the filter fits [px]."""
         return self.sigma_px * np.sqrt(2.0)
+
+
+def grey_levels(image: np.ndarray) -> np.ndarray:
+    """Mean of the channels [levels], float32, shape [height_px, width_px].
+
+    The mean, not OpenCV's luma: paint changes all channels alike, coloured light one of them.
+
+    Raises:
+        InputError: Not an image of one or three channels of at least 32x32 px, or not finite.
+    """
+    array = np.asarray(image)
+    if array.ndim == 3 and array.shape[2] == 3:
+        grey = array.astype(np.float32).mean(axis=2)
+    elif array.ndim == 2:
+        grey = array.astype(np.float32)
+    else:
+        raise InputError(f"markers need a grey or RGB image, got an array of {array.shape}")
+    if min(grey.shape) < MIN_SIZE_PX:
+        raise InputError(
+            f"an image of {grey.shape[1]}x{grey.shape[0]} px is too small for markers; at least "
+            f"{MIN_SIZE_PX}x{MIN_SIZE_PX} px"
+        )
+    if not np.isfinite(grey).all():
+        raise InputError("the image holds levels that are not finite")
+    return grey
+
+
+def bright_level(grey: np.ndarray) -> float:
+    """Level that the bright part of the picture has: its 95th percentile, at least 1."""
+    return max(float(np.percentile(grey, 95)), 1.0)
+
+
+def local_contrast(grey: np.ndarray, around_px: float, bright: float) -> np.ndarray:
+    """``grey / mean around - 1``: the same for a dot in the light and one in the shade.
+
+    Args:
+        grey: Levels, shape [height_px, width_px].
+        around_px: Standard deviation of the Gaussian that takes the mean [px].
+        bright: ``bright_level`` of the picture; light below 8 % of it is not divided by.
+    """
+    factor = max(1, int(around_px / _FINE))
+    height, width = grey.shape
+    # A wide mean needs no fine pixels.
+    size = (max(1, width // factor), max(1, height // factor))
+    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if factor > 1 else grey
+    small = cv2.GaussianBlur(small, (0, 0), around_px / factor, borderType=cv2.BORDER_REPLICATE)
+    around = cv2.resize(small, (width, height)) if factor > 1 else small
+    return (grey - around) / np.maximum(around, _FLOOR * bright)
+
+
+def reduced(grey: np.ndarray, factor: int) -> np.ndarray:
+    """Means of squares of ``factor`` pixels; what is left over at the right and below is cut off.
+
+    Pixel (u, v) of the reduced picture is the middle of its square: ``(u + 0.5) factor - 0.5``.
+    """
+    if factor <= 1:
+        return grey
+    height, width = (side // factor * factor for side in grey.shape)
+    size = (width // factor, height // factor)
+    return cv2.resize(grey[:height, :width], size, interpolation=cv2.INTER_AREA)
 
 
 def response(grey: np.ndarray, sigma_px: float, bright: float) -> np.ndarray:
@@ -81,11 +129,18 @@ def response(grey: np.ndarray, sigma_px: float, bright: float) -> np.ndarray:
     smooth = cv2.GaussianBlur(contrast, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
     laplacian = cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
     inner = laplacian[margin:-margin, margin:-margin]
-    return -inner * np.float32(sigma_px**2 / DISC_RESPONSE)
+    return -inner * np.float32(sigma_px**2 / _DISC_RESPONSE)
 
 
-def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> Blobs:
-    """Local extrema of ``response`` of one sign, at least ``least`` strong."""
+def find_blobs(
+    answer: np.ndarray, sigma_px: float, sign: int, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Local extrema of ``response`` of one sign, at least ``least`` strong, strongest first.
+
+    Returns:
+        Whole pixels (u, v), shape [blob, 2], and the contrast that a disc of the filter's width
+        would have, positive, shape [blob].
+    """
     signed = sign * answer
     # A square: its maximum filter is separable.
     width = 2 * max(1, round(sigma_px)) + 1
@@ -94,16 +149,16 @@ def find_blobs(answer: np.ndarray, sigma_px: float, sign: int, least: float) -> 
     # Equal neighbours make one blob.
     count, _, _, centres = cv2.connectedComponentsWithStats(peak.astype(np.uint8))
     if count < 2:
-        return Blobs(np.empty((0, 2)), np.empty(0))
+        return np.empty((0, 2)), np.empty(0)
     uv = np.rint(centres[1:]).astype(int)
     strength = signed[uv[:, 1], uv[:, 0]]
     # The middle of a bent plateau may lie beside it.
     uv, strength = uv[strength >= least], strength[strength >= least]
     order = np.argsort(-strength)
-    return Blobs(uv[order].astype(np.float64), strength[order].astype(np.float64))
+    return uv[order].astype(np.float64), strength[order].astype(np.float64)
 
 
-def split_by_gap(contrast: np.ndarray) -> tuple[int, float]:
+def _split_by_gap(contrast: np.ndarray) -> tuple[int, float]:
     """Where strengths, sorted downwards, split best into dots and the rest.
 
     Returns:
@@ -135,38 +190,34 @@ def scale_candidates(image: np.ndarray) -> list[DotScale]:
     factor = -(-max(grey.shape) // _LONGEST_PX)
     grey = reduced(grey, factor)
     bright = bright_level(grey)
-    steps = np.log(min(grey.shape) / _LARGEST / MIN_SIGMA_PX) / np.log(_RATIO)
-    sigmas = MIN_SIGMA_PX * _RATIO ** np.arange(-1, max(3, int(steps) + 1))
+    steps = np.log(min(grey.shape) / _LARGEST / _MIN_SIGMA_PX) / np.log(_RATIO)
+    sigmas = _MIN_SIGMA_PX * _RATIO ** np.arange(-1, max(3, int(steps) + 1))
     answers = np.stack([response(grey, float(sigma), bright) for sigma in sigmas])
     found = []
     for sign in (-1, 1):
         weight = _weight_by_scale(answers, sigmas, sign)
         for k in _peaks(weight)[:3]:
-            scale = describe_scale(answers[k], float(sigmas[k]), sign)
+            scale = _describe_scale(answers[k], float(sigmas[k]), sign)
             found.append((weight[k], scale))
     found.sort(key=lambda item: -item[0])
-    return [
-        replace(scale, sigma_px=factor * scale.sigma_px)
-        for weight, scale in found
-        if weight > 0 and scale.count > 0
-    ]
+    return [replace(s, sigma_px=factor * s.sigma_px) for _, s in found if s.count > 0]
 
 
-def describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
+def _describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
     """Dots of a known size and sign: how many stand out, and by how much."""
     noise = spread_about_zero(answer)
     least = max(MIN_CONTRAST, 1.5 * noise)
-    blobs = find_blobs(answer, sigma_px, sign, least)
+    uv, contrast = find_blobs(answer, sigma_px, sign, least)
     # At the border a part of a dot, or the end of the light, answers as it likes.
-    contrast = blobs.contrast[_inside(blobs.uv_px, answer.shape, 1.5 * sigma_px)]
-    count, gap = split_by_gap(contrast)
+    contrast = contrast[_inside(uv, answer.shape, 1.5 * sigma_px)]
+    count, gap = _split_by_gap(contrast)
     if count == 0:
-        return DotScale(sigma_px, sign, least, 1.0, 0, noise)
+        return DotScale(sigma_px, sign, least, 1.0, 0)
     strongest_other = contrast[count] if count < len(contrast) else least
     threshold = float(np.sqrt(contrast[count - 1] * strongest_other))
     if count == len(contrast):
         gap = float(contrast[count - 1] / least)
-    return DotScale(sigma_px, sign, threshold, gap, count, noise)
+    return DotScale(sigma_px, sign, threshold, gap, count)
 
 
 def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.ndarray:
@@ -178,11 +229,8 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
     for k in range(1, len(sigmas) - 1):
         sigma = sigmas[k]
         noise = spread_about_zero(answers[k])
-        blobs = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
-        if len(blobs.contrast) == 0:
-            continue
-        at = blobs.uv_px.astype(int)
-        at = at[_inside(at, answers[k].shape, 1.5 * float(sigma))]
+        uv, _ = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
+        at = uv[_inside(uv, answers[k].shape, 1.5 * float(sigma))].astype(int)
         signed = sign * answers[:, at[:, 1], at[:, 0]]
         extremum = np.all([signed[k] >= signed[j] for j in (k - 1, k + 1)], axis=0)
         strong = np.minimum(signed[k][extremum], 1.0)

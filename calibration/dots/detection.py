@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import IntFlag
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -12,12 +13,13 @@ from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.blobs import (
     MIN_CONTRAST,
     DotScale,
+    bright_level,
     find_blobs,
+    grey_levels,
+    reduced,
     response,
 )
-from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.dots import DotFit, DotFlag, Dots
-from taccel_lab.calibration.dots.grey_picture import bright_level, grey_levels, reduced
+from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots, joined
 from taccel_lab.calibration.robust_spread import spread_about_median
 
 _LARGE_PX = 10.0
@@ -40,6 +42,37 @@ _AREA = 1.45
 """A blob of at least this many usual areas can be two dots."""
 _STRETCH = 1.4
 """And of at least this ratio of its axes, above the usual ratio."""
+
+
+class DotFlag(IntFlag):
+    """What is special about a dot; its centre is given nonetheless."""
+
+    CUT = 1
+    """Part of it lies outside the image: shape and size are taken from its neighbours."""
+    MERGED = 2
+    """It touched another dot and was split from it."""
+    ODD = 4
+    """Its size, shape or contrast is far from the others': perhaps no dot."""
+
+
+@dataclass(frozen=True)
+class Dots(DotFit):
+    """The dots of a picture."""
+
+    flags: np.ndarray
+    """``DotFlag``s, uint8, shape [dot]."""
+    scale: DotScale
+    size_px: tuple[int, int]
+    """Width and height of the image."""
+
+    @property
+    def whole(self) -> np.ndarray:
+        """Dots that nothing is special about, bool, shape [dot]."""
+        return self.flags == 0
+
+    def flagged(self, flag: DotFlag) -> np.ndarray:
+        """Dots that carry a flag, bool, shape [dot]."""
+        return (self.flags & flag) != 0
 
 
 def detect_dots(image: np.ndarray, scale: DotScale) -> Dots:
@@ -80,8 +113,7 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     fit, keep = _without_twins(fit)
     merged = merged[keep]
     height, width = grey.shape
-    cut = fit.seen < _FULL
-    cut &= _reaches_border(fit.parameters, width, height)
+    cut = (fit.seen < _FULL) & ~_inside(fit, (width, height), -(fit.axes_px[:, 0] + 0.5))
     merged = merged | _touching(fit)
     partial = cut | merged
     if partial.any() and (~partial).sum() >= 3:
@@ -91,7 +123,10 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     flags[merged] |= np.uint8(DotFlag.MERGED)
     flags[_odd(fit, cut, scale.sign)] |= np.uint8(DotFlag.ODD)
     dots = Dots(**vars(fit), flags=flags, scale=scale, size_px=(width, height))
-    return dots.select(_in_picture(dots))
+    # Dots with their centre in the picture, or at most half a radius outside; strongest first.
+    kept = _inside(fit, dots.size_px, 0.5 * fit.radius_px) & (np.sign(fit.contrast) == scale.sign)
+    kept = np.flatnonzero(kept & np.isfinite(fit.covariance_px2).all(axis=(1, 2)))
+    return dots.select(kept[np.argsort(-np.abs(fit.contrast[kept]), kind="stable")])
 
 
 def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
@@ -102,12 +137,12 @@ def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
 def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
     """Round dots of one size at the blobs, shape [dot, 10]; levels are left to the fit."""
     answer = response(grey, scale.sigma_px, bright_level(grey))
-    blobs = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
-    strong = blobs.contrast > scale.threshold
-    usual = float(np.median(blobs.contrast[strong])) if strong.any() else scale.threshold
-    kept = blobs.contrast > min(scale.threshold, max(_WEAK * usual, 3.0 * MIN_CONTRAST))
+    uv, contrast = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
+    strong = contrast > scale.threshold
+    usual = float(np.median(contrast[strong])) if strong.any() else scale.threshold
+    kept = contrast > min(scale.threshold, max(_WEAK * usual, 3.0 * MIN_CONTRAST))
     start = np.zeros((int(kept.sum()), model.PARAMETERS))
-    start[:, :2] = blobs.uv_px[kept]
+    start[:, :2] = uv[kept]
     start[:, model.SHAPE] = model.circle(scale.radius_px)
     start[:, model.LOG_BLUR] = np.log(max(0.2 * scale.radius_px, 0.6))
     return start
@@ -153,9 +188,8 @@ def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[Dot
     replaced = np.flatnonzero(long)[good]
     stay = np.setdiff1d(np.arange(len(p)), replaced)
     new = pair.select(np.flatnonzero(np.repeat(good, 2)))
-    kept = fit.select(stay)
-    flag = np.concatenate([np.zeros(kept.count, dtype=bool), np.ones(new.count, dtype=bool)])
-    return kept.joined(new), flag
+    fit = joined([fit.select(stay), new])
+    return fit, np.arange(fit.count) >= len(stay)
 
 
 def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
@@ -173,10 +207,11 @@ def _without_twins(fit: DotFit) -> tuple[DotFit, np.ndarray]:
     return fit.select(chosen), chosen
 
 
-def _reaches_border(p: np.ndarray, width: int, height: int) -> np.ndarray:
-    radius = model.semi_axes(p)[:, 0] + 0.5
-    u, v = p[:, 0], p[:, 1]
-    return (u < radius) | (v < radius) | (u > width - 1 - radius) | (v > height - 1 - radius)
+def _inside(fit: DotFit, size_px: tuple[int, int], slack_px: np.ndarray) -> np.ndarray:
+    """Dots whose centre is at most ``slack_px`` [dot] outside of the picture, bool, shape [dot]."""
+    u, v = fit.uv_px.T
+    low = (u >= -slack_px) & (v >= -slack_px)
+    return low & (u <= size_px[0] - 1 + slack_px) & (v <= size_px[1] - 1 + slack_px)
 
 
 def _touching(fit: DotFit) -> np.ndarray:
@@ -213,7 +248,7 @@ def _refit_partial(grey: np.ndarray, fit: DotFit, cut: np.ndarray) -> DotFit:
     again.covariance_px2[:, [0, 1], [0, 1]] += unknown[:, None] ** 2
     partial = np.flatnonzero(cut)
     order = np.argsort(np.concatenate([whole, partial]))
-    return fit.select(whole).joined(again).select(order)
+    return joined([fit.select(whole), again]).select(order)
 
 
 def _odd(dots: DotFit, cut: np.ndarray, sign: int) -> np.ndarray:
@@ -232,14 +267,3 @@ def _odd(dots: DotFit, cut: np.ndarray, sign: int) -> np.ndarray:
             odd[n] |= stretch[n] > _ODD_ROUND * max(np.median(stretch[near]), 1.0)
         odd[n] |= contrast[n] < _ODD_CONTRAST * np.median(contrast[near])
     return odd
-
-
-def _in_picture(dots: Dots) -> np.ndarray:
-    """Dots with their centre in the picture, or at most half a radius outside; strongest first."""
-    width, height = dots.size_px
-    slack = 0.5 * dots.radius_px
-    u, v = dots.uv_px[:, 0], dots.uv_px[:, 1]
-    inside = (u > -slack) & (v > -slack) & (u < width - 1 + slack) & (v < height - 1 + slack)
-    known = np.isfinite(dots.covariance_px2).all(axis=(1, 2))
-    kept = np.flatnonzero(inside & known & (np.sign(dots.contrast) == dots.scale.sign))
-    return kept[np.argsort(-np.abs(dots.contrast[kept]), kind="stable")]

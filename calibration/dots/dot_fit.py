@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Centres of dots to a fraction of a pixel: least squares of ``dot_model`` on the dots' pixels.
+"""Centres of dots to a fraction of a pixel: least squares of ``soft_ellipse`` on the dots' pixels.
 
 All dots of a picture are fitted at once (Levenberg and Marquardt). Pixels far off the model, such
 as glints and scratches, lose weight (Huber's); pixels that are nearer to another dot have none.
@@ -10,13 +10,13 @@ video asks for them frame by frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import cv2
 import numpy as np
 
 from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.dots import DotFit
 
 _SMOOTH_PX = 0.6
 """Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""
@@ -40,6 +40,64 @@ _MIN_BLUR_PX, _MAX_BLUR = 0.25, 1.5
 """Blur's least value [px], and its largest as a share of the radius."""
 
 
+@dataclass(frozen=True)
+class DotFit:
+    """Fitted dots."""
+
+    parameters: np.ndarray
+    """``soft_ellipse``'s, centres in the image, shape [dot, 10]."""
+    covariance_px2: np.ndarray
+    """Of the centres, shape [dot, 2, 2]; infinite where the fit has no hold."""
+    seen: np.ndarray
+    """Share of each ellipse that lies in the image and is nearest to this dot, shape [dot]."""
+    converged: np.ndarray
+    """Bool, shape [dot]."""
+
+    @property
+    def count(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def uv_px(self) -> np.ndarray:
+        """Centres (u, v) [px], shape [dot, 2]."""
+        return self.parameters[:, :2]
+
+    @property
+    def sigma_px(self) -> np.ndarray:
+        """Standard deviations of the centres along u and v, shape [dot, 2]."""
+        return np.sqrt(np.einsum("nii->ni", self.covariance_px2))
+
+    @property
+    def placed(self) -> np.ndarray:
+        """Dots whose centre the fit found, bool, shape [dot]."""
+        return self.converged & np.isfinite(self.covariance_px2).all(axis=(1, 2))
+
+    @property
+    def axes_px(self) -> np.ndarray:
+        """Longer and shorter semi-axis, shape [dot, 2]."""
+        return model.semi_axes(self.parameters)
+
+    @property
+    def radius_px(self) -> np.ndarray:
+        """Mean radii, shape [dot]."""
+        return model.mean_radius(self.parameters)
+
+    @property
+    def contrast(self) -> np.ndarray:
+        """Share of the light that the paint adds, negative for dark dots, shape [dot]."""
+        return self.parameters[:, model.CONTRAST]
+
+    def select(self, which: np.ndarray) -> Self:
+        """Some of the dots, in the order of ``which``."""
+        arrays = {name: value for name, value in vars(self).items() if hasattr(value, "dtype")}
+        return replace(self, **{name: value[which] for name, value in arrays.items()})
+
+
+def joined(fits: list[DotFit]) -> DotFit:
+    """All dots of several fits of one picture, one fit after the other."""
+    return DotFit(*map(np.concatenate, zip(*(vars(fit).values() for fit in fits), strict=True)))
+
+
 def fit_dots(
     grey: np.ndarray,
     start: np.ndarray,
@@ -51,36 +109,34 @@ def fit_dots(
 
     Args:
         grey: Levels, shape [height_px, width_px].
-        start: ``dot_model`` parameters with centres in the image, shape [dot, 10]; level,
+        start: ``soft_ellipse`` parameters with centres in the image, shape [dot, 10]; level,
             contrast and slopes are read from the picture.
         free_shape: Fit ellipse and blur too; otherwise they stay as in ``start``.
         others: Further centres (u, v) whose pixels are left out, shape [other, 2].
     """
     if len(start) == 0:
-        nothing = np.empty((0, model.PARAMETERS)), np.empty((0, 2, 2)), np.empty(0)
-        return DotFit(*nothing, np.empty(0, dtype=bool))
+        return DotFit(start, np.empty((0, 2, 2)), np.empty(0), np.empty(0, dtype=bool))
     grey = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX, borderType=cv2.BORDER_REPLICATE)
     centres = start[:, :2] if others is None else np.concatenate([start[:, :2], others])
     # By size: dots much larger than the rest would make all windows large.
     radii = model.mean_radius(start)
     order = np.argsort(radii)
-    pixels = (2 * window_half(float(radii.max())) + 1) ** 2
+    pixels = (2 * _window_half(radii) + 1) ** 2
     parts = np.array_split(order, min(len(order), 1 + len(order) * pixels // _CHUNK))
     fits = [_fit_chunk(grey, start, part, centres, free_shape) for part in parts]
-    joined = DotFit(*(np.concatenate(items) for items in zip(*fits, strict=True)))
-    return joined.select(np.argsort(order))
+    return joined(fits).select(np.argsort(order))
 
 
-def window_half(radius_px: float) -> int:
-    """Half width of the square of pixels that a dot is fitted to."""
-    return int(np.ceil(1.7 * radius_px + 2.5))
+def _window_half(radii_px: np.ndarray) -> int:
+    """Half width of the square of pixels that dots are fitted to."""
+    return int(np.ceil(1.7 * float(radii_px.max()) + 2.5))
 
 
 def _fit_chunk(
     grey: np.ndarray, start: np.ndarray, which: np.ndarray, centres: np.ndarray, free_shape: bool
-) -> tuple[np.ndarray, ...]:
+) -> DotFit:
     p = start[which].astype(np.float64)
-    half = window_half(float(model.mean_radius(p).max()))
+    half = _window_half(model.mean_radius(p))
     origin = np.rint(p[:, :2])
     p[:, :2] -= origin
     span = np.arange(-half, half + 1)
@@ -88,7 +144,11 @@ def _fit_chunk(
     levels, inside = _pixels_of(grey, origin, span)
     own = inside & _nearest_to_own(uv, p, origin, which, centres)
     _read_levels(p, uv, levels, own)
-    problem = _Problem.of(uv, levels, own, p, free_shape)
+    free = np.ones(model.PARAMETERS, dtype=bool)
+    free[[model.S11, model.S12, model.S22, model.LOG_BLUR]] = free_shape
+    step = np.abs(p[:, model.CONTRAST] * p[:, model.LEVEL])
+    scale = np.maximum(_LEVEL_SIGMA, _OFF * step)
+    problem = _Problem(uv, levels, own, p.copy(), scale, free)
     p, settled = _minimise(problem, p)
     covariance = problem.covariance_px2(p, len(span))
     area = np.pi * model.mean_radius(p) ** 2
@@ -96,7 +156,8 @@ def _fit_chunk(
     seen = np.minimum((ellipse & own).sum(axis=1) / np.maximum(area, 1.0), 1.0)
     p[:, :2] += origin
     moved_px = np.linalg.norm(p[:, :2] - start[which, :2], axis=1)
-    return p, covariance, seen, settled & (moved_px <= model.mean_radius(start[which]))
+    near = moved_px <= model.mean_radius(start[which])
+    return DotFit(p, covariance, seen, settled & near)
 
 
 @dataclass(frozen=True)
@@ -116,31 +177,10 @@ class _Problem:
     free: np.ndarray
     """Parameters that are fitted, bool, shape [10]."""
 
-    @classmethod
-    def of(
-        cls,
-        uv: np.ndarray,
-        levels: np.ndarray,
-        own: np.ndarray,
-        guess: np.ndarray,
-        free_shape: bool,
-    ) -> _Problem:
-        """The problem about a guess; without ``free_shape`` ellipse and blur stay."""
-        free = np.ones(model.PARAMETERS, dtype=bool)
-        free[[model.S11, model.S12, model.S22, model.LOG_BLUR]] = free_shape
-        step = np.abs(guess[:, model.CONTRAST] * guess[:, model.LEVEL])
-        return cls(uv, levels, own, guess.copy(), np.maximum(_LEVEL_SIGMA, _OFF * step), free)
-
     def select(self, which: np.ndarray) -> _Problem:
         """The problem of some of the dots."""
-        return _Problem(
-            self.uv,
-            self.levels[which],
-            self.own[which],
-            self.guess[which],
-            self.scale[which],
-            self.free,
-        )
+        own = {name: getattr(self, name)[which] for name in ("levels", "own", "guess", "scale")}
+        return replace(self, **own)
 
     def bounded(self, p: np.ndarray) -> np.ndarray:
         """Parameters kept where an ellipse and a blur mean something."""

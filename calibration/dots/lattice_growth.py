@@ -10,12 +10,10 @@ freely, missing points leave gaps, and stray points find no site.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
-
-from taccel_lab.calibration.dots.local_affine import local_affine
 
 _CATCH = 0.27
 """A point is taken for one of the lattice within this share of the shorter step from a site."""
@@ -61,10 +59,6 @@ class Growth:
         index = self.index[self.numbered]
         return bool(np.linalg.matrix_rank(index - index[:1]) == 2)
 
-    def without(self, which: np.ndarray) -> Growth:
-        """The numbering less some points."""
-        return replace(self, numbered=self.numbered & ~which)
-
     def filled(self) -> float:
         """Share of the sites beside numbered points that are numbered."""
         sites = {tuple(site) for site in self.index[self.numbered].tolist()}
@@ -107,6 +101,37 @@ class Growth:
         """Length of differences of sites, [n, 2], in shorter steps."""
         length = np.linalg.norm(self.basis, axis=1)
         return np.linalg.norm(steps * length / length.min(), axis=1)
+
+
+def local_affine(
+    offset: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    belief: float,
+    slope: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Affine maps through what each point's neighbours have.
+
+    Args:
+        offset: Ways from the point to its neighbours, shape [point, neighbour, 2].
+        values: What the neighbours have, shape [point, neighbour, 2].
+        weight: Of each neighbour, shape [point, neighbour].
+        belief: Weight of the believed slope, which closes what few neighbours leave open.
+        slope: The believed slope, shape [2, 2]; 0 for constant values.
+
+    Returns:
+        Values at the points, shape [point, 2], NaN without a neighbour, and the slopes of the maps,
+        shape [point, 2, 2].
+    """
+    total = weight.sum(axis=1)
+    share = (weight / np.where(total > 0, total, np.nan)[:, None])[..., None]
+    middle, mean = (share * offset).sum(axis=1), (share * values).sum(axis=1)
+    away = offset - middle[:, None]
+    weighted = (away * weight[..., None]).transpose(0, 2, 1)
+    normal = weighted @ away + belief * np.eye(2)
+    right = weighted @ (values - mean[:, None]) + belief * (slope * np.ones((2, 2)))
+    found = np.linalg.solve(np.where(np.isfinite(normal), normal, np.eye(2)), right)
+    return mean - np.einsum("ni,nij->nj", middle, found), found
 
 
 def largest_growth(points: np.ndarray) -> Growth | None:

@@ -14,13 +14,21 @@ from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
 from taccel_lab.calibration.dots.detection import (
+    DotFlag,
+    Dots,
     detect_dots,
     strong_blobs,
 )
-from taccel_lab.calibration.dots.dots import DotFlag, Dots
-from taccel_lab.calibration.dots.lattice import Lattice, lattice_index, renumbered
-from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit, fit_layout
-from taccel_lab.calibration.dots.local_affine import local_affine
+from taccel_lab.calibration.dots.lattice import (
+    PITCH_X,
+    PITCH_Y,
+    Lattice,
+    LayoutFit,
+    fit_layout,
+    lattice_index,
+    renumbered,
+)
+from taccel_lab.calibration.dots.lattice_growth import local_affine
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import lattice_steps
 

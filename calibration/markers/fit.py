@@ -11,14 +11,11 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
 from taccel_lab.calibration.capture.video import cut_short
-from taccel_lab.calibration.dots.dots import Dots
-from taccel_lab.calibration.dots.lattice import renumbered
-from taccel_lab.calibration.dots.layout import LayoutFit, fit_layout
+from taccel_lab.calibration.dots.detection import Dots
+from taccel_lab.calibration.dots.lattice import LayoutFit, fit_layout, renumbered
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
-from taccel_lab.calibration.markers.choose_view import choose_view
-from taccel_lab.calibration.markers.gel_view import PixelView, pixel_jacobian
-from taccel_lab.calibration.markers.judgement import layout_remarks, track_remarks
-from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
+from taccel_lab.calibration.markers.gel_view import PixelView, choose_view, pixel_jacobian
+from taccel_lab.calibration.markers.remarks import GRID_BENT, VIDEO_CUT_SHORT, WEAK_CONTRAST
 from taccel_lab.calibration.markers.rest import MarkerRest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
@@ -28,6 +25,11 @@ from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
+
+_BENT = 0.05
+"""RMS residual of the grid, in pitches, above which it is worth a remark."""
+_WEAK_CONTRAST = 0.12
 
 
 def calibrate_markers(
@@ -52,9 +54,9 @@ def calibrate_markers(
         picture = find_markers(image)
     progress("finding the dots", 1, 1)
     height, width = image.shape[:2]
-    chosen = choose_view(folder, base, picture.layout_px, (width, height))
-    layout_mm = layout_on_gel(picture, chosen.view)
-    radius_mm, radius_sigma = _radius_mm(picture.dots, chosen.view)
+    view, scale_remarks = choose_view(folder, base, picture.layout_px, (width, height))
+    layout_mm = layout_on_gel(picture, view)
+    radius_mm, radius_sigma = _radius_mm(picture.dots, view)
     videos = tuple(
         _follow(video, start, picture, progress)
         for video, start in zip(
@@ -63,9 +65,9 @@ def calibrate_markers(
     )
     remarks = (
         *found.remarks,
-        *layout_remarks(picture, layout_mm),
-        *chosen.remarks,
-        *(remark for video in videos for remark in track_remarks(video.figures)),
+        *_layout_remarks(picture, layout_mm),
+        *scale_remarks,
+        *(remark for video in videos for remark in video.figures.remarks()),
         *(
             VIDEO_CUT_SHORT(reason=fault)
             for video in videos
@@ -79,7 +81,7 @@ def calibrate_markers(
         layout_mm=layout_mm,
         radius_mm=min(radius_mm, 0.5 * min(layout_mm.pitch)),
         radius_sigma_mm=radius_sigma,
-        view=chosen.view,
+        view=view,
         videos=videos,
         remarks=remarks,
         inputs=_inputs(folder, rest, videos),
@@ -153,3 +155,14 @@ def _inputs(folder: CaptureFolder, rest: Frame, videos: tuple[TrackedVideo, ...]
     if "manifest_sha256" in folder.provenance:
         inputs["captures.toml"] = folder.provenance["manifest_sha256"]
     return inputs
+
+
+def _layout_remarks(picture: MarkerPicture, layout_mm: LayoutFit) -> list[Remark]:
+    said = []
+    contrast = float(np.median(np.abs(picture.dots.contrast)))
+    if contrast < _WEAK_CONTRAST:
+        said.append(WEAK_CONTRAST(percent=100 * contrast))
+    bent = layout_mm.residual_rms / min(layout_mm.pitch)
+    if bent > _BENT:
+        said.append(GRID_BENT(residual_mm=layout_mm.residual_rms, percent=100 * bent))
+    return said

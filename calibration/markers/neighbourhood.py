@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.dots.local_affine import local_affine
+from taccel_lab.calibration.dots.lattice_growth import local_affine
 
 _NEIGHBOURS = 12
 _REACH = 2.6

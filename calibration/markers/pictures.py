@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.report.image_axes import frame_image, round_enlargement
 from taccel_lab.report.style import (

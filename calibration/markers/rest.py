@@ -19,10 +19,10 @@ import numpy as np
 from scipy.stats import f as variance_ratio
 
 from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
-from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES
-from taccel_lab.calibration.markers.still_frames import Stillness, Stretch, still_stretches
+from taccel_lab.calibration.markers.still_frames import Stillness, still_stretches
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
@@ -58,7 +58,7 @@ class _Candidate:
     """A still stretch with its dots."""
 
     video: int
-    stretch: Stretch
+    stretch: range
     picture: MarkerPicture
 
 
@@ -137,13 +137,14 @@ def _candidates(videos: Sequence[Video], still: Sequence[Stillness]) -> list[_Ca
     """The longest stretches of each video whose middle frame shows a lattice, longest first."""
     found = []
     for which, (video, of_video) in enumerate(zip(videos, still, strict=True)):
-        longest = sorted(of_video.stretches, key=lambda s: -s.count)[:_LOOKED_AT]
-        images = _frames_at(video, {stretch.middle for stretch in longest})
-        for stretch in longest:
-            picture = _dots_of(images[stretch.middle])
+        longest = sorted(of_video.stretches, key=len, reverse=True)[:_LOOKED_AT]
+        middles = [(stretch[0] + stretch[-1]) // 2 for stretch in longest]
+        images = _frames_at(video, set(middles))
+        for stretch, middle in zip(longest, middles, strict=True):
+            picture = _dots_of(images[middle])
             if picture is not None:
                 found.append(_Candidate(which, stretch, picture))
-    return sorted(found, key=lambda candidate: -candidate.stretch.count)
+    return sorted(found, key=lambda candidate: -len(candidate.stretch))
 
 
 def _layouts(found: Sequence[_Candidate]) -> list[list[_Candidate]]:
@@ -160,7 +161,7 @@ def _layouts(found: Sequence[_Candidate]) -> list[list[_Candidate]]:
 
 
 def _frame_count(group: Sequence[_Candidate]) -> int:
-    return sum(candidate.stretch.count for candidate in group)
+    return sum(len(candidate.stretch) for candidate in group)
 
 
 def _apart(a: MarkerPicture, b: MarkerPicture) -> float:
@@ -220,7 +221,7 @@ def _most_even(
         where = next((f"frame {n} of {name}" for name, n, f in moving if f[0] == best), "elsewhere")
         raise InputError(
             f"no frame at rest: {video_name(videos[first.video])} stands still over frames "
-            f"{first.stretch.first} to {first.stretch.last}, but its dots lie {100 * miss:.1f} % "
+            f"{first.stretch[0]} to {first.stretch[-1]}, but its dots lie {100 * miss:.1f} % "
             f"of their pitch off an even grid there and {100 * best:.1f} % in {where}: the gel is "
             f"held pressed. {_ADVICE}"
         )
@@ -235,7 +236,7 @@ def _moving_frames(
     for number in sorted(which):
         video, quiet = videos[number], np.zeros(still[number].frames, dtype=bool)
         for stretch in still[number].stretches:
-            quiet[stretch.first : stretch.last + 1] = True
+            quiet[stretch.start : stretch.stop] = True
         images = _spread_frames(video, np.flatnonzero(~quiet).tolist(), _MOVING)
         for frame, image in images.items():
             picture = _dots_of(image)
@@ -257,14 +258,14 @@ def _rest_of(
         remarks.append(
             REST_AMBIGUOUS(
                 name=video_name(videos[rival.video]),
-                first=rival.stretch.first,
-                last=rival.stretch.last,
+                first=rival.stretch[0],
+                last=rival.stretch[-1],
                 way_px=_apart(chosen.picture, rival.picture) * _pitch_px(chosen.picture),
             )
         )
     # Motion begins before it shows: not the ends of the stretch.
-    quarter = stretch.count // 4
-    inner = range(stretch.first + quarter, stretch.last - quarter + 1)
+    quarter = len(stretch) // 4
+    inner = stretch[quarter : len(stretch) - quarter]
     numbers = f"frames {inner[0]} to {inner[-1]}"
     frame = Frame(
         f"{numbers} of {name}",
@@ -285,7 +286,8 @@ def _starts(videos: Sequence[Video], at_rest: Sequence[_Candidate]) -> tuple[int
     """Middle of the longest stretch at rest of each video; the first frame where it has none."""
     first: dict[int, int] = {}
     for candidate in at_rest:
-        first.setdefault(candidate.video, candidate.stretch.middle)
+        stretch = candidate.stretch
+        first.setdefault(candidate.video, (stretch[0] + stretch[-1]) // 2)
     return tuple(first.get(number, 0) for number in range(len(videos)))
 
 
@@ -304,8 +306,8 @@ def _beside_stated(
                 REST_DISAGREES(
                     rest=rest.name,
                     name=video_name(video),
-                    first=own[0].stretch.first,
-                    last=own[0].stretch.last,
+                    first=own[0].stretch[0],
+                    last=own[0].stretch[-1],
                     way_px=_apart(picture, own[0].picture) * _pitch_px(picture),
                 )
             )
@@ -319,12 +321,12 @@ _ADVICE = (
 
 
 def _nothing_still(videos: Sequence[Video], still: Sequence[Stillness]) -> str:
-    which = int(np.argmax([of_video.longest.count for of_video in still]))
+    which = int(np.argmax([len(of_video.longest) for of_video in still]))
     best, name = still[which], video_name(videos[which])
     return (
         f"no frame at rest: the dots of {name} lie within {best.limit_px:.2f} px of one place (1 % "
-        f"of their pitch) for at most {best.longest.count} of {best.frames} frames in a row, from "
-        f"frame {best.longest.first}; a rest has {best.needed} or more and does not drift. "
+        f"of their pitch) for at most {len(best.longest)} of {best.frames} frames in a row, from "
+        f"frame {best.longest[0]}; a rest has {best.needed} or more and does not drift. "
         f"{_ADVICE}"
     )
 

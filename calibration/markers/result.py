@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import Video
-from taccel_lab.calibration.dots.dots import DotFlag
-from taccel_lab.calibration.dots.layout import (
+from taccel_lab.calibration.dots.detection import DotFlag
+from taccel_lab.calibration.dots.lattice import (
     CENTRE_X,
     CENTRE_Y,
     PITCH_X,
@@ -19,10 +19,9 @@ from taccel_lab.calibration.dots.layout import (
     LayoutFit,
 )
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
-from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import PixelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
-from taccel_lab.calibration.markers.tracks import MarkerTracks
+from taccel_lab.calibration.markers.tracks import MarkerFlow, MarkerTracks, marker_flow_mm
 from taccel_lab.calibration.result import Estimate, ResultSummary
 from taccel_lab.profile import MarkersBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge

@@ -9,7 +9,7 @@ it agrees with the fitted dots to 0.02 px at the median and 0.05 px at the 90th 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -33,28 +33,12 @@ _STEADY = 0.5
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Frames one after another that show the same."""
-
-    first: int
-    last: int
-
-    @property
-    def count(self) -> int:
-        return self.last - self.first + 1
-
-    @property
-    def middle(self) -> int:
-        return (self.first + self.last) // 2
-
-
-@dataclass(frozen=True)
 class Stillness:
-    """What of a video stands still."""
+    """What of a video stands still: numbers of frames that show the same."""
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[range, ...]
     """Long enough to be believed, in order."""
-    longest: Stretch
+    longest: range
     """Of all, also of those that are too short."""
     frames: int
     needed: int
@@ -74,54 +58,57 @@ def still_stretches(
     """
     limit = STILL_PITCHES * pitch_px
     needed = STILL_FRAMES if fps is None else max(STILL_FRAMES, int(np.ceil(STILL_SECONDS * fps)))
-    found: list[Stretch] = []
-    run: _Run | None = None
-    before: np.ndarray | None = None
-    longest = Stretch(0, 0)
-    count, last_limit = 0, limit
-    for count, frame in enumerate(frames, 1):
-        picture, shrunk = _structure(frame, pitch_px)
-        if run is None or before is None or not run.goes_on(before, picture, limit / shrunk):
-            found += _believed(run, needed, limit / shrunk)
-            run = _Run(count - 1, picture)
-        longest = max(longest, run.stretch, key=lambda stretch: stretch.count)
-        before, last_limit = picture, limit / shrunk
-    if run is not None:
-        found += _believed(run, needed, last_limit)
+    found, longest, count = [], range(1), 0
+    for run in _runs(frames, pitch_px, limit):
+        if len(run.frames) >= needed and run.steady():
+            found.append(run.frames)
+        longest, count = max(longest, run.frames, key=len), run.frames.stop
     return Stillness(tuple(found), longest, count, needed, limit)
 
 
-def _believed(run: _Run | None, needed: int, limit: float) -> list[Stretch]:
-    return [run.stretch] if run and run.stretch.count >= needed and run.steady(limit) else []
+def _runs(frames: Iterable[np.ndarray], pitch_px: float, limit_px: float) -> Iterator[_Run]:
+    run = None
+    for number, frame in enumerate(frames):
+        picture, shrunk = _structure(frame, pitch_px)
+        if run is None or not run.goes_on(picture):
+            if run is not None:
+                yield run
+            run = _Run(number, picture, limit_px / shrunk)
+    if run is not None:
+        yield run
 
 
 class _Run:
     """A stretch that may go on."""
 
-    def __init__(self, first: int, picture: np.ndarray) -> None:
-        self.stretch = Stretch(first, first)
-        self._anchor = picture
+    def __init__(self, first: int, picture: np.ndarray, limit: float) -> None:
+        self.frames = range(first, first + 1)
+        self._first = self._last = picture
+        self._limit = limit
         self._motions = [np.zeros((_BLOCKS[0] * _BLOCKS[1], 2), dtype=np.float32)]
 
-    def goes_on(self, before: np.ndarray, picture: np.ndarray, limit: float) -> bool:
+    def goes_on(self, picture: np.ndarray) -> bool:
         """Whether the next picture shows the same as the first one and as the last one; takes it
         in where it does."""
-        if picture.shape != before.shape or _largest(_block_motion(before, picture)) > limit:
+        if picture.shape != self._last.shape:
             return False
-        motion = _block_motion(self._anchor, picture)
-        if _largest(motion) > limit:
+        if _largest(_block_motion(self._last, picture)) > self._limit:
+            return False
+        motion = _block_motion(self._first, picture)
+        if _largest(motion) > self._limit:
             return False
         self._motions.append(motion)
-        self.stretch = Stretch(self.stretch.first, self.stretch.last + 1)
+        self._last = picture
+        self.frames = range(self.frames.start, self.frames.stop + 1)
         return True
 
-    def steady(self, limit: float) -> bool:
+    def steady(self) -> bool:
         """Whether its end lies where its beginning does: a slow motion is no rest."""
         third = max(1, len(self._motions) // 3)
         start, end = (
             np.mean(part, axis=0) for part in (self._motions[:third], self._motions[-third:])
         )
-        return _largest(end - start) <= _STEADY * limit
+        return _largest(end - start) <= _STEADY * self._limit
 
 
 def _structure(frame: np.ndarray, pitch_px: float) -> tuple[np.ndarray, float]:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
+from taccel_lab.calibration.markers.remarks import FAST_MOTION, MARKERS_LOST
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
+from taccel_lab.report.remark import Remark
 
 _QUIET_PX = 0.05
 """Median distance from the frame at rest below which the gel is at rest in any case."""
@@ -23,6 +25,11 @@ _MOVED_PX = 1.0
 _HALF = 0.5
 _BACK = 0.25
 """A gel has been released when its median distance falls below this share of what it was."""
+_LOST = 0.2
+_FAST = 0.4
+"""Motion between frames, in pitches, from which on identities may swap."""
+_ALIASES = 0.45
+"""Motion between frames of most dots, in pitches, that a lattice cannot tell from one backwards."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,17 @@ class TrackFigures:
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)
+
+    def remarks(self) -> list[Remark]:
+        """What the video deserves to have said of it."""
+        said = []
+        aliases = self.common_step_in_pitches > _ALIASES
+        if aliases or self.step_in_pitches > _FAST:
+            pitches = self.common_step_in_pitches if aliases else self.step_in_pitches
+            said.append(FAST_MOTION(name=self.name, pitches=pitches, grave=aliases))
+        if self.lost_share > _LOST or self.unseen_frames:
+            said.append(MARKERS_LOST(name=self.name, percent=100 * self.lost_share))
+        return said
 
 
 def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigures:

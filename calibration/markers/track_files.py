@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.markers.flow import MarkerFlow
-from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
+from taccel_lab.calibration.markers.tracks import MarkerFlow, MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_by
 

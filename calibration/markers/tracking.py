@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Follow the dots of a resting gel through the frames of a motion.
 
-Frame by frame: dots are detected at the size that they have at rest, matched to the markers
-(``association``), and markers without a dot are looked for once more where their neighbours say
-that they are. A marker that stays unseen goes along with its neighbours and is found again when it
-reappears there, so that it keeps its identity through occlusion and through motions of more than
-the pitch, as long as neighbours move alike from frame to frame.
+Frame by frame: dots are detected at the size that they have at rest, matched to the markers by the
+assignment that moves neighbours alike, and markers without a dot are looked for once more where
+their neighbours say that they are. A marker that stays unseen goes along with its neighbours and is
+found again when it reappears there, so that it keeps its identity through occlusion and through
+motions of more than the pitch, as long as neighbours move alike from frame to frame.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.detection import detect_dots
+from taccel_lab.calibration.dots.blobs import grey_levels
+from taccel_lab.calibration.dots.detection import DotFlag, Dots, detect_dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.dots import DotFlag, Dots
-from taccel_lab.calibration.dots.grey_picture import grey_levels
+from taccel_lab.calibration.dots.lattice import lattice_index
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
-from taccel_lab.calibration.markers.association import associate, by_lattice, disagreement
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
@@ -39,6 +40,15 @@ _GROWN = 1.25
 """Factor on a dot's radius between two frames that only a cover explains."""
 _AGAIN = 0.3
 """A dot that is looked for again lies within so many pitches of its expected place."""
+_WIDE, _NARROW = 0.55, 0.35
+"""Gates in pitches: for a marker's own guess, and the narrowest for what its neighbours say."""
+_GATE_SIGMAS = 3.0
+"""Neighbours that scatter are believed within so many times their scatter, between these gates."""
+_ROUNDS = 6
+_SUPPORT = 1.2
+"""Weight of matched neighbours from which on they are believed."""
+_ODD = 0.3
+"""What an odd blob costs, in squared gates."""
 
 
 def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTracks:
@@ -137,12 +147,12 @@ class MarkerTracker:
         """Blob of each marker: by motion, or by the frame's lattice where that agrees better."""
         odd = found.flagged(DotFlag.ODD)
         chosen = associate(expected, self.uv, found.uv_px, odd, self.around)
-        worse = disagreement(chosen, self.uv, found.uv_px, self.around)
+        worse = _disagreement(chosen, self.uv, found.uv_px, self.around)
         if worse - self.unmatched < _DOUBT * self.dots.count:
             self.unmatched = int((chosen < 0).sum())
             return chosen
         whole = found.uv_px[~odd]
-        places = by_lattice(expected, self.row, self.column, whole, self.around.pitch_px)
+        places = _by_lattice(expected, self.row, self.column, whole, self.around.pitch_px)
         if places is not None:
             known = np.asarray(np.isfinite(places).all(axis=1))
             moved = np.where(known[:, None], places - self.uv, 0.0)
@@ -150,7 +160,7 @@ class MarkerTracker:
             guess = np.where(known[:, None], places, self.uv + said)
             guess = np.where(np.isfinite(guess), guess, expected)
             other = associate(guess, self.uv, found.uv_px, odd, self.around)
-            if disagreement(other, self.uv, found.uv_px, self.around) < worse:
+            if _disagreement(other, self.uv, found.uv_px, self.around) < worse:
                 chosen = other
         self.unmatched = int((chosen < 0).sum())
         return chosen
@@ -236,3 +246,129 @@ class MarkerTracker:
         self.status = np.where(
             seen, TrackStatus.SEEN, np.where(lost, TrackStatus.LOST, TrackStatus.PREDICTED)
         ).astype(np.uint8)
+
+
+def associate(
+    expected: np.ndarray,
+    before: np.ndarray,
+    found: np.ndarray,
+    odd: np.ndarray,
+    around: Neighbourhood,
+) -> np.ndarray:
+    """Blob of each marker.
+
+    Expected and found places are matched at least total squared distance, leaving markers and blobs
+    over where nothing fits. Neighbours' matches then correct the expectations, and all is matched
+    again, until nothing changes: a dot that jumped to the place of another one disagrees with the
+    dots around it.
+
+    Args:
+        expected: Where each marker's own motion puts it, shape [marker, 2].
+        before: Where it was, shape [marker, 2].
+        found: Blobs of the frame, shape [blob, 2].
+        odd: Blobs that are perhaps no dots, bool, shape [blob].
+        around: Who is next to whom.
+
+    Returns:
+        Index into ``found``, -1 for none, int, shape [marker].
+    """
+    gate = np.full(len(expected), _WIDE * around.pitch_px)
+    chosen = _assign(expected, found, odd, gate)
+    for _ in range(_ROUNDS):
+        matched = chosen >= 0
+        if matched.sum() < 3:
+            break
+        moved = np.where(matched[:, None], found[chosen] - before, 0.0)
+        said, scatter, support = around.extrapolate(moved, matched)
+        trusted = (support >= _SUPPORT) & np.isfinite(said).all(axis=1)
+        guess = np.where(trusted[:, None], before + said, expected)
+        narrow, wide = _NARROW * around.pitch_px, _WIDE * around.pitch_px
+        gate = np.where(trusted, np.clip(_GATE_SIGMAS * scatter, narrow, wide), wide)
+        again = _assign(guess, found, odd, gate)
+        if (again == chosen).all():
+            break
+        chosen = again
+    return chosen
+
+
+def _disagreement(
+    chosen: np.ndarray, before: np.ndarray, found: np.ndarray, around: Neighbourhood
+) -> float:
+    """How badly an assignment moves neighbours alike, in markers: one for each marker without a
+    blob, up to one for each that moves otherwise than its neighbours by half a pitch."""
+    matched = chosen >= 0
+    if matched.sum() < 3:
+        return float(len(chosen))
+    moved = np.where(matched[:, None], found[chosen] - before, 0.0)
+    said, _, _ = around.extrapolate(moved, matched)
+    miss = np.linalg.norm(moved - said, axis=1) / (0.5 * around.pitch_px)
+    return float((~matched).sum() + np.minimum(np.nan_to_num(miss[matched], nan=1.0), 1.0).sum())
+
+
+def _by_lattice(
+    expected: np.ndarray,
+    row: np.ndarray,
+    column: np.ndarray,
+    found: np.ndarray,
+    pitch_px: float,
+) -> np.ndarray | None:
+    """Where the frame's own lattice puts the markers, however far they moved since the last frame.
+
+    The blobs are numbered among themselves; blobs that lie where a marker is expected vote for how
+    the two numberings are shifted. Neighbours that moved half a pitch more or less than each other
+    break a matching by distance, but not a numbering.
+
+    Args:
+        expected: Where each marker's own motion puts it, shape [marker, 2].
+        row: Row of each marker, -1 for none, shape [marker].
+        column: Column of each marker, shape [marker].
+        found: Blobs of the frame, shape [blob, 2].
+        pitch_px: Distance of neighbours.
+
+    Returns:
+        Places, shape [marker, 2], NaN for markers without a blob; None where the blobs form no
+        lattice or nobody votes.
+    """
+    lattice = lattice_index(found)
+    if lattice.kind != "rectangular":
+        return None
+    numbered = np.flatnonzero(lattice.numbered)
+    distance, nearest = map(np.asarray, KDTree(expected).query(found[numbered]))
+    votes = (distance < 0.3 * pitch_px) & (row[nearest] >= 0)
+    if not votes.any():
+        return None
+    shifts = np.stack(
+        [
+            row[nearest[votes]] - lattice.row[numbered[votes]],
+            column[nearest[votes]] - lattice.column[numbered[votes]],
+        ],
+        axis=1,
+    )
+    names, counts = np.unique(shifts, axis=0, return_counts=True)
+    shift = names[np.argmax(counts)]
+    blob_at = {
+        (int(lattice.row[n] + shift[0]), int(lattice.column[n] + shift[1])): n for n in numbered
+    }
+    places = np.full(expected.shape, np.nan)
+    for marker, place in enumerate(zip(row.tolist(), column.tolist(), strict=True)):
+        if place in blob_at and place[0] >= 0:
+            places[marker] = found[blob_at[place]]
+    return places
+
+
+def _assign(
+    expected: np.ndarray, found: np.ndarray, odd: np.ndarray, gate: np.ndarray
+) -> np.ndarray:
+    """Least-cost assignment; staying alone costs a gate's square."""
+    chosen = np.full(len(expected), -1)
+    if len(found) == 0:
+        return chosen
+    distance2 = ((expected[:, None] - found[None]) ** 2).sum(axis=2)
+    cost = distance2 / gate[:, None] ** 2 + _ODD * odd[None]
+    cost = np.where(np.isfinite(cost), np.minimum(cost, 1e3), 1e3)
+    alone = np.full((len(expected), len(expected)), 1e3)
+    np.fill_diagonal(alone, 1.0)
+    rows, columns = linear_sum_assignment(np.concatenate([cost, alone], axis=1))
+    real = (columns < len(found)) & (cost[rows, np.minimum(columns, len(found) - 1)] < 1.0)
+    chosen[rows[real]] = columns[real]
+    return chosen

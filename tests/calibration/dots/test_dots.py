@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.dots import DotFlag
+from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.dots.marker_picture import find_markers, marker_pitch_px
 from taccel_lab.errors import InputError
 from tests.calibration.drawn.discs import disc_coverage, draw_dots

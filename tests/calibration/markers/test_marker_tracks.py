@@ -11,24 +11,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.dots.lattice import lattice_index
-from taccel_lab.calibration.dots.layout import fit_layout
+from taccel_lab.calibration.dots.lattice import fit_layout, lattice_index
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.markers.association import associate
-from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.fit import layout_on_gel
-from taccel_lab.calibration.markers.flow import marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import (
     PixelView,
     camera_view,
+    choose_view,
     face_seen,
     pixel_jacobian,
 )
-from taccel_lab.calibration.markers.judgement import track_remarks
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.track_figures import track_figures
-from taccel_lab.calibration.markers.tracking import track_markers
-from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
+from taccel_lab.calibration.markers.tracking import associate, track_markers
+from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus, marker_flow_mm
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.camera.media import media_between
 from taccel_lab.errors import InputError
@@ -165,13 +161,13 @@ def test_figures_of_a_video_say_what_happened() -> None:
 def test_what_tracks_cannot_tell_is_said() -> None:
     true = np.repeat(REST[None], 6, axis=0)
     true[3:] += (0.48 * PITCH, 0.0)
-    codes = {r.code: r.severity for r in track_remarks(track_figures("jump", follow(true)))}
+    codes = {r.code: r.severity for r in track_figures("jump", follow(true)).remarks()}
     assert codes["fast_motion"] is Severity.ERROR
     slow = there_and_back(shear, 8, 0.6)
     slow[5] -= 5000.0
     dark = track_figures("dark", follow(slow))
     assert dark.unseen_frames == (5,)
-    assert [remark.code for remark in track_remarks(dark)] == ["markers_lost"]
+    assert [remark.code for remark in dark.remarks()] == ["markers_lost"]
 
 
 def test_unseen_markers_do_not_slow_the_common_motion() -> None:
@@ -187,7 +183,7 @@ def test_unseen_markers_do_not_slow_the_common_motion() -> None:
     jumped = replace(tracks, uv_px=whole, sigma_px=sigma, status=status)
     figures = track_figures("covered", jumped)
     assert figures.common_step_in_pitches == pytest.approx(0.48, rel=0.02)
-    codes = {r.code: r.severity for r in track_remarks(figures)}
+    codes = {r.code: r.severity for r in figures.remarks()}
     assert codes["fast_motion"] is Severity.ERROR
 
 
@@ -402,13 +398,13 @@ def test_a_calibrated_pose_is_looked_through_as_it_was_fitted(bent: bool) -> Non
     lattice = lattice_index(grid_points())
     layout = fit_layout(grid_points(), lattice)
     folder = CaptureFolder("a test", Path(), "gelsight_mini", None, None, (), None, None, None, ())
-    chosen = choose_view(folder, profile.with_block(posed).with_block(scaled), layout, size).view
+    chosen = choose_view(folder, profile.with_block(posed).with_block(scaled), layout, size)[0]
     assert "camera" in chosen.description
     np.testing.assert_allclose(np.diag(pixel_jacobian(chosen, middle)), scale, rtol=1e-9)
     # A lens without a pose says nothing of millimetres; the calibrated grid does.
     lens = profile.optics.replace(provenance=calibrated("calibrated", {"fx_px": 1.0}))
-    chosen = choose_view(folder, profile.with_block(lens).with_block(scaled), layout, size).view
+    chosen = choose_view(folder, profile.with_block(lens).with_block(scaled), layout, size)[0]
     assert "calibrated scale" in chosen.description
     # And where nothing was measured, that is said.
-    assumed = choose_view(folder, profile, layout, size)
-    assert [remark.code for remark in assumed.remarks] == ["scale_not_measured"]
+    _, remarks = choose_view(folder, profile, layout, size)
+    assert [remark.code for remark in remarks] == ["scale_not_measured"]
