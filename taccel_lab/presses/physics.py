@@ -117,13 +117,6 @@ PHYSICS: dict[Accuracy, PressPhysics] = {
     ),
 }
 
-SURFACE_PHYSICS = dataclasses.replace(
-    PHYSICS[Accuracy.DEFAULT],
-    mesh=PressMeshOptions(elements_per_radius=5.0, core=6, rings=10, layers=3),
-)
-"""Of surfaces that colours and normals are fitted to: as by default, with nodes a tenth of the
-contact's radius apart. Forces need fewer, slopes beside a contact do not."""
-
 
 class Shares(NamedTuple):
     """Of smooth tools, and of tools that may have rims."""

@@ -21,7 +21,7 @@ from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses.press_markers import MARKERS, PressMarkers
 from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.presses.press_states import STATES, PressStates, write_states
-from taccel_lab.processes.beside import Call, at_once
+from taccel_lab.processes.beside import Call
 from taccel_lab.report import (
     draw_contact_forces,
     draw_force_depth,
@@ -52,9 +52,9 @@ def write_press(
     profile: SensorProfile,
     rgb: np.ndarray | None,
     about: Mapping[str, Any],
-    indenter: Indenter | None = None,
-    frames: Sequence[np.ndarray] | None = None,
-    call: Call = at_once,
+    indenter: Indenter,
+    frames: Sequence[np.ndarray] | None,
+    call: Call,
 ) -> None:
     """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
 
@@ -86,7 +86,7 @@ def write_press(
             "von_mises_pa": outcome.von_mises_pa,
         },
     )
-    if outcome.states is not None and indenter is not None:
+    if outcome.states is not None:
         _write_states(folder / STATES, outcome, outcome.states, profile, indenter, frames)
     write_json(
         folder / "press.json",
@@ -115,7 +115,7 @@ def write_seen(
     outcome: PressOutcome,
     profile: SensorProfile,
     rgb: np.ndarray | None,
-    call: Call = at_once,
+    call: Call,
 ) -> PressMarkers | None:
     """Write what a camera shows of a press: ``signals.npz``, its pictures and its dots, which are
     returned; arguments as of ``write_press``."""

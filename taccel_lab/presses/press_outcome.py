@@ -343,10 +343,9 @@ def press_surface(
     indenter: Indenter,
     grid: View,
     designed_rest: RestSurface | None = None,
-    number: int = 0,
 ) -> PressSurface:
-    """What the pixels of ``grid``, or of a camera, show of environment ``number`` of a press that
-    has converged; at rest, of the points that they show now.
+    """What pixels, of ``grid`` or a camera, show of the first environment of a press that has
+    converged; at rest, of the points that they show now.
 
     ``designed_rest``: see ``simulate_press``.
     """
@@ -359,7 +358,7 @@ def press_surface(
         env_count=1,
     )
     signal = SignalTactile.from_solver(env.solver, grid, fine=fine)
-    signal.update(env.state, who=np.arange(env.model.env_count) == number)
+    signal.update(env.state, who=np.arange(env.model.env_count) == 0)
     height, normals, contact = (
         array.numpy()[0] for array in signal.read("height_m", "normals", "contact")
     )
@@ -370,7 +369,7 @@ def press_surface(
         normals=normals.astype(np.float64),
         rest_normals=normals_from_slopes(rest[..., :2]),
         contact_mask=contact.astype(bool),
-        contact_radius_m=math.sqrt(fine.contact_area_m2[number] / math.pi),
+        contact_radius_m=math.sqrt(fine.contact_area_m2[0] / math.pi),
         fine_force_n=None if indenter.texture is None else fine.pressed_n,
     )
 

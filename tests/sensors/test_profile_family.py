@@ -16,7 +16,6 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
-from taccel_lab.presses.physics import SURFACE_PHYSICS
 from taccel_lab.profile import Provenance, load_profile, save_profile
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor
@@ -35,6 +34,7 @@ from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
 from tests.sensors.imported_profiles import SIZE, crowned, imported
 from tests.studies.coarse_presses import coarse
+from tests.support.finite_element_press import SURFACE_PHYSICS
 from tests.support.synthetic_presses import synthetic_captures, write_captures
 from tests.support.variants import variants
 
