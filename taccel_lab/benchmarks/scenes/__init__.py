@@ -11,10 +11,10 @@ from taccel_lab.errors import InputError
 
 SCENES = {
     "peg": "peg",
-    "press_239": "press",
-    "press_2005": "press",
-    "press_2005_quadratic": "press",
-    "press_5215": "press",
+    "press_239": "drag",
+    "press_2005": "drag",
+    "press_2005_quadratic": "drag",
+    "press_5215": "drag",
     "bolt": "bolt",
     "hand": "hand",
     "squeeze": "squeeze",

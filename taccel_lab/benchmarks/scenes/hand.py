@@ -24,7 +24,7 @@ from taccel_lab.benchmarks.scenes.base import (
     pose,
     same_side,
 )
-from taccel_lab.benchmarks.scenes.press import touching_height
+from taccel_lab.benchmarks.scenes.drag import touching_height
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
 from taccel_lab.files.tet_file import read_tet_file
 from taccel_lab.geometry import Region, TetMesh
