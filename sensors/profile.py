@@ -39,6 +39,7 @@ from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.registry import (
+    catalogue_family,
     profile_folder,
     sensor_families,
     sensor_family,
@@ -224,7 +225,7 @@ def stock_sensor(name: str) -> SensorProfile:
     """Loads as ``load_sensor``, for who reads images: a catalogue sensor has the blocks of its
     starter where there is one (``sensors.starters``)."""
     profile = load_sensor(name)
-    return with_starter(profile) if name in sensor_families() else profile
+    return profile if catalogue_family(name) is None else with_starter(profile)
 
 
 def load_sensor(name: str) -> SensorProfile:
@@ -233,7 +234,7 @@ def load_sensor(name: str) -> SensorProfile:
     sensor, view = split_view(name)
     if view is not None:
         return load_sensor(sensor).seen_by(view)
-    if name in sensor_families():
+    if catalogue_family(name) is not None:
         return catalogue_profile(name)
     folder = profile_folder(name)
     if folder is not None or Path(name).exists():
