@@ -50,7 +50,6 @@ from taccel_lab.calibration.circles.joint_fit import (
 from taccel_lab.calibration.circles.result import (
     CutContactError,
     DetectedContact,
-    Refusal,
     UntouchedError,
 )
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
@@ -163,27 +162,27 @@ def seen_contact(
 
 def find_contacts(
     captures: CaptureSet, progress: Progress = silent, grey: Channel | None = None
-) -> list[DetectedContact | Refusal]:
-    """Contact of every press, or the reason why it has none; the presses are fitted together, but
-    those of a ``grey`` sensor (the channel that darkens with depth).
+) -> list[DetectedContact | InputError]:
+    """Contact of every press, or the error that says why it has none; the presses are fitted
+    together, but those of a ``grey`` sensor (the channel that darkens with depth).
 
     A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
     border of the image cuts is found by its part inside where its label says that it is one.
     """
-    found: dict[int, DetectedContact | Refusal] = {}
+    found: dict[int, DetectedContact | InputError] = {}
     if grey is None:
         together = fit_together(captures, progress)
         found |= together.refusals
         judged = zip(together.starts.items(), together.judged(), together.samples, strict=True)
         for (i, start), contact, samples in judged:
             press = captures.presses[i]
-            with _refused(press, i, found):
+            with _refused(i, found):
                 found[i] = _accept(start, contact, samples, press.circle)
     for i, press in enumerate(captures.presses):
         if press.checked and press.circle is not None:
             found[i] = DetectedContact(press.circle, 0.0, 0.0)
         elif grey is not None:
-            with _refused(press, i, found):
+            with _refused(i, found):
                 found[i] = detect_contact(
                     press.image(), captures.background, captures.grid, mask=captures.mask,
                     name=press.source, label=press.circle, grey=grey,
@@ -197,12 +196,12 @@ def fit_together(captures: CaptureSet, progress: Progress = silent) -> FittedTog
     corrected have no part in it."""
     scene = _Scene.of(captures.background, captures.grid, captures.mask)
     starts: dict[int, _Start] = {}
-    refusals: dict[int, Refusal] = {}
+    refusals: dict[int, InputError] = {}
     kept_bytes = 0
     for i, press in enumerate(captures.presses):
         if press.checked and press.circle is not None:
             continue
-        with _refused(press, i, refusals):
+        with _refused(i, refusals):
             start = _Start.of(press.image, scene, press.source, press.once)
             change = start.change
             kept_bytes += change.change.nbytes
@@ -215,18 +214,18 @@ def fit_together(captures: CaptureSet, progress: Progress = silent) -> FittedTog
             return FittedTogether(starts, refusals, ball_px, *_refine([*starts.values()], ball_px))
         except _LostContactError as error:
             gone = next(i for i, start in starts.items() if start is error.start)
-            refusals[gone] = Refusal(captures.presses[gone].name, str(error))
+            refusals[gone] = InputError(str(error))
             del starts[gone]
     return FittedTogether(starts, refusals, [], None, [])
 
 
 @contextmanager
-def _refused(press: CapturedPress, i: int, found: dict[int, Any]) -> Iterator[None]:
+def _refused(i: int, found: dict[int, Any]) -> Iterator[None]:
     """Keeps why a press cannot be used."""
     try:
         yield
     except InputError as error:
-        found[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
+        found[i] = error.with_traceback(None)  # Which would hold the press's pictures.
 
 
 @dataclass(frozen=True)
@@ -310,7 +309,7 @@ class FittedTogether:
 
     starts: dict[int, _Start]
     """By the index of the press."""
-    refusals: dict[int, Refusal]
+    refusals: dict[int, InputError]
     """Of the others."""
     ball_px: list[float]
     """Radius of the ball of each press [px]."""

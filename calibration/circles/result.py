@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts that were found in images, with what speaks for each, and refusals."""
+"""Contacts that were found in images, with what speaks for each, and why there is none."""
 
 from __future__ import annotations
 
@@ -36,22 +36,12 @@ class DetectedContact:
         return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a press cannot be used."""
-
-    name: str
-    message: str
-    cut: bool = False
-    """A contact is there, but the image's border or the mask cuts it: no fault of the captures."""
-
-
 class UntouchedError(InputError):
     """An image in which no change of colour stands out from the noise: nothing touches the gel."""
 
 
 class CutContactError(InputError):
-    """A contact that reaches out of the image, or is mostly masked."""
+    """A contact that reaches out of the image, or is mostly masked: no fault of the captures."""
 
 
 def circle_array(circles: Sequence[ContactCircle]) -> np.ndarray:

@@ -28,7 +28,7 @@ from taccel_lab.calibration.circles.labels import (
     fuse_circles,
 )
 from taccel_lab.calibration.circles.remarks import PRESSES_LEFT_OUT
-from taccel_lab.calibration.circles.result import DetectedContact, Refusal
+from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CachedFile
@@ -41,7 +41,7 @@ LEAST_PRESSES = 6
 MAX_LOST_SHARE = 0.5
 """Part of the presses that may be lost; beyond, something is wrong with the whole set."""
 
-Found = list[DetectedContact | Refusal]
+Found = list[DetectedContact | InputError]
 
 
 def usable_presses(
@@ -64,22 +64,27 @@ def usable_presses(
         found = cached_contacts(captures, progress)
     else:
         found = find_contacts(captures, progress, grey)
-    refusals = [one for one in found if isinstance(one, Refusal)]
     contacts = [one for one in found if isinstance(one, DetectedContact)]
-    if not refusals:
+    lost = [
+        (press.name, one)
+        for press, one in zip(captures.presses, found, strict=True)
+        if isinstance(one, InputError)
+    ]
+    if not lost:
         return captures, contacts, []
-    count, reasons = len(captures.presses), [refusal.message for refusal in refusals]
-    if too_many_lost(count, [refusal.cut for refusal in refusals]):
+    reasons = [str(error) for _, error in lost]
+    cut = [isinstance(error, CutContactError) for _, error in lost]
+    if too_many_lost(len(captures.presses), cut):
         raise InputError("\n".join(reasons))
-    names = ", ".join(refusal.name for refusal in refusals)
+    names = [name for name, _ in lost]
     remark = PRESSES_LEFT_OUT(
-        lost=len(refusals),
-        count=count,
-        names=names,
+        lost=len(lost),
+        count=len(captures.presses),
+        names=", ".join(names),
         reasons="; ".join(reasons),
         advice=" With its circle in captures.toml a press that the border cuts is used by its part "
         "in the image"
-        if any(refusal.cut for refusal in refusals)
+        if any(cut)
         else "",
     )
     kept = tuple(
@@ -87,7 +92,7 @@ def usable_presses(
         for press, one in zip(captures.presses, found, strict=True)
         if isinstance(one, DetectedContact)
     )
-    provenance = {**captures.provenance, "left_out": names}
+    provenance = {**captures.provenance, "left_out": ", ".join(names)}
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
 
 
@@ -135,7 +140,13 @@ def _code_sha256() -> str:
 
 
 def _save(file: BinaryIO, found: Found) -> None:
-    file.write(json.dumps(to_jsonable([asdict(one) for one in found]), allow_nan=False).encode())
+    values = [
+        asdict(one)
+        if isinstance(one, DetectedContact)
+        else {"message": str(one), "cut": isinstance(one, CutContactError)}
+        for one in found
+    ]
+    file.write(json.dumps(to_jsonable(values), allow_nan=False).encode())
 
 
 def _load(file: BinaryIO, count: int) -> Found:
@@ -145,7 +156,7 @@ def _load(file: BinaryIO, count: int) -> Found:
     return [
         DetectedContact(**{**value, "circle": ContactCircle(**value["circle"])})
         if "circle" in value
-        else Refusal(**value)
+        else (CutContactError if value["cut"] else InputError)(value["message"])
         for value in values
     ]
 
