@@ -55,16 +55,6 @@ def unpack_npz(data: bytes) -> dict[str, np.ndarray]:
     return _unpacked(io.BytesIO(data), None, "")
 
 
-def read_npy(path: Path | str) -> np.ndarray:
-    """The array of an ``.npy``; errors as of :func:`read_npz`."""
-    path = require_regular_file(Path(path), MAX_ARRAY_BYTES, "an .npy file")
-    with path.open("rb") as file:
-        try:
-            return _array(file, path.stat().st_size, MAX_ARRAY_BYTES)
-        except InputError as error:
-            raise InputError(f"{path} is not a readable .npy of plain numbers: {error}") from None
-
-
 def finite_numbers(arrays: Mapping[str, np.ndarray], key: str, path: Path | str) -> np.ndarray:
     """The array of that name, if it is there and holds real, finite numbers."""
     values = arrays.get(key)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ from taccel_lab.optics.frames import (
 )
 from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.shading_kernels import Gloss, Layers, hit_kernel, light_kernel
-from taccel_lab.optics.surface import FineFace, GelFace, height_face
+from taccel_lab.optics.surface import FineFace, GelFace
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
@@ -83,7 +82,7 @@ class OpticalModel:
                 channel to match a real sensor.
             gamma: Exponent of the camera's response.
             white_balance: gray or none; see ``exposed``.
-            face: A rigid face in place of a mesh's, such as a formula's; see ``from_formula``.
+            face: A rigid face in place of a mesh's, such as a formula's.
             back_mm: Points on the glued back of ``face`` [mm], shape [n, 3].
             media: What bends sight lines; window and gel of the design when None. Light goes
                 through those in any case.
@@ -108,7 +107,6 @@ class OpticalModel:
         self.device = device
         self._shadows = shadows
         self._gel: GelFace | None = None
-        self._grid_mm: tuple[np.ndarray, np.ndarray] | None = None
         if mesh is not None:
             self._gel = GelFace(mesh, designed=designed, device=device)
             face, back_mm = self._gel.rest, glued_back_mm(mesh)
@@ -145,36 +143,6 @@ class OpticalModel:
         seen = dataclasses.replace(design, camera=camera.camera)
         return cls(seen, mesh, media=camera.media, **options)
 
-    @classmethod
-    def from_formula(
-        cls,
-        design: OpticalDesign,
-        top_mm: Callable[[np.ndarray], np.ndarray],
-        *,
-        half_size_mm: tuple[float, float],
-        back_z_mm: float,
-        step_mm: float = 0.1,
-        **options: Any,
-    ) -> OpticalModel:
-        """Model of an untouched gel from the formula of its contact face, such as ``Pad.top_mm``.
-
-        Args:
-            design: Camera, lights, coating, window.
-            top_mm: Height over gel xy [mm], [..., 2] -> [...], NaN beside the pad.
-            half_size_mm: Half of the extents over which to ask for it.
-            back_z_mm: z of the flat glued back.
-            step_mm: Resolution of the face.
-            options: As of the constructor.
-        """
-        x, y = (
-            np.linspace(-half, half, 2 * max(1, round(half / step_mm)) + 1) for half in half_size_mm
-        )
-        corners = [[sx * x[-1], sy * y[-1], back_z_mm] for sx in (-1, 1) for sy in (-1, 1)]
-        face = height_face(top_mm, x, y)
-        model = cls(design, None, face=face, back_mm=np.array(corners), **options)
-        model._grid_mm = (x, y)
-        return model
-
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height of the image."""
@@ -205,16 +173,6 @@ class OpticalModel:
         names = ("rgb", "linear", "mask", "points_mm", "normals")
         return PreviewImage(*(np.stack([getattr(f, name) for f in frames]) for name in names))
 
-    def render_formula(self, top_mm: Callable[[np.ndarray], np.ndarray]) -> PreviewImage:
-        """Render the image of another face, such as a pressed one, of a model made
-        ``from_formula``; its formula has to be defined where the model's is."""
-        if self._grid_mm is None:
-            raise InputError("a model made from a mesh takes node positions, not a formula")
-        face = height_face(top_mm, *self._grid_mm)
-        if not np.array_equal(face.triangles, self.rest_face.triangles):
-            raise InputError("the formula is defined elsewhere than that of the untouched gel")
-        return self.picture(self._light_of(face))
-
     def light_field(self, positions_m: np.ndarray | None = None) -> LightField:
         """Light on what each pixel sees, for node positions [m] of one environment or at rest."""
         face = self.rest_face
@@ -222,9 +180,9 @@ class OpticalModel:
             if self._gel is None:
                 raise InputError("a model made from a formula has no nodes to move")
             face = self._gel.at(positions_m)
-        return self._light_of(face)
+        return self.light_of(face)
 
-    def _light_of(self, face: FineFace) -> LightField:
+    def light_of(self, face: FineFace) -> LightField:
         self._place(face)
         width, height = self.size_px
         count = width * height

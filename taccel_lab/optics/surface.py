@@ -13,7 +13,6 @@ stay sharp.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -231,40 +230,6 @@ def _interface_faces(mesh: TetMesh) -> np.ndarray:
     if len(under) == 0:
         raise InputError("no face between layer 0 and the skin lies under the contact face")
     return under
-
-
-def height_face(
-    top_mm: Callable[[np.ndarray], np.ndarray], x_mm: np.ndarray, y_mm: np.ndarray
-) -> FineFace:
-    """The face ``z = top_mm(xy)`` on a grid, from a formula such as ``Pad.top_mm``.
-
-    Args:
-        top_mm: Height over gel xy, [..., 2] -> [...], NaN beside the pad.
-        x_mm: Columns of the grid, ascending, shape [nx].
-        y_mm: Rows, ascending, shape [ny].
-    """
-    xy = np.stack(np.meshgrid(x_mm, y_mm, indexing="xy"), axis=-1)
-    z = top_mm(xy)
-    step = 1e-3 * float(min(np.diff(x_mm).min(), np.diff(y_mm).min()))
-    slopes = []
-    for offset in (np.array([step, 0.0]), np.array([0.0, step])):
-        ahead, behind = top_mm(xy + offset), top_mm(xy - offset)
-        central = (ahead - behind) / (2 * step)
-        one_sided = np.where(np.isnan(ahead), z - behind, ahead - z) / step
-        slopes.append(np.where(np.isnan(central), one_sided, central))
-    index = np.arange(z.size).reshape(z.shape)
-    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
-    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
-    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    points = np.concatenate([xy, z[..., None]], axis=-1).reshape(-1, 3)
-    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(z)], axis=-1).reshape(-1, 3)
-    good = np.isfinite(points.sum(axis=1) + normals.sum(axis=1))
-    triangles = triangles[good[triangles].all(axis=1)]
-    if len(triangles) == 0:
-        raise InputError("the height formula is nowhere defined on the given grid")
-    points[~good], normals[~good] = 0.0, [0.0, 0.0, 1.0]
-    edge = float(np.median(np.diff(x_mm)))
-    return FineFace(points, _unit(normals), triangles.astype(np.int32), edge)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

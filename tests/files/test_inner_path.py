@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.files import apart
-from taccel_lab.files.arrays import read_npy, read_npz
+from taccel_lab.files.arrays import read_npz
 from taccel_lab.files.images import read_grey, read_image
 from taccel_lab.files.inner_path import copy_inner, inner_files, inner_path, real_path
 from taccel_lab.files.json_file import read_json
@@ -198,7 +198,7 @@ def test_sizes(count: int, words: str) -> None:
 
 
 READERS: dict[Callable[[Path], Any], str] = {
-    read_npy: "", read_npz: "", read_image: "an image", read_grey: "an image",
+    read_npz: "", read_image: "an image", read_grey: "an image",
     count_frames: "a video", lambda path: list(read_frames(path)): "a video", read_toml: "",
     read_json: "", read_yaml: "",
 }  # fmt: skip

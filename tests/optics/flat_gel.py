@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.optics import Coating, DesignedCamera, Light, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
+from tests.support.formula_model import formula_model
 
 CAMERA_Z = -30.0
 GEL_MM = 4.0
@@ -44,9 +45,7 @@ def model(
     **options: Any,
 ) -> OpticalModel:
     options.setdefault("step_mm", 0.5)
-    return OpticalModel.from_formula(
-        optics, top, half_size_mm=(half, half), back_z_mm=-GEL_MM, **options
-    )
+    return formula_model(optics, top, half_size_mm=(half, half), back_z_mm=-GEL_MM, **options)
 
 
 PLATE = Window(3.0, (30.0, 30.0), 1.49)

@@ -16,10 +16,11 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
 from taccel_lab.optics import DesignedCamera, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
-from taccel_lab.optics.surface import GelFace, height_face, seen_faces
+from taccel_lab.optics.surface import GelFace, seen_faces
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.optics.compare import pressed_top
+from tests.support.formula_model import formula_model
 
 PAD = GelPad(
     length_x_mm=16,
@@ -87,7 +88,7 @@ def test_patches_follow_the_pad_better_than_triangles(mesh: TetMesh) -> None:
 
 def test_mesh_and_formula_give_the_same_picture(mesh: TetMesh) -> None:
     from_mesh = OpticalModel(DESIGN, mesh).render()
-    from_formula = OpticalModel.from_formula(
+    from_formula = formula_model(
         DESIGN, PAD.top_mm, half_size_mm=(8.0, 7.0), back_z_mm=-PAD.thickness_mm
     ).render()
     assert (from_mesh.mask & from_formula.mask).all()
@@ -229,7 +230,5 @@ def test_faces_that_are_not_there(mesh: TetMesh) -> None:
     broken[seen_faces(mesh)[0, 0]] = math.nan
     with pytest.raises(InputError, match="NaN"):
         GelFace(mesh).at(broken)
-    with pytest.raises(InputError, match="nowhere defined"):
-        height_face(lambda xy: np.full(xy.shape[:-1], np.nan), np.arange(3.0), np.arange(3.0))
     with pytest.raises(InputError, match=r"\[env, node, 3\]"):
         OpticalModel(DESIGN, mesh).render(np.zeros((0, 3, 3)))

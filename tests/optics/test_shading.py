@@ -17,6 +17,7 @@ from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.shading_kernels import Gloss, glossy
 from tests.optics.flat_gel import GEL_MM, PLATE, design, model
+from tests.support.formula_model import render_formula
 
 UP = (0.0, 0.0, 1.0)
 
@@ -257,7 +258,7 @@ def test_other_formulas_keep_the_exposure() -> None:
         return np.full(xy.shape[:-1], -1.0)
 
     optics = model(design(*two_lights(), window=PLATE))
-    pressed = optics.render_formula(lower)
+    pressed = render_formula(optics, lower, (15.0, 15.0), 0.5)
     assert np.nanmax(pressed.points_mm[..., 2]) == pytest.approx(-1.0, abs=1e-5)
     alone = model(design(*two_lights(), window=PLATE), lower).render()
     np.testing.assert_allclose(pressed.linear, alone.linear, rtol=1e-5)
@@ -298,7 +299,5 @@ def test_input_that_shows_nothing() -> None:
         model(looking_back)
     with pytest.raises(InputError, match="no nodes to move"):
         model(design(light)).render(np.zeros((4, 3)))
-    with pytest.raises(InputError, match="defined elsewhere"):
-        model(design(light)).render_formula(lambda xy: np.where(xy[..., 0] > 0, np.nan, 0.0))
     with pytest.raises(InputError, match="needs a mesh"):
         OpticalModel(design(light), None)

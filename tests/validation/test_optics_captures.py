@@ -31,6 +31,7 @@ from tests.optics.compare import (
     compare_press,
     pressed_top,
 )
+from tests.support.formula_model import formula_model, render_formula
 from tests.support.real_data import real_data, taxim_presses
 
 LONG_SIDE_PX = 240
@@ -160,7 +161,7 @@ class _Bench:
     """Medians of the real background: its exposure and white balance."""
 
     def model(self) -> OpticalModel:
-        return OpticalModel.from_formula(
+        return formula_model(
             self.design,
             self.top,
             half_size_mm=self.half_mm,
@@ -230,7 +231,7 @@ def _compare_press(
     contact = min(radius * mm_per_px, 0.98 * press.ball_mm)
     center = (float(at[0]), float(at[1]))
     top = pressed_top(bench.top, center, contact, press.ball_mm, thin=press.thin_gel)
-    model = preview.rgb, untouched.render_formula(top).rgb
+    model = preview.rgb, render_formula(untouched, top, bench.half_mm, STEP_MM).rgb
     real = _resized(press.background, bench.size_px), _resized(press.image, bench.size_px)
     return compare_press(real, model, (u, v), radius), (real, model)
 

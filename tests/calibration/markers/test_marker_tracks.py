@@ -31,11 +31,11 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics import Coating, DesignedCamera, Light, MarkerGrid, OpticalDesign, Window
-from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
 from taccel_lab.report.remark import Severity
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
+from tests.support.formula_model import formula_model
 from tests.support.real_data import real_data
 
 PITCH = 30.0
@@ -319,7 +319,7 @@ def test_a_rendered_grid_comes_back_through_the_camera(
         turn_deg, stagger, missing,
     )  # fmt: skip
     optics = design(camera)
-    model = OpticalModel.from_formula(
+    model = formula_model(
         optics, lambda xy: np.zeros(xy.shape[:-1]), half_size_mm=(14.0, 14.0), back_z_mm=-4.0,
         step_mm=0.5, markers=truth,
     )  # fmt: skip
