@@ -8,6 +8,17 @@ lets others have their turn while its device is at work, and each thread has a c
 own, as in torch. A program with one thread pays for taking a lock that nobody holds.
 
 What a user makes or launches in another thread needs a turn as well: ``with TURNS: ...``.
+
+Why ``stream`` and ``set_stream`` of Warp's class of devices are replaced, and nothing else of Warp:
+
+- Warp asks ``device.stream`` at every launch, copy and capture. A lock alone does not do: two
+  threads that each chose a stream would, turn by turn, launch on that which was chosen last.
+- A subclass does not do either: Warp makes its devices when it starts, and hands them out by name.
+- With one thread both answer as Warp's own do; a device that nobody watches is left alone.
+
+Upstream would have to offer two things to make this file go: a current stream for each thread, as
+``torch.cuda.current_stream`` has, and captures that record what their own thread launches. What
+would stay is the order between Warp's streams and torch's.
 """
 
 from __future__ import annotations
