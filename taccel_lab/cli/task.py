@@ -135,11 +135,11 @@ class TaskRecord:
         console = notes()
         with atomic_directory(self.out) as folder:
             with stage_progress(console) as progress:
-                recording, trial = record_seed(
+                replay, trial = record_seed(
                     task, self.seed, self.device, progress, colors=default_colors(None)
                 )
             with working(console, "writing the replay"):
-                write_replay(recording, trial, folder)
+                write_replay(replay, folder)
             values = {name: value for name, value in vars(trial).items() if name != "felt"}
             values = {"task": task.name, **values}
             write_json(folder / "trial.json", values)

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.bodies.mass_properties import mass_properties
+from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
+from taccel_lab.model import BodyKind, Model
 from taccel_lab.scene import (
     AffineBody,
+    Ball,
     Element,
     KinematicBody,
     Material,
@@ -120,3 +123,25 @@ def mounts_of(hands: np.ndarray, half_m: np.ndarray) -> np.ndarray:
         in_hand[:, k, :3, 2] = [-side, 0.0, 0.0]
         in_hand[:, k, 0, 3] = side * half_m[:, k]
     return hands[:, None] @ in_hand
+
+
+def surfaces(
+    scene: SceneDescription, model: Model, positions: np.ndarray
+) -> list[tuple[Any, np.ndarray, np.ndarray]]:
+    """Kind, vertices [m] and triangles of every body that has a surface, of one environment.
+
+    ``positions``: of its nodes [m], [node_count, 3]. Planes are left out.
+    """
+    found = []
+    bodies = [b for b in scene.bodies if hasattr(b, "surface")]
+    for body, nodes in zip(bodies, model.bodies, strict=True):
+        place = positions[nodes.node_slice]
+        shape = getattr(body, "shape", None)
+        if nodes.kind is BodyKind.SOFT:
+            found.append((nodes.kind, place, body.nodal_mesh.faces))  # type: ignore[union-attr]
+        elif isinstance(shape, Ball):
+            ball = sphere_mesh(shape.radius_m, shape.radius_m / 10)
+            found.append((nodes.kind, ball.vertices_m + place[0], ball.faces))
+        elif shape is not None:
+            found.append((nodes.kind, place, shape.faces))
+    return found

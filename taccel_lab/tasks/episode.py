@@ -140,9 +140,9 @@ class TaskEpisode(ABC):
         forces = [self.force_on(body, other, friction) for other in others]
         return np.linalg.norm(np.stack(forces, axis=1), axis=2)
 
-    def affine_frame(self, body: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Centre of mass [m], [env, 3], of an affine body, and its principal axes times a length
-        in columns, [env, 3, 3]: unchanged in shape, they tell how it has turned."""
-        first = self.model.affine.first_control + 4 * body
+    def affine_frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """Centre of mass [m], [env, 3], of the first affine body, and its principal axes times a
+        length in columns, [env, 3, 3]: unchanged in shape, they tell how it has turned."""
+        first = self.model.affine.first_control
         rows = self.state.positions.numpy()[:, first : first + 4].copy()
         return rows[:, 0], np.swapaxes(rows[:, 1:], 1, 2)

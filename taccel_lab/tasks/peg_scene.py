@@ -158,20 +158,19 @@ def tube(inner: np.ndarray, outer: np.ndarray, height: float) -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def generated_gel(cells: tuple[int, int, int] = (6, 7, 1)) -> TetMesh:
+def generated_gel() -> TetMesh:
     """Of the published dimensions, in the frame of ``PegParts``."""
     size = (20.75e-3, 25.25e-3, 4e-3)
-    pad = block_mesh(cells, size, jitter=0.15, seed=4)
+    pad = block_mesh((6, 7, 1), size, jitter=0.15, seed=4)
     return labelled(pad.nodes_m + [0, 0, size[2] / 2], pad.tets)
 
 
-def generated_parts(cells: tuple[int, int, int] = (6, 7, 1)) -> PegParts:
+def generated_parts() -> PegParts:
     """Meshes of the published dimensions; about as many gel nodes as the published pad."""
-    gel = generated_gel(cells)
     peg = prism(dog_bone(15e-3, 17.5e-3, 5e-3, 11.7265e-3), DOG_BONE_CAP, 50e-3)
     hole = dog_bone(17e-3, 20.9641e-3, 4.4641e-3, 13.7265e-3)
     outside = dog_bone(25e-3, 35e-3, 4.4641e-3, 35e-3)
-    return PegParts(gel, peg, tube(hole, outside, 20e-3))
+    return PegParts(generated_gel(), peg, tube(hole, outside, 20e-3))
 
 
 def peg_scene(

@@ -3,34 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.gel_faces import Colors
+from taccel_lab.tasks.bodies import surfaces
 from taccel_lab.tasks.catalogue import Task
-from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
+from taccel_lab.tasks.replay import ReplayBody, TaskReplay
 from taccel_lab.tasks.result import TaskTrial
 
 FRAMES_PER_S = 25
 """A frame shows a step of 1 / 25 s, or of the task's own where these are longer."""
-
-
-@dataclass
-class TaskRecording:
-    """Frames of one seed."""
-
-    name: str
-    episode: TaskEpisode
-    grid: PixelGrid
-    times_s: list[float] = field(default_factory=list)
-    positions_m: list[np.ndarray] = field(default_factory=list)
-    """Of all nodes, [node_count, 3]."""
-    gel: list[GelSnapshot] = field(default_factory=list)
-    forces_n: list[dict[str, float]] = field(default_factory=list)
 
 
 def record_seed(
@@ -40,19 +26,23 @@ def record_seed(
     progress: Progress = silent,
     *,
     colors: Colors,
-) -> tuple[TaskRecording, TaskTrial]:
+) -> tuple[TaskReplay, TaskTrial]:
     """Run one seed and record it; ``colors``: of the gel's tactile images."""
     episode = task.begin([seed], device)
     dt = task.parameters.dt_s
     every = max(1, round(1 / (FRAMES_PER_S * dt)))
     watch = GelWatch(episode.solver, episode.gel, colors)
-    recording = TaskRecording(task.name, episode, watch.grid)
+    times_s: list[float] = []
+    bodies: list[list[tuple[Any, np.ndarray, np.ndarray]]] = []
+    gel: list[GelSnapshot] = []
+    forces: list[dict[str, float]] = []
 
     def show() -> None:
-        recording.times_s.append(episode.taken * dt)
-        recording.positions_m.append(episode.state.positions.numpy()[0].copy())
-        recording.gel.append(watch.frame(episode.state, stepped=episode.taken > 0))
-        recording.forces_n.append(episode.forces())
+        times_s.append(episode.taken * dt)
+        positions = episode.state.positions.numpy()[0].copy()
+        bodies.append(surfaces(episode.scene, episode.model, positions))
+        gel.append(watch.frame(episode.state, stepped=episode.taken > 0))
+        forces.append(episode.forces())
 
     show()
     while not episode.over:
@@ -60,4 +50,25 @@ def record_seed(
         progress(task.name, episode.taken, episode.step_limit)
         if episode.taken % every == 0:
             show()
-    return recording, episode.trials()[0]
+    trial = episode.trials()[0]
+    replay = TaskReplay(
+        task=task.name,
+        seed=seed,
+        cause=trial.cause,
+        times_s=np.array(times_s),
+        bodies=[
+            ReplayBody(
+                f"body {k}",
+                kind.name.lower(),
+                np.stack([frame[k][1] for frame in bodies]).astype(np.float32),
+                np.asarray(faces, dtype=np.int32),
+            )
+            for k, (kind, _, faces) in enumerate(bodies[0])
+        ],
+        forces_n={name: np.array([row[name] for row in forces]) for name in forces[0]},
+        depth_m=np.array([frame.depth_m for frame in gel]),
+        pressure_pa=np.array([frame.pressure_pa for frame in gel]),
+        markers_px=np.array([frame.markers_px for frame in gel]),
+        rgb=np.array([frame.rgb for frame in gel]),
+    )
+    return replay, trial

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,6 @@ from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
-
-if TYPE_CHECKING:
-    from taccel_lab.tasks.recording import TaskRecording
-    from taccel_lab.tasks.result import TaskTrial
 
 REPLAY = "replay.json"
 KINDS = ("soft", "affine", "kinematic")
@@ -52,7 +47,7 @@ class TaskReplay:
     forces_n: dict[str, np.ndarray]
     """By name, [frame]."""
     depth_m: np.ndarray
-    """As of ``GelFrame``, float32 [frame, height_px, width_px]."""
+    """As of ``GelSnapshot``, float32 [frame, height_px, width_px]."""
     pressure_pa: np.ndarray
     """Float32 [frame, height_px, width_px]."""
     markers_px: np.ndarray
@@ -66,30 +61,17 @@ class TaskReplay:
         return f"failure: {self.cause}" if self.cause else "success"
 
 
-def write_replay(recording: TaskRecording, trial: TaskTrial, folder: Path) -> None:
+def write_replay(replay: TaskReplay, folder: Path) -> None:
     """Write ``replay.json`` and ``replay.npz`` into a folder that exists."""
-    from taccel_lab.tasks.scene_picture import surfaces
-
-    episode = recording.episode
-    frames = [surfaces(episode.scene, episode.model, place) for place in recording.positions_m]
-    arrays: dict[str, np.ndarray] = {
-        "times_s": np.array(recording.times_s),
-        "depth_m": np.array([frame.depth_m for frame in recording.gel]),
-        "pressure_pa": np.array([frame.pressure_pa for frame in recording.gel]),
-        "markers_px": np.array([frame.markers_px for frame in recording.gel]),
-        "rgb": np.array([frame.rgb for frame in recording.gel]),
-    }
-    names = list(recording.forces_n[0])
-    arrays["forces_n"] = np.array([[row[name] for name in names] for row in recording.forces_n])
-    bodies = []
-    for k, (kind, _, faces) in enumerate(frames[0]):
-        places = np.stack([frame[k][1] for frame in frames])
-        arrays[f"vertices_m_{k}"] = places.astype(np.float32)
-        arrays[f"faces_{k}"] = np.asarray(faces, dtype=np.int32)
-        bodies.append({"name": f"body {k}", "kind": kind.name.lower()})
+    names = ("times_s", "depth_m", "pressure_pa", "markers_px", "rgb")
+    arrays = {name: getattr(replay, name) for name in names}
+    arrays["forces_n"] = np.stack(list(replay.forces_n.values()), axis=1)
+    for k, body in enumerate(replay.bodies):
+        arrays |= {f"vertices_m_{k}": body.vertices_m, f"faces_{k}": body.faces}
     write_by(folder / _ARRAYS, partial(np.savez_compressed, **arrays))
-    about = {"task": recording.name, "seed": trial.seed, "cause": trial.cause}
-    write_json(folder / REPLAY, {**about, "bodies": bodies, "forces": names})
+    about = {"task": replay.task, "seed": replay.seed, "cause": replay.cause}
+    bodies = [{"name": body.name, "kind": body.kind} for body in replay.bodies]
+    write_json(folder / REPLAY, {**about, "bodies": bodies, "forces": list(replay.forces_n)})
 
 
 def read_replay(folder: Path) -> TaskReplay:

@@ -13,9 +13,9 @@ import numpy as np
 
 from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_note, page_table
+from taccel_lab.tasks.bodies import surfaces
 from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
 from taccel_lab.tasks.replay import read_replay
-from taccel_lab.tasks.scene_picture import surfaces
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import Field, SensorImages
 from taccel_lab.viewer.sensor_panel import SensorPanel

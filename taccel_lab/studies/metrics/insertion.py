@@ -8,38 +8,47 @@ policy, starts and criterion, with gels of the design.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from taccel_lab.studies.metrics.base import metric
 from taccel_lab.studies.metrics.evidence import Evidence
 from taccel_lab.tasks.result import TaskTrial, success_interval
 
 
-def _successes(
-    name: str, description: str, trials: Callable[[Evidence], Sequence[TaskTrial]]
-) -> None:
-    """Register ``NAME_success`` over all seeds, and both ends of its interval: designs whose
-    intervals lie apart differ, and the low end ranks those that were tried from few starts."""
+def _trials(evidence: Evidence) -> Sequence[TaskTrial]:
+    return evidence.insertion.trials
 
-    def share(end: int) -> Callable[[Evidence], float]:
-        def compute(evidence: Evidence) -> float:
-            found = trials(evidence)
-            return 1e2 * success_interval(sum(trial.success for trial in found), len(found))[end]
 
-        return compute
+def _vitac_trials(evidence: Evidence) -> Sequence[TaskTrial]:
+    return evidence.vitac
 
-    interval = f"end of the 95 % interval of {name}_success (Wilson)"
-    for end, (word, meaning) in enumerate(
-        (("success", description), ("low", f"lower {interval}"), ("high", f"upper {interval}"))
+
+def _percent(
+    trials: Callable[[Evidence], Sequence[TaskTrial]], place: int, evidence: Evidence
+) -> float:
+    """Part of the seeds that succeed, or an end of its interval: designs whose intervals lie apart
+    differ, and the low end ranks those that were tried from few starts."""
+    found = trials(evidence)
+    return 1e2 * success_interval(sum(trial.success for trial in found), len(found))[place]
+
+
+for _name, _trials_of, _meaning in (
+    (
+        "insertion",
+        _trials,
+        "part of the starts of the task touch-insertion from which a fixed policy that sees the "
+        "design's markers gets a peg into its hole",
+    ),
+    ("vitac", _vitac_trials, "as insertion_success, of the three pegs of ManiSkill-ViTac 2025"),
+):
+    _interval = f"end of the 95 % interval of {_name}_success (Wilson)"
+    for _place, (_word, _text) in enumerate(
+        (("success", _meaning), ("low", f"lower {_interval}"), ("high", f"upper {_interval}"))
     ):
-        metric(f"{name}_{word}", "%", meaning, "higher", (), runs_task=True)(share(end))
-
-
-_successes(
-    "insertion",
-    "part of the starts of the task touch-insertion from which a fixed policy that sees the "
-    "design's markers gets a peg into its hole",
-    lambda evidence: evidence.insertion.trials,
-)
+        # A partial of functions of this module, which other processes find.
+        metric(f"{_name}_{_word}", "%", _text, "higher", (), runs_task=True)(
+            partial(_percent, _trials_of, _place)
+        )
 
 
 @metric(
@@ -50,10 +59,3 @@ _successes(
 def insertion_force(evidence: Evidence) -> float:
     """What the policy does not feel it pushes on."""
     return evidence.insertion.table()["figures"]["jam_force_n"]["median"]
-
-
-_successes(
-    "vitac",
-    "as insertion_success, of the three pegs of ManiSkill-ViTac 2025",
-    lambda evidence: evidence.vitac,
-)

@@ -39,7 +39,6 @@ class Kit:
     metrics: Mapping[str, Metric]
     evaluate: Callable[..., list[DesignFigures]]
     """As ``evaluate.evaluate_designs``; a function of a module, so that other processes find it."""
-    version: int = EVALUATION_VERSION
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class Study:
             {
                 "family": self.family.identity,
                 "parameters": {**defaults, **parameters},
-                "version": self.kit.version,
+                "version": EVALUATION_VERSION,
             }
         )
 
