@@ -29,7 +29,7 @@ COMMANDS = {
     "quick": "quick:Quick",
     "compare": "compare:Compare",
     "report": "report.pages:Report",
-    "scenes": "scenes.listing:Scenes",
+    "scenes": "scenes:Scenes",
 }
 """Modules below ``taccel_lab.benchmarks`` and their classes of options, suites first."""
 DESCRIPTION = """Measure speed at a stated error, and compare results.

@@ -17,7 +17,7 @@ class ViewCommand:
     sections, force arrows, sensor image with markers.
 
     The type of SOURCE is detected: a sensor or profile, a press (--states keeps every step), a
-    study, a data set, or a recorded task (taccel-lab task record --states). A task runs live.
+    study, a data set, or a recorded task (taccel-lab task record). A task runs live.
     Ctrl-C closes the page. Needs the extra view: pip install 'taccel-lab[view]'.
     Example: taccel-lab view out/press
     """
@@ -37,8 +37,7 @@ class ViewCommand:
         from taccel_lab.model.devices import require_device
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import viser_module
-        from taccel_lab.viewer.pages import serve_source
-        from taccel_lab.viewer.sources import find_source
+        from taccel_lab.viewer.pages import find_source, serve_source
 
         start_warp()
         viser_module()

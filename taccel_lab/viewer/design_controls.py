@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sliders of a family's parameters, by group, with bounds and sources, and refusals beside them."""
+"""Sliders of a family's parameters, by group, with bounds and sources, and refusals beside them;
+undo and redo of what they were moved to."""
 
 from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from taccel_lab.cad.parameters import Parameter, parse_value, value_text
 from taccel_lab.report.page_text import Note, PageText, add_html_note
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
     from taccel_lab.sensors.base import SensorFamily
+
 
 OPEN_GROUPS = ("gel", "material")
 """Groups that are unfolded at first."""
@@ -147,3 +150,38 @@ def slider_places(parameter: Parameter) -> tuple[float, float, float]:
         digits = math.floor(math.log10(abs(parameter.default))) - 2
         step = min(step, max(10.0**digits, step / 10))
     return low, high, step
+
+
+T = TypeVar("T")
+
+TOGETHER_S = 1.0
+"""Changes of one control within this time of each other are one step: a slider that is dragged."""
+
+
+class History(Generic[T]):
+    """Values in the order in which they came, and which of them is current."""
+
+    def __init__(self, first: T, clock: Callable[[], float] = time.monotonic) -> None:
+        self._values, self._at = [first], 0
+        self._clock, self._control, self._changed_s = clock, "", float("-inf")
+
+    def add(self, value: T, control: str) -> None:
+        """Append a value that a change of ``control`` led to; what was undone is dropped."""
+        if value == self._values[self._at]:
+            return
+        now = self._clock()
+        together = control == self._control and now - self._changed_s < TOGETHER_S
+        del self._values[self._at + 1 :]
+        if together and self._at:
+            self._values[self._at] = value
+        else:
+            self._values.append(value)
+            self._at += 1
+        self._control, self._changed_s = control, now
+
+    def step(self, by: int) -> T | None:
+        """Go back (-1) or forth (1) and return that value; None at the end."""
+        if not 0 <= self._at + by < len(self._values):
+            return None
+        self._at, self._control = self._at + by, ""
+        return self._values[self._at]

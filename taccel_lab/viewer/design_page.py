@@ -17,6 +17,7 @@ from taccel_lab.report.live_page import PageOptions, live_page, viser_module
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.scene import sphere_mesh
 from taccel_lab.sensors.base import all_optics
+from taccel_lab.viewer.background_press import NewestFirst
 from taccel_lab.viewer.ball_press import (
     BallPress,
     PressAnswer,
@@ -24,20 +25,21 @@ from taccel_lab.viewer.ball_press import (
     height_profile_mm,
 )
 from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.design_answer import PICTURES, Choice, DesignAnswer, DesignAnswers
-from taccel_lab.viewer.design_controls import DesignControls
-from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
-from taccel_lab.viewer.design_words import (
+from taccel_lab.viewer.design_answer import (
+    PICTURES,
+    Choice,
+    DesignAnswer,
+    DesignAnswers,
     force_table,
     heading,
     quality_table,
     stage_words,
     stiffness_words,
 )
+from taccel_lab.viewer.design_controls import DesignControls, History
+from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.gel_view import GelView
-from taccel_lab.viewer.history import History
-from taccel_lab.viewer.newest_first import NewestFirst
 from taccel_lab.viewer.parts_view import draw_optics
 from taccel_lab.viewer.section import linear_tets
 from taccel_lab.viewer.sensor_panel import SensorPanel

@@ -236,7 +236,7 @@ def _starter_colors() -> Colors:
 
 
 def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
-    """Show what ``taccel-lab task record --states`` kept."""
+    """Show what ``taccel-lab task record`` kept."""
     replay = read_replay(folder)
     every = np.concatenate([body.vertices_m.reshape(-1, 3) for body in replay.bodies])
     look_at(server, 1e3 * every.astype(np.float64), DIRECTION)

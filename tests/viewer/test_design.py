@@ -23,20 +23,24 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import QuadraticMesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
-from taccel_lab.viewer.background_press import BackgroundPress
+from taccel_lab.viewer.background_press import BackgroundPress, NewestFirst
 from taccel_lab.viewer.ball_press import (
     BallPress,
     PressAnswer,
     SupersededError,
     formula_force_n,
 )
-from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers, _press_key
-from taccel_lab.viewer.design_controls import slider_places
+from taccel_lab.viewer.design_answer import (
+    Choice,
+    DesignAnswer,
+    DesignAnswers,
+    _press_key,
+    heading,
+    stiffness_words,
+)
+from taccel_lab.viewer.design_controls import History, slider_places
 from taccel_lab.viewer.design_export import TOML, command_line, export, packed, read_design
 from taccel_lab.viewer.design_press import press_ball
-from taccel_lab.viewer.design_words import heading, stiffness_words
-from taccel_lab.viewer.history import History
-from taccel_lab.viewer.newest_first import NewestFirst
 
 PRESS = BallPress(3.0, 0.4)
 
@@ -146,7 +150,7 @@ def test_a_design_without_light_or_a_drawing_has_all_other_pieces(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from taccel_lab.viewer import design_answer
-    from taccel_lab.viewer.design_words import force_table, stage_words
+    from taccel_lab.viewer.design_answer import force_table, stage_words
 
     def no_drawing(name: str, pad: object) -> np.ndarray:
         raise InputError("the CAD kernel cannot build this pad")
@@ -176,7 +180,7 @@ def _modulus(answer: DesignAnswer) -> float:
 
 
 def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
-    from taccel_lab.viewer.design_words import force_table, stage_words
+    from taccel_lab.viewer.design_answer import force_table, stage_words
 
     answer = DesignAnswer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
     answer.seconds = {"formula": 0.04, "solid": 0.2}
@@ -308,7 +312,7 @@ def test_other_files_are_no_designs(tmp_path: Path, text: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "9dtact"])
 def test_the_quick_press_is_as_near_as_the_page_says(name: str) -> None:
-    from taccel_lab.viewer.design_words import QUICK_PERCENT
+    from taccel_lab.viewer.design_answer import QUICK_PERCENT
 
     parameters = sensor_family(name).parameters()
     press = PRESS.limited(parameters.pad().thickness_mm)

@@ -29,10 +29,9 @@ from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView, probe
-from taccel_lab.viewer.pages import source_page
+from taccel_lab.viewer.pages import find_source, source_page
 from taccel_lab.viewer.painting import bar_html, map_rgb, painted, shares
 from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets, linear_tets
-from taccel_lab.viewer.sources import find_source
 from tests.viewer.browser import chromium_page, shared_browser, wait_for  # noqa: F401
 from tests.viewer.test_damaged_sources import (
     ABOUT,

@@ -18,8 +18,8 @@ from taccel_lab.scene import Element
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.tasks.replay import read_replay
+from taccel_lab.viewer.pages import Kind, find_source
 from taccel_lab.viewer.press_folder import STATES, read_press
-from taccel_lab.viewer.sources import Kind, find_source
 from taccel_lab.viewer.study_page import press_files, read_design_press
 from tests.support.small_captures import write_profile
 

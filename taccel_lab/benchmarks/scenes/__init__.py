@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import import_module
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions
@@ -35,4 +35,17 @@ def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
     return replace(bench, lag=options.lag)
 
 
-__all__ = ["SCENES", "BenchScene", "SceneOptions", "build_scene"]
+@dataclass(frozen=True)
+class Scenes:
+    """List the scenes: bodies, unknowns, steps, where their meshes are from."""
+
+    source: str = "auto"
+    """Meshes: published, generated, or auto for the published ones where they are."""
+
+    def run(self) -> None:
+        for name in SCENES:
+            bench = build_scene(name, SceneOptions(source=self.source))
+            print(f"{name:<20} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")
+
+
+__all__ = ["SCENES", "BenchScene", "SceneOptions", "Scenes", "build_scene"]
