@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks import learning
-from taccel_lab.benchmarks.command_line import main
 from taccel_lab.benchmarks.learning import gel_signal
 from taccel_lab.benchmarks.report.sections import SECTIONS, number
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.signals import resultant_wrench
+from tests.support.bench import bench
 
 BOTH = ("rgb", "wrench")
 
@@ -143,5 +143,5 @@ def test_what_cannot_be_observed_is_refused(
     words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ["--out", str(tmp_path)]
-    assert main(["learning", "--observe", *words.split(), *out]) == 2
+    assert bench(["learning", "--observe", *words.split(), *out]) == 2
     assert f"--observe must be rgb, wrench or both, got {words}" in capsys.readouterr().err

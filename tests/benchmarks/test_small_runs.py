@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.benchmarks import press_accuracy, readings
-from taccel_lab.benchmarks.command_line import main
 from taccel_lab.benchmarks.report.sections import VERIFICATION
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.presses import PHYSICS, Accuracy
+from tests.support.bench import bench
 
 # Readings -----------------------------------------------------------------------------------------
 
@@ -21,7 +21,7 @@ def test_images_are_read_at_a_speed_and_an_error(
 ) -> None:
     monkeypatch.setattr(readings, "SIZES", ((120, 96),))
     words = ["readings", "--at-once", "1", "2", "--repeats", "1", "--out", str(tmp_path)]
-    assert main(words) == 0
+    assert bench(words) == 0
     document = read_result(tmp_path / "readings.json")
     assert [row["at_once"] for row in document["rows"]] == [1, 2]
     for row in document["rows"]:
@@ -42,7 +42,7 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     coarse = {**PHYSICS, Accuracy.DEFAULT: PHYSICS[Accuracy.FAST]}
     monkeypatch.setattr(press_accuracy, "PHYSICS", coarse)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
-    assert main([*words, "--tools", "ball 1.5"]) == 0
+    assert bench([*words, "--tools", "ball 1.5"]) == 0
     document = read_result(tmp_path / "press_accuracy.json")
     fast, asked = document["rows"]
     assert (fast["setting"], asked["setting"]) == ("fast", "3%")
@@ -55,8 +55,8 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     text = VERIFICATION["press accuracy"]({"press_accuracy": [document | {"file": "x.json"}]})
     assert "| fast, balls | 1 |" in text and "| 3%, balls | 1 |" in text
     assert "1 of 3 presses did not converge" in text
-    assert main([*words, "--tools", "hammer"]) == 2
-    assert main(["press_accuracy", "--families", "no_such", "--out", str(tmp_path)]) == 2
+    assert bench([*words, "--tools", "hammer"]) == 2
+    assert bench(["press_accuracy", "--families", "no_such", "--out", str(tmp_path)]) == 2
 
 
 def test_every_tool_meets_every_material() -> None:

@@ -12,14 +12,15 @@ import warp as wp
 from tyro._docstrings import get_field_docstring
 
 from taccel_lab.benchmarks import quick
-from taccel_lab.benchmarks.command_line import COMMANDS, main, options_of, parse
 from taccel_lab.benchmarks.compare import IDENTITY, compare, identity
 from taccel_lab.benchmarks.measure import LaunchCounter, MemoryMeter
 from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios, read_peers
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from taccel_lab.benchmarks.speed import Speed
+from taccel_lab.cli.bench import COMMANDS, options_of, parse_bench
 from taccel_lab.errors import InputError
+from tests.support.bench import bench
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def speed_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short run of the suite, through its command line."""
     out = tmp_path_factory.mktemp("speed") / "speed.json"
     arguments = "speed --scene press_239 --envs 1 2 --steps 3 --repeats 2 --no-startup --check"
-    assert main([*arguments.split(), "--source", "generated", "--out", str(out)]) == 0
+    assert bench([*arguments.split(), "--source", "generated", "--out", str(out)]) == 0
     return out
 
 
@@ -54,7 +55,7 @@ def test_speed_rows(speed_result: Path) -> None:
 
 def test_a_budget_that_is_spent_starts_nothing(tmp_path: Path) -> None:
     arguments = ["speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]
-    assert main(arguments) == 0
+    assert bench(arguments) == 0
     document = read_result(tmp_path / "speed.json")
     assert document["rows"] == [] and document["complete"] is False
     assert not Deadline(None).passed
@@ -84,7 +85,7 @@ def test_unusable_input_ends_with_code_two(
 ) -> None:
     if arguments[0] != "compare":
         arguments = [*arguments, "--out", str(tmp_path)]
-    assert main(arguments) == 2
+    assert bench(arguments) == 2
     assert says in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -94,17 +95,13 @@ def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
 ) -> None:
     (tmp_path / "file").write_text("mine")
     monkeypatch.setattr(Speed, "measure_rows", lambda *_: pytest.fail("measured"))
-    assert main(["speed", "--out", str(tmp_path / "file" / "out")]) == 2
+    assert bench(["speed", "--out", str(tmp_path / "file" / "out")]) == 2
     assert "is a file" in capsys.readouterr().err
 
 
-def test_both_command_lines_are_one() -> None:
-    from taccel_lab.cli.app import parse as parse_all
-
+def test_options_are_read() -> None:
     words = ["speed", "--envs", "1", "16", "--device", "cuda:0", "--no-startup"]
-    ours = parse(words)
-    assert ours == parse_all(["bench", *words])
-    assert ours == Speed(envs=(1, 16), device="cuda:0", startup=False)
+    assert parse_bench(words) == Speed(envs=(1, 16), device="cuda:0", startup=False)
 
 
 def test_results_of_the_repository_are_written_on_request_only() -> None:
@@ -119,7 +116,7 @@ def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str])
     for item in dataclasses.fields(options):
         assert get_field_docstring(options, item.name, ()), item.name
     with pytest.raises(SystemExit) as done:
-        main([command, "--help"])
+        bench([command, "--help"])
     assert done.value.code == 0
     assert (options.__doc__ or "?").split("\n")[0][:40] in capsys.readouterr().out
 
@@ -127,12 +124,12 @@ def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str])
 def test_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     for words in ([], ["--help"]):
         with pytest.raises(SystemExit) as done:
-            main(words)
+            bench(words)
         assert done.value.code == 0
         text = capsys.readouterr().out
         assert all(f"• {command.replace('_', '-')}" in text for command in COMMANDS)
     with pytest.raises(SystemExit) as done:
-        main(["nonsense"])
+        bench(["nonsense"])
     assert done.value.code == 2
 
 
