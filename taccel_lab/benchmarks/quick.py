@@ -105,7 +105,7 @@ def measure_all() -> dict[str, dict[str, Any]]:
     return {scene: measure(scene) for scene in STEPS}
 
 
-def judge(
+def out_of_bounds(
     baseline: dict[str, dict[str, Any]], found: dict[str, dict[str, Any]]
 ) -> Iterator[QuickFinding]:
     """What is out of bounds, and what has become better by as much."""
@@ -153,7 +153,7 @@ class Quick:
             write_json(BASELINE, {"what": what, "run": describe_run(), "scenes": found})
             note(f"wrote {BASELINE}")
             return
-        findings = list(judge(read_baseline(), found))
+        findings = list(out_of_bounds(read_baseline(), found))
         for finding in findings:
             note(finding.describe())
         failures = sum(finding.is_failure for finding in findings)

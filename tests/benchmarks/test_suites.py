@@ -137,7 +137,7 @@ def test_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_quick_figures_are_those_of_the_baseline() -> None:
-    findings = list(quick.judge(quick.read_baseline(), quick.measure_all()))
+    findings = list(quick.out_of_bounds(quick.read_baseline(), quick.measure_all()))
     assert [f.describe() for f in findings if f.is_failure] == []
 
 
@@ -152,8 +152,10 @@ def test_quick_notices(figure: str) -> None:
         worse[scene][figure] *= 1.2
     else:
         worse[scene][figure] = 1
-    assert list(quick.judge(baseline, baseline)) == []
-    assert [(f.figure, f.is_failure) for f in quick.judge(baseline, worse)] == [(figure, True)]
+    assert list(quick.out_of_bounds(baseline, baseline)) == []
+    assert [(f.figure, f.is_failure) for f in quick.out_of_bounds(baseline, worse)] == [
+        (figure, True)
+    ]
 
 
 # Measuring ------------------------------------------------------------------------------------

@@ -164,7 +164,7 @@ class Referees:
         self.inverted_legally = False
         """Whether a tet of a material that bears it was inverted."""
 
-    def judge(self, taken: Taken, state: State, step: int) -> list[StressFinding]:
+    def findings(self, taken: Taken, state: State, step: int) -> list[StressFinding]:
         """Everything that is wrong after a step."""
         found: list[StressFinding] = []
         converged = taken.report.converged

@@ -158,7 +158,7 @@ class _Run:
         taken = take(solver, outputs, state, target, case.watches_energy, self.last)
         self.last = taken
         report = taken.report
-        found = self.referees.judge(taken, state, step)
+        found = self.referees.findings(taken, state, step)
         self.findings += found
         self.newton += report.newton_iterations.tolist()
         self.cg += report.cg_iterations.tolist()

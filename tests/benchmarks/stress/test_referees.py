@@ -59,7 +59,7 @@ class Step:
         outputs = Outputs(self.solver)
         still = self.state.poses.numpy().reshape(1, 1, 7).copy()
         first = take(self.solver, outputs, self.state, still, True, None)
-        assert self.referees.judge(first, self.state, 0) == []
+        assert self.referees.findings(first, self.state, 0) == []
         aside = 1e-4 if friction else 0.0
         target = pose((aside, 0, 3e-4))[None, None]
         self.taken: Taken = take(self.solver, outputs, self.state, target, True, first)
@@ -70,7 +70,7 @@ class Step:
         return {finding.referee for finding in self.findings()}
 
     def findings(self) -> list[StressFinding]:
-        return self.referees.judge(self.taken, self.state, 1)
+        return self.referees.findings(self.taken, self.state, 1)
 
     def move(self, change: Callable[[np.ndarray], None]) -> None:
         """Change the positions that the step is said to have left."""
