@@ -76,7 +76,7 @@ class Design:
         from taccel_lab.progress import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
-        from taccel_lab.studies.report.sensor_picture import write_sections
+        from taccel_lab.sensors.sensor_picture import write_sections
 
         console = notes()
         name, overrides = self.sensor, parse_overrides(self.set)

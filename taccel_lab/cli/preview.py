@@ -52,8 +52,8 @@ class Preview:
         from taccel_lab.processes.start_warp import first_step, start_warp
         from taccel_lab.progress import stage_words
         from taccel_lab.sensors.registry import sensor_family
+        from taccel_lab.sensors.sensor_picture import write_sections
         from taccel_lab.studies.report.preview import preview_design, write_preview
-        from taccel_lab.studies.report.sensor_picture import write_sections
 
         start_warp()
         require_replaceable(self.out)

@@ -110,7 +110,7 @@ class SensorsShow:
 def _draw(family: SensorFamily, parameters: FamilyParameters, path: Path) -> None:
     from taccel_lab.errors import InputError
     from taccel_lab.report import save_figure
-    from taccel_lab.studies.report.sensor_picture import draw_sensor
+    from taccel_lab.sensors.sensor_picture import draw_sensor
 
     if path.suffix.lower() != ".png":
         raise InputError(f"--picture {path} must end in .png")

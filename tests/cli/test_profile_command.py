@@ -16,7 +16,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.robots import names
 from taccel_lab.sensors.registry import sensor_families, sensor_family
-from taccel_lab.studies.report.sensor_picture import pad_section, sight_paths
+from taccel_lab.sensors.sensor_picture import pad_section, sight_paths
 from tests.cli.conftest import Cli
 from tests.robots.test_urdf import TETRAHEDRON, with_mesh
 from tests.support.edited_profiles import edit, swap_network

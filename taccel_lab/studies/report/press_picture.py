@@ -12,7 +12,7 @@ from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.touch import first_touch_m
 from taccel_lab.report.style import BLUE, INK, in_report_style
 from taccel_lab.scene import Ball
-from taccel_lab.studies.report.sensor_picture import draw_sensor
+from taccel_lab.sensors.sensor_picture import draw_sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from taccel_lab.cad.parts.housing_shape import HousingShape
     from taccel_lab.cad.parts.pad import Pad
     from taccel_lab.profile.optical_design import Light, OpticalDesign, Window
-    from taccel_lab.sensors import FamilyParameters, SensorFamily
+    from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
 _GEL, _SKIN, _GLASS, _BOX = "#f4c9a8", "#4b3b36", "#cfe8f1", "#9aa1ab"
 _SAMPLES = 801
