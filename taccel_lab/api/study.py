@@ -60,7 +60,7 @@ def study(
         device: Of the solver; the file's when None.
         accuracy: Of the presses; the file's when None.
         limit: New designs at most.
-        listener: Told how it goes.
+        listener: Receives how it goes.
 
     Raises:
         InputError: A file or a folder that cannot be used.

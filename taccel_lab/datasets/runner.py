@@ -92,7 +92,7 @@ class DatasetOutcome:
 
 
 Listener = Callable[[int, int, int, float], None]
-"""Told parts done and in all, steps so far and seconds."""
+"""Receives parts done and in all, steps so far and seconds."""
 
 
 def default_processes(device: str) -> int:
@@ -207,8 +207,8 @@ def make_dataset(
         device: Warp device.
         processes: How many; 0 works in this process. One a core, or this one for a GPU, when None.
         limit: Parts at most.
-        listener: Told how it goes.
-        say: Told of each part that is damaged, as files of it are missing or cut short, and is
+        listener: Receives how it goes.
+        say: Receives each part that is damaged, as files of it are missing or cut short, and is
             made again.
 
     Raises:

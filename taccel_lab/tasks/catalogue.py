@@ -106,7 +106,7 @@ def run_task(
         seeds: Each decides one start.
         device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
         steps: End after so many, for a try; the judgement is then of that moment.
-        progress: Told of each step.
+        progress: Receives each step.
     """
     if not seeds:
         raise InputError("a run needs at least one seed")

@@ -59,7 +59,7 @@ def press_ball(
         press: What is pressed.
         quick: With the coarse mesh, in two steps; else as ``taccel-lab press`` by default.
         superseded: Asked between steps.
-        step: Told before each step how many are done, and of how many.
+        step: Receives before each step how many are done, and of how many.
 
     Raises:
         SupersededError: ``superseded`` said so.

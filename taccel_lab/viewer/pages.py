@@ -114,7 +114,7 @@ def source_page(
     Args:
         source: Of ``find_source``.
         options: Where it is served.
-        say: Told the address.
+        say: Receives the address.
         seed: Start of a live task.
         device: Warp device of a live task.
 

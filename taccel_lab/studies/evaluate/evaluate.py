@@ -153,7 +153,7 @@ def evaluate_designs(
         presses: Standard presses; figures read from presses that are missing here stay None.
         metrics: What to compute.
         device: Warp device of the solver.
-        progress: Told before the first and after each batch how many simulations are done.
+        progress: Receives before the first and after each batch how many simulations are done.
         folder: Where the steps of presses are saved, in a subfolder of each design's id.
         unit_spread: Standard deviation of the stiffness from unit to unit, as a part of it.
 

@@ -146,7 +146,7 @@ def run_study(
             that share simulations together, and none writes the table. Shards of an optimiser of
             several objectives ask one journal what to try next.
         source: Text of the study file, kept beside the results.
-        listener: Told how it goes.
+        listener: Receives how it goes.
 
     Raises:
         InputError: A folder with other files, in use, or of a study of another sensor.
