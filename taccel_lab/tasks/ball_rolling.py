@@ -41,7 +41,7 @@ class RollingBall(FreeBody):
 
     radius_mm: Positive
     edge_mm: Positive
-    """Of its triangles."""
+    """Length of its triangles' edges."""
 
 
 class BallStart(StrictModel):
@@ -56,9 +56,9 @@ class BallPolicy(StrictModel):
     """The scripted baseline."""
 
     gap_mm: Positive
-    """Of the gel over the ball at the start."""
+    """Height of the gel over the ball at the start."""
     depth_mm: Positive
-    """That the gel is pressed on the ball by."""
+    """Depth by which the gel is pressed on the ball."""
     press_mm_s: Positive
     roll_mm_s: Positive
 
@@ -67,7 +67,7 @@ class BallGoal(StrictModel):
     """When it is done."""
 
     distance_mm: Positive
-    """Of the ball's centre from the goal, in the plane."""
+    """Distance of the ball's centre from the goal, in the plane."""
 
 
 class BallRollingParameters(TaskParameters):

@@ -85,8 +85,8 @@ def free_body(body: FreeBody, shape: TriangleMesh, name: str, poses: np.ndarray)
 
 
 def solid(shape: str, size_mm: Sequence[float]) -> TriangleMesh:
-    """About its middle [m]: a "box" of three sides; a "cylinder", upright, of radius and height; a
-    "sphere" of a radius."""
+    """Surface about its middle [m]: a "box" of three sides; a "cylinder", upright, of radius and
+    height; a "sphere" of a radius."""
     size = [1e-3 * value for value in size_mm]
     if shape == "box":
         return box_mesh((size[0], size[1], size[2]))

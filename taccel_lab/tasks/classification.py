@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 SCALE = 1e3
 """Depths go into the network in mm."""
 VARIED_RAD, VARIED_PX = 0.35, 3.0
-"""By how much the grasps of a lesson are turned and moved at most."""
+"""Largest turn and motion of the grasps of a lesson."""
 
 
 class Learner(StrictModel):
@@ -150,7 +150,7 @@ def taught(
 
 
 def _inputs(maps: np.ndarray, device: str | None) -> torch.Tensor:
-    """Of the four grasps that each stands for, [4, n, 2, h, w]."""
+    """Inputs of the four grasps that each stands for, [4, n, 2, h, w]."""
     import torch
 
     return torch.as_tensor((SCALE * alike(maps)).astype(np.float32), device=device or "cpu")
@@ -186,19 +186,19 @@ class GraspStart(StrictModel):
     tilt_deg: NotNegative
     place_mm: NotNegative
     depth_mm: tuple[Positive, Positive]
-    """Of the depth map at which a gel stops."""
+    """Range of the depth map's deepest point at which a gel stops."""
 
 
 class ClosingPolicy(StrictModel):
     """How the gels close."""
 
     gap_mm: Positive
-    """Between the part's outermost points and the gels at the start."""
+    """Gap between the part's outermost points and the gels at the start."""
     step_mm: Positive
 
 
 class DepthMaps(StrictModel):
-    """Of both gels."""
+    """Depth maps of both gels."""
 
     width_px: Count
     height_px: Count
@@ -253,7 +253,7 @@ class Classification(TaskEpisode):
             outermost[envs] = np.stack([-x.min(axis=1), x.max(axis=1)], axis=1)
         self._parts = np.tile(frames[:, None], (1, len(bodies), 1, 1))
         self._half = outermost + 1e-3 * parameters.policy.gap_mm
-        """Of the faces of both gels from the middle [m], [env, 2]."""
+        """Distance of the faces of both gels from the middle [m], [env, 2]."""
         self._stop = 1e-3 * np.array([start["depth_mm"] for start in starts])
         scene = Scene(gels, [*mounts, *bodies], len(seeds), TimeStepping(True))
         config = contact_config(parameters.contact, parameters.dt_s)
@@ -272,7 +272,7 @@ class Classification(TaskEpisode):
             for side in SIDES
         ]
         self._force = np.zeros(2)
-        """Of the part on each gel in environment 0 [N]."""
+        """Force of the part on each gel in environment 0 [N]."""
         self._rest = self._heights()
         self.depths_m = np.zeros_like(self._rest)
         """Depth maps of both gels, [env, 2, height_px, width_px], rows along the gel's y."""
@@ -283,7 +283,7 @@ class Classification(TaskEpisode):
         return pose_of(np.concatenate([mounts, self._parts], axis=1))
 
     def _heights(self) -> np.ndarray:
-        """Of both faces in their own frames [m], [env, 2, height_px, width_px]."""
+        """Heights of both faces in their own frames [m], [env, 2, height_px, width_px]."""
         import warp as wp
 
         found = []
@@ -357,7 +357,7 @@ class Classification(TaskEpisode):
 
 
 def _drawn(parameters: ClassificationParameters, seed: int) -> dict[str, float]:
-    """Of a seed: parts take turns, all else is drawn."""
+    """Start of a seed: parts take turns, all else is drawn."""
     half = parameters.start
     found = draw(
         seed,

@@ -54,7 +54,7 @@ class Object(FreeBody):
 
     @property
     def half_height_m(self) -> float:
-        """Of its middle over its lowest point."""
+        """Height of its middle over its lowest point."""
         return -float(solid(self.shape, self.size_mm).vertices_m[:, 2].min())
 
     def at(self, poses: np.ndarray) -> AffineBody:
@@ -67,7 +67,7 @@ class SoftBox(PadParameters):
 
     @property
     def half_height_m(self) -> float:
-        """Of its middle over its lowest point."""
+        """Height of its middle over its lowest point."""
         return 1e-3 * self.size_mm[2] / 2
 
     def at(self, poses: np.ndarray) -> SoftBody:
@@ -100,7 +100,7 @@ class SoftShape(StrictModel):
 
     @property
     def half_height_m(self) -> float:
-        """Of its middle over its lowest point."""
+        """Height of its middle over its lowest point."""
         return -float(self.shape().nodes_m[:, 2].min())
 
     def at(self, poses: np.ndarray) -> SoftBody:
@@ -119,7 +119,7 @@ class GraspPolicy(StrictModel):
     """The scripted baseline."""
 
     open_mm: Positive
-    """Of each gel's seat from the middle, at the start."""
+    """Distance of each gel's seat from the middle, at the start."""
     closed_mm: NotNegative
     """Where closing ends, whatever the force."""
     close_mm_s: Positive
@@ -135,7 +135,7 @@ class GraspLearning(LearningParameters):
     joint_actions: Literal["delta", "target"]
     """What actions of joints mean: a step of the coordinate, or where it is to go."""
     joint_speed: Positive
-    """Of each joint, of an action of 1 [mm/s or degrees/s]."""
+    """Speed of each joint, of an action of 1 [mm/s or degrees/s]."""
     joint_reach: Positive
     """How far from its start each joint may go [mm or degrees], within its limits."""
 
@@ -148,7 +148,7 @@ class GraspParameters(TaskParameters):
     gel: PadParameters
     contact: Contact
     start: PlanarStart
-    """Of the object, from the middle between the fingers."""
+    """Start of the object, from the middle between the fingers."""
     policy: GraspPolicy
     goal: LiftGoal
 
@@ -197,7 +197,7 @@ class GraspLift(TaskEpisode):
         self._grasper, self._pads = built.grasper, list(built.grasper.pads)
         self.gel = self._pads[0]
         self.seat = np.full(count, 1e-3 * policy.open_mm)
-        """Of the gels from the middle between them [m]."""
+        """Distance of the gels from the middle between them [m]."""
         self.raised = np.zeros(count)
         """How far the gripper has risen [m]."""
         shape = (count, len(self._pads))
@@ -233,7 +233,7 @@ class GraspLift(TaskEpisode):
         record.look(self.running, begins, self._middle(), self.raised)
 
     def _middle(self) -> np.ndarray:
-        """Of the object [m], [env, 3]; and the stress in it is looked at."""
+        """Middle of the object [m], [env, 3]; and the stress in it is looked at."""
         if not self._soft:
             return self.affine_frame()[0]
         nodes = self.model.bodies[self.model.body_id("object")].node_slice
@@ -256,7 +256,7 @@ class GraspLift(TaskEpisode):
 
 
 class FingerDrive(StrictModel):
-    """Of each finger."""
+    """Drive of each finger."""
 
     stiffness_n_m: Positive
     damping_n_s_m: NotNegative

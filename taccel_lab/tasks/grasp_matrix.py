@@ -40,7 +40,7 @@ from taccel_lab.tasks.parameters import (
 from taccel_lab.tasks.parts import PARTS
 
 SAMPLES = 200
-"""Of a path, along which the way of a gel is measured."""
+"""Points of a path, along which the way of a gel is measured."""
 
 Triple = tuple[Number, Number, Number]
 
@@ -87,9 +87,9 @@ class Hand(StrictModel):
 
     robot: str
     quaternion: tuple[Number, Number, Number, Number]
-    """Of its base in the world: x, y, z, w."""
+    """Turn of its base in the world: x, y, z, w."""
     middle_mm: Triple
-    """In its base: what it closes about."""
+    """Place in its base that it closes about."""
     lowest_mm: Positive
     """Least height of that over a plane: fingers reach below it."""
     fingers: Annotated[tuple[Finger, ...], Field(min_length=1)]
@@ -194,7 +194,7 @@ class MatrixPolicy(StrictModel):
     """The scripted baseline."""
 
     reach_mm_s: Positive
-    """Of each gel until one of its finger's touches the object."""
+    """Speed of each gel until one of its finger's touches the object."""
     close_mm_s: Positive
     """And after."""
     grip_n: Positive
@@ -215,15 +215,15 @@ class GraspMatrixParameters(TaskParameters):
 
     kind: Literal["grasp-matrix"]
     starts: Count
-    """Of each cell: seed k is start k modulo this, of cell k divided by it, cells row by row (all
-    objects of the first hand first); seeds beyond all cells are further starts of them."""
+    """Starts of each cell: seed k is start k modulo this, of cell k divided by it, cells row by row
+    (all objects of the first hand first); seeds beyond all cells are further starts of them."""
     plane_friction: NotNegative
     gel: PadParameters
     contact: Contact
     body: FreeBody
     """Mass and friction of every object."""
     start: PlanarStart
-    """Of the object, from below the middle of the hand."""
+    """Start of the object, from below the middle of the hand."""
     policy: MatrixPolicy
     goal: LiftGoal
     objects: Annotated[tuple[ScaledShape, ...], Field(min_length=1)]
@@ -283,7 +283,7 @@ class GraspMatrix(TaskEpisode):
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
         self._travels = np.zeros((count, len(self.hand.lengths_m)))
-        """Of the fingers [m], [env, finger]."""
+        """Travel of the fingers [m], [env, finger]."""
         self._raised = np.zeros(count)
         config = contact_config(parameters.contact)
         super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)

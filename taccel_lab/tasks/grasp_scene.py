@@ -64,7 +64,7 @@ class GraspScene:
     """Pose of the robot's base, [7]: fingers point down, the seats of their gels are as high as the
     object's middle when they are closed."""
     rest_height_m: float
-    """Of the object's middle: contact has just begun."""
+    """Height of the object's middle: contact has just begun."""
 
 
 def grasp_scene(

@@ -85,7 +85,7 @@ class LiftRecord:
         return self._held * self._dt_s >= self._goal.hold_s - 1e-9
 
     def figures(self, env: int) -> dict[str, float]:
-        """Of an environment; of the grip those of the gels that pushed when closing ended."""
+        """Figures of an environment; of the grip by the gels that pushed when closing ended."""
         found = {
             "rise_mm": 1e3 * self._rise[env],
             "held_s": self._held[env] * self._dt_s,

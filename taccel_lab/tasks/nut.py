@@ -39,11 +39,11 @@ class Thread(StrictModel):
     bolt_threads: Count
     nut_threads: Count
     friction: NotNegative
-    """Of the bolt."""
+    """Friction of the bolt."""
 
     @property
     def scale(self) -> float:
-        """Against M20: pitch and diameter of M16 are both 0.8 times as large."""
+        """Size against M20: pitch and diameter of M16 are both 0.8 times as large."""
         return {"M16": 0.8, "M20": 1.0}[self.size]
 
     @property
@@ -57,16 +57,16 @@ class Thread(StrictModel):
         return APOTHEM_M * self.scale
 
     def bolt(self) -> TriangleMesh:
-        """From z = 0 up."""
+        """Surface from z = 0 up."""
         return scaled(threaded_rod(self.bolt_threads), self.scale)
 
     def nut(self) -> TriangleMesh:
-        """From z = 0 up, flats to +-x."""
+        """Surface from z = 0 up, flats to +-x."""
         return scaled(hexagon_nut(self.nut_threads), self.scale)
 
     def height_m(self, turned: np.ndarray) -> np.ndarray:
-        """Of the nut's frame about the middle of the bolt, in the middle of its play, turned by
-        angles [rad]."""
+        """Height of the nut's frame about the middle of the bolt, in the middle of its play,
+        turned by angles [rad]."""
         between = (self.bolt_threads - self.nut_threads) // 2
         return self.pitch_m * (between + turned / (2 * np.pi))
 
@@ -75,25 +75,25 @@ class NutStart(StrictModel):
     """Half ranges of what is drawn."""
 
     turn_deg: NotNegative
-    """Of the nut, which lies that much further along its thread; the gels are as turned as it."""
+    """Turn of the nut, which lies that much further along its thread; the gels turn with it."""
     grip_deg: NotNegative
-    """Of the gels against the flats."""
+    """Turn of the gels against the flats."""
     grip_mm: NotNegative
-    """Of the gels' middle from the flats', along the bolt."""
+    """Distance of the gels' middle from the flats', along the bolt."""
 
 
 class NutPolicy(StrictModel):
     """The scripted baseline."""
 
     gap_mm: Positive
-    """Between each gel and its flat, at the start."""
+    """Gap between each gel and its flat, at the start."""
     closed_mm: Positive
-    """That closing goes beyond the flat at most, whatever the force."""
+    """Way that closing goes beyond the flat at most, whatever the force."""
     close_mm_s: Positive
     grip_n: Positive
     """Closing ends when both gels push as hard."""
     turns: Number
-    """That the gels go around; counter-clockwise, up, is positive."""
+    """Turns of the gels; counter-clockwise, up, is positive."""
     turn_deg_s: Positive
 
 
@@ -101,7 +101,7 @@ class NutGoal(StrictModel):
     """When it is done."""
 
     turns: Positive
-    """That the nut has turned at least, since the grip."""
+    """Turns of the nut at least, since the grip."""
     threads: Positive
     """Pitches that it has travelled at least."""
     play_threads: Positive
@@ -144,7 +144,7 @@ class Nut(TaskEpisode):
         self._height = height + nut.vertices_m[:, 2].mean()
         self._height += 1e-3 * np.array([s["grip_mm"] for s in starts])
         self._gap = np.full(count, 1e-3 * parameters.policy.gap_mm)
-        """Between gels and flats [m]."""
+        """Gaps between gels and flats [m]."""
         self._around = np.zeros(count)
         """How far the gels have gone around [rad]."""
         self._gripping = np.zeros(count, dtype=bool)

@@ -49,7 +49,7 @@ class TaskParameters(StrictModel):
     kind: str
     summary: str
     criterion: str
-    """In words; the numbers are those of the file."""
+    """Words; the numbers are those of the file."""
     seeds: Count
     """Seeds 0, 1, ... of a run that names no other number."""
     environments: Count
@@ -116,9 +116,9 @@ class LearningParameters(StrictModel):
     """What a learned policy may do: move the gels together."""
 
     speed_mm_s: tuple[Positive, Positive, Positive]
-    """Of an action of 1 along each axis."""
+    """Speed of an action of 1 along each axis."""
     turn_deg_s: Positive
-    """Of an action of 1, about the vertical."""
+    """Speed of an action of 1, about the vertical."""
     reach_mm: tuple[Positive, Positive, Positive]
     """How far from their start the gels may go."""
     reach_deg: Positive
@@ -129,7 +129,7 @@ class PlanarStart(StrictModel):
     """Half ranges of where something is, from above the middle."""
 
     x_mm: NotNegative
-    """Along the way on which fingers or gels close."""
+    """Half range along the way on which fingers or gels close."""
     y_mm: NotNegative
     yaw_deg: NotNegative
 

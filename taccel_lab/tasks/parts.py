@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.scene import TriangleMesh
 
 SEGMENTS = 48
-"""Of what is round; a multiple of six and of the gear's teeth."""
+"""Sides of what is round; a multiple of six and of the gear's teeth."""
 
 
 def loft(rings: np.ndarray, closed: bool = False) -> TriangleMesh:
@@ -104,7 +104,7 @@ def socket_screw() -> TriangleMesh:
 
 
 def bushing() -> TriangleMesh:
-    """With a flange."""
+    """Bushing with a flange."""
     bore, body, flange = _round(4.0), _round(5.5), _round(8.0)
     return _stack(
         [(bore, 10.0), (bore, 0.0), (flange, 0.0), (flange, 2.0), (body, 2.0), (body, 10.0)],
@@ -147,4 +147,4 @@ PARTS: dict[str, Callable[[], TriangleMesh]] = {
     "spring pin": spring_pin,
     "bracket": bracket,
 }
-"""By name."""
+"""Parts by name."""

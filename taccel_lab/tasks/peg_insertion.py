@@ -49,9 +49,9 @@ class PegPolicy(StrictModel):
     """Where the peg starts, its lower end in the middle, without an offset."""
     times_s: Annotated[tuple[NotNegative, ...], Field(min_length=2)]
     gel_mm: Annotated[tuple[tuple[Number, Number, Number], ...], Field(min_length=2)]
-    """Of the gel at positive x at these times; the other one mirrors it."""
+    """Places of the gel at positive x at these times; the other one mirrors it."""
     gripped_s: NotNegative
-    """From when on slip in the grip counts."""
+    """Time from which slip in the grip counts."""
 
     @model_validator(mode="after")
     def _check_path(self) -> Self:
@@ -69,7 +69,7 @@ class PegGoal(StrictModel):
     """When it is done."""
 
     depth_mm: Positive
-    """Of the peg's lowest point below the rim."""
+    """Depth of the peg's lowest point below the rim."""
 
 
 class PegParameters(TaskParameters):
@@ -77,7 +77,7 @@ class PegParameters(TaskParameters):
 
     contact: Contact
     start: PlanarStart
-    """Of gels and peg, from above the middle of the hole."""
+    """Start of gels and peg, from above the middle of the hole."""
     policy: PegPolicy
     goal: PegGoal
 
@@ -89,7 +89,7 @@ class PegInsertionParameters(PegParameters):
     meshes: Literal["published", "generated"]
     """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
     learning: LearningParameters
-    """From when the gels have closed."""
+    """Actions from when the gels have closed."""
 
     def parts(self) -> PegParts:
         """The bodies of the scene."""

@@ -55,8 +55,8 @@ class PegPath:
     """The peg's frame, its lower end in the middle, at the start."""
     times_s: tuple[float, ...]
     gel_m: np.ndarray
-    """Of the gel on the side of positive x at these times, shape [n, 3]; the other one is its
-    mirror image. Straight lines between."""
+    """Places of the gel on the side of positive x at these times, shape [n, 3]; the other one is
+    its mirror image. Straight lines between."""
     first: int = 0
     """Number of the first step: 0 stays at the start for a step, 1 moves at once."""
 
@@ -159,7 +159,7 @@ def tube(inner: np.ndarray, outer: np.ndarray, height: float) -> TriangleMesh:
 
 
 def generated_gel() -> TetMesh:
-    """Of the published dimensions, in the frame of ``PegParts``."""
+    """Gel of the published dimensions, in the frame of ``PegParts``."""
     size = (20.75e-3, 25.25e-3, 4e-3)
     pad = block_mesh((6, 7, 1), size, jitter=0.15, seed=4)
     return labelled(pad.nodes_m + [0, 0, size[2] / 2], pad.tets)

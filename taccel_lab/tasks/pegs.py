@@ -16,7 +16,7 @@ from taccel_lab.tasks.parameters import FreeBody, NotNegative, Positive
 from taccel_lab.tasks.peg_scene import DOG_BONE_CAP, dog_bone, prism, tube
 
 ROUND_SIDES = 64
-"""Of what stands for a circle: its flats are 0.0012 radii inside it."""
+"""Sides of what stands for a circle: its flats are 0.0012 radii inside it."""
 SIZES = {"octagon": 1, "round": 1, "rectangle": 2, "trapezoid": 3, "waisted": 4}
 """Shapes, and how many sizes they have."""
 
@@ -72,8 +72,8 @@ class Peg(FreeBody):
 
     shape: Literal["octagon", "round", "rectangle", "trapezoid", "waisted"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=4)]
-    """Across flats of an octagon; diameter; across x and y of a rectangle; across x of a trapezoid,
-    and its sides at +x and -x; across x and y of a rectangle, and length and width of its waist."""
+    """Size across flats of an octagon; diameter; across x and y of a rectangle; across x of a
+    trapezoid, and its sides at +x and -x; across x and y of a rectangle, and length and width of its waist."""
     height_mm: Positive
 
     @model_validator(mode="after")
@@ -90,7 +90,7 @@ class Peg(FreeBody):
 
     @property
     def half_m(self) -> float:
-        """Of its size across x."""
+        """Half of its size across x."""
         return 5e-4 * self.size_mm[0]
 
     def section(self) -> PegSection:
@@ -116,7 +116,7 @@ class Peg(FreeBody):
         return PegSection(outline, cap, outline)
 
     def mesh(self) -> TriangleMesh:
-        """From z = 0 up [m]."""
+        """Surface from z = 0 up [m]."""
         section = self.section()
         return prism(section.outline, section.cap, 1e-3 * self.height_mm)
 
@@ -125,13 +125,13 @@ class Hole(StrictModel):
     """A hole in a block that stands still, of the peg's section and somewhat larger."""
 
     clearance_mm: Positive
-    """On each side of the peg."""
+    """Clearance on each side of the peg."""
     wall_mm: Positive
     depth_mm: Positive
     friction: NotNegative
 
     def outline(self, peg: Peg) -> np.ndarray:
-        """Of the hole for a peg [m], [n, 2]; flats of a round one touch the circle."""
+        """Outline of the hole for a peg [m], [n, 2]; flats of a round one touch the circle."""
         by = 1e-3 * self.clearance_mm
         if peg.shape == "round":
             return even(ROUND_SIDES, peg.half_m + by)

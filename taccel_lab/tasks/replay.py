@@ -45,7 +45,7 @@ class TaskReplay:
     """[frame]."""
     bodies: list[ReplayBody]
     forces_n: dict[str, np.ndarray]
-    """By name, [frame]."""
+    """Forces by name, [frame]."""
     depth_m: np.ndarray
     """As of ``GelSnapshot``, float32 [frame, height_px, width_px]."""
     pressure_pa: np.ndarray

@@ -44,7 +44,7 @@ from taccel_lab.tasks.parameters import (
 )
 
 FEWEST_MARKERS = 6
-"""That a grip must press down."""
+"""Least number that a grip must press down."""
 
 
 class Mechanism(FreeBody):
@@ -56,7 +56,7 @@ class Mechanism(FreeBody):
     hinge_mm: Positive | None = None
     """Distance of a hinge from the handle, across the pull, in the middle of what is drawn."""
     thread: Thread | None = None
-    """Of a helical one."""
+    """Thread of a helical one."""
 
     @model_validator(mode="after")
     def _check_parts(self) -> Self:
@@ -77,28 +77,28 @@ class TacManStart(StrictModel):
     """Half ranges of what is drawn."""
 
     grip_mm: NotNegative
-    """Of the hand's place along the handle, or the flats, and along the pull."""
+    """Half range of the hand's place along the handle, or the flats, and along the pull."""
     around_deg: NotNegative
     """Where the hinge lies around the pull."""
     hinge_mm: NotNegative
-    """Of its distance."""
+    """Half range of its distance."""
     depth_mm: NotNegative
-    """Of its place along the pull: the hand's own step is then not along the arc."""
+    """Half range of its place along the pull: the hand's own step is then not along the arc."""
 
 
 class TacManPolicy(StrictModel):
     """Execution and recovery."""
 
     gap_mm: Positive
-    """Between each gel and what it grips, at the start."""
+    """Gap between each gel and what it grips, at the start."""
     squeeze_mm: Positive
-    """That each gel is pressed in."""
+    """Depth that each gel is pressed in."""
     close_steps: Count
     settle_steps: Count
     step_mm: NotNegative
-    """Of execution, along the hand's z."""
+    """Step of execution, along the hand's z."""
     step_deg: NotNegative
-    """Of execution, about the hand's z."""
+    """Turn of a step of execution, about the hand's z."""
     marker_pitch_mm: Positive
     deep_mm: Positive
     """Markers that the grip pushes in by more are watched."""
@@ -117,7 +117,7 @@ class TacManGoal(StrictModel):
 
     opened_mm: NotNegative
     opened_deg: NotNegative
-    """At least, of the handle's middle along the pull and of its turn."""
+    """Least way of the handle's middle along the pull, and least turn of it."""
     path_mm: Positive
     """Largest distance of the hand from where the handle's motion would have taken it."""
 
@@ -201,7 +201,7 @@ class TacMan(TaskEpisode):
         self._watched = np.zeros(in_hand.shape[:2], dtype=bool)
         self._now = in_hand
         self._moved = np.zeros(count)
-        """Of watched markers since, the mean [m], [env]."""
+        """Motion of watched markers since, the mean [m], [env]."""
         self._recovering = np.zeros(count, dtype=bool)
         self._in_recovery = np.zeros(count, dtype=int)
         self._switches = np.zeros(count, dtype=int)

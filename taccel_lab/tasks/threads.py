@@ -19,7 +19,7 @@ BOLT = ((-0.375, 8.75e-3), (-0.0625, 10.0e-3), (0.0625, 10.0e-3), (0.375, 8.75e-
 NUT = ((-0.890, 10.476e-3), (-0.5754, 9.191e-3), (-0.4246, 9.191e-3), (-0.110, 10.476e-3))
 """Its root faces the bolt's crest."""
 APOTHEM_M = 17.7535e-3
-"""Of the nut's hexagon: flats look to +-x."""
+"""Apothem of the nut's hexagon: flats look to +-x."""
 
 Faces = list[tuple[int, int, int]]
 

@@ -35,28 +35,28 @@ class ThrowStart(StrictModel):
     """Half ranges of what is drawn."""
 
     place_mm: NotNegative
-    """Of the body in the grip, along the gels and up."""
+    """Half range of the body in the grip, along the gels and up."""
     speed_part: NotNegative
-    """By which the throw is faster than was meant, as a part of that."""
+    """Half range by which the throw is faster than was meant, as a part of that."""
     late_s: NotNegative
-    """By which the gels close later than was meant."""
+    """Half range by which the gels close later than was meant."""
 
 
 class ThrowPolicy(StrictModel):
     """The scripted baseline."""
 
     gap_mm: Positive
-    """Of each gel from the body at the start."""
+    """Gap of each gel from the body at the start."""
     squeeze_mm: Positive
-    """Of each gel in the first grip, which takes a step, and the most when it catches."""
+    """Squeeze of each gel in the first grip, which takes a step, and the most when it catches."""
     hold_s: NotNegative
     throw_m_s: Positive
     """Speed at which the hand opens."""
     throw_m_s2: Positive
     open_mm: Positive
-    """Of each gel from the body when the hand is open."""
+    """Gap of each gel from the body when the hand is open."""
     open_m_s: Positive
-    """Of each gel, opening and closing."""
+    """Speed of each gel, opening and closing."""
     brake_m_s2: Positive
     """Once the hand is open."""
     grip_n: Positive
@@ -67,13 +67,13 @@ class CatchGoal(StrictModel):
     """When it is done."""
 
     fly_s: Positive
-    """Without any touch."""
+    """Time without any touch."""
     above_mm: Positive
-    """Of the body's middle over that of the hand at its highest."""
+    """Height of the body's middle over that of the hand at its highest."""
     off_mm: Positive
-    """Of the body's middle from that of the hand, at the end."""
+    """Distance of the body's middle from that of the hand, at the end."""
     hold_s: Positive
-    """Of both gels touching it, without a break, until the end."""
+    """Time of both gels touching it, without a break, until the end."""
 
 
 class ThrowCatchParameters(TaskParameters):
@@ -114,11 +114,11 @@ class ThrowCatch(TaskEpisode):
         body = parameters.object.at(pose)
         self._touch = float(body.shape.vertices_m[:, 0].max())
         self._height, self._speed = np.zeros(count), np.zeros(count)
-        """Of the hand [m], [m/s]."""
+        """Height and speed of the hand [m], [m/s]."""
         self._gap = np.full(count, 1e-3 * policy.gap_mm)
-        """Of each gel from the body, negative when squeezed [m]."""
+        """Gap of each gel from the body, negative when squeezed [m]."""
         self._opened = np.full(count, np.nan)
-        """When the hand began to open [s]."""
+        """Time at which the hand began to open [s]."""
         self._closing, self._caught = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
         gels, mounts = gels_of(parameters.gel)
         scene = Scene(
@@ -146,7 +146,7 @@ class ThrowCatch(TaskEpisode):
         return 1e-3 * (policy.open_mm + policy.squeeze_mm) / policy.open_m_s
 
     def _back_s(self) -> float:
-        """From the opening of the hand until the body, thrown as was meant, is back in it."""
+        """Time from the opening of the hand until the body, thrown as was meant, is back in it."""
         policy = self.parameters.policy
         speed = policy.throw_m_s
         stops = speed * self._opening_s() + speed**2 / (2 * policy.brake_m_s2)

@@ -41,7 +41,7 @@ class PegMarkers(StrictModel):
 
     columns: Count
     rows: Count
-    """Of markers beside each other across the peg's way, and along it."""
+    """Numbers of markers beside each other across the peg's way, and along it."""
     pitch_mm: tuple[Positive, Positive]
     noise_mm: NotNegative
     """Standard deviation of a marker's place in each direction, in each step."""
@@ -59,16 +59,16 @@ class TouchPolicy(StrictModel):
     """The fixed policy."""
 
     gap_mm: Positive
-    """Of each gel from the peg at the start."""
+    """Gap of each gel from the peg at the start."""
     close_mm_s: Positive
     grip_n: Positive
     """Closing ends when both gels push as hard."""
     squeeze_mm: Positive
     """And at the latest when each gel is squeezed as much."""
     grip_height_mm: Positive
-    """Of the gels' middle over the peg's lower end."""
+    """Height of the gels' middle over the peg's lower end."""
     clear_mm: Positive
-    """Of the peg over the rim at the start and after rising."""
+    """Height of the peg over the rim at the start and after rising."""
     search_mm_s: Positive
     """Going down by the first ``search_mm``."""
     search_mm: Positive
@@ -76,7 +76,7 @@ class TouchPolicy(StrictModel):
     """And below."""
     up_mm_s: Positive
     way_mm: Positive
-    """That the gels go down by from where they closed, if nothing is felt."""
+    """Way that the gels go down by from where they closed, if nothing is felt."""
     felt_mm: Positive
     """Mean way up of the markers at which something is felt."""
     side_part: tuple[NotNegative, NotNegative]
@@ -93,9 +93,9 @@ class TouchGoal(StrictModel):
     """When it is done."""
 
     depth_mm: Positive
-    """Of the peg's lowest point below the rim."""
+    """Depth of the peg's lowest point below the rim."""
     whole: Flag = False
-    """Of its whole lower end instead."""
+    """Whether its whole lower end counts instead."""
 
 
 class TouchInsertionParameters(TaskParameters):
@@ -108,7 +108,7 @@ class TouchInsertionParameters(TaskParameters):
     markers: PegMarkers
     contact: Contact
     start: PlanarStart
-    """Of gels and peg, from above the middle of the hole."""
+    """Start of gels and peg, from above the middle of the hole."""
     on_rim: Flag = False
     """Whether starts from which the peg would go in at once are drawn again."""
     policy: TouchPolicy
@@ -273,7 +273,7 @@ class TouchInsertion(TaskEpisode):
         self.running &= ~(out | arrived)
 
     def _moved_up(self) -> np.ndarray:
-        """Of each marker since before the peg went down [m], [env, side, marker]."""
+        """Rise of each marker since before the peg went down [m], [env, side, marker]."""
         return (self._now - self._zero)[..., 1]
 
     def _away(self, env: int) -> np.ndarray:

@@ -46,7 +46,7 @@ from taccel_lab.tasks.parameters import (
 )
 
 _POINTS = 200
-"""Of Gauss-Legendre quadrature."""
+"""Points of Gauss-Legendre quadrature."""
 
 
 def contact_radius(force_n: float, ball_m: float, young_pa: float, poisson: float) -> float:
@@ -181,7 +181,7 @@ class TwistPolicy(StrictModel):
 
     gap_mm: Positive
     depth_mm: Positive
-    """That the ball goes below the face, in the middle of what is drawn."""
+    """Depth of the ball below the face, in the middle of what is drawn."""
     press_steps: Count
     turn_steps: Count
 
@@ -250,7 +250,7 @@ class Twist(TaskEpisode):
         self._last = self._first.copy()
         self._force = np.zeros((count, 3))
         self._torque = np.zeros(count)
-        """Of the ball on the gel about its axis [N m]."""
+        """Torque of the ball on the gel about its axis [N m]."""
 
     def _targets(self, step: int) -> np.ndarray:
         policy = self.parameters.policy

@@ -32,25 +32,25 @@ class DesignRow:
     """Overrides of the family's defaults."""
     status: Status
     figures: dict[str, float | None] = field(default_factory=dict)
-    """By metric; None where there is a cause."""
+    """Values by metric; None where there is a cause."""
     causes: dict[str, str] = field(default_factory=dict)
-    """By metric, ``press NAME``, or ``design``."""
+    """Reasons by metric, ``press NAME``, or ``design``."""
     seconds: float = 0.0
     """Wall time of the design's process; work that designs share counts in equal parts."""
     simulations: int = 0
     curves: dict[str, Any] = field(default_factory=dict)
     """Steps of each press."""
     figure_keys: dict[str, str] = field(default_factory=dict)
-    """By metric: stands for the settings of the presses that it was read from."""
+    """Key by metric: stands for the settings of the presses that it was read from."""
     press_keys: dict[str, str] = field(default_factory=dict)
-    """By press: stands for its settings."""
+    """Key by press: stands for its settings."""
     files: dict[str, str] = field(default_factory=dict)
     """What was kept, by kind, relative to the study's folder."""
     tool_version: str = ""
     finished: str = ""
     """UTC."""
     intervals: dict[str, list[float | None]] = field(default_factory=dict)
-    """By metric: ends of what is known of the figure, None for an open one."""
+    """Ends by metric of what is known of the figure, None for an open one."""
 
     @property
     def cause(self) -> str:

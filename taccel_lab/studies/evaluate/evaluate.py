@@ -67,7 +67,7 @@ class Unknowns:
         self._holds = "friction" not in given and layer.friction_coefficient > 0
 
     def force_factors(self, record: PressRecord) -> tuple[float, float]:
-        """Between which the forces of a press lie, over those of the record."""
+        """Factors between which the forces of a press lie, over those of the record."""
         low = math.hypot(self._low, self._slipping(record))
         return math.exp(-low), math.exp(math.hypot(self._high, self._stiffening(record)))
 
@@ -120,7 +120,7 @@ def _round_tool(record: PressRecord) -> tuple[Literal["sphere", "cylinder"], flo
 _KEPT = 16
 """Whole presses that a process remembers: optimisers come back to a gel with another modulus."""
 _recent: dict[tuple[str, str], Simulated] = {}
-"""By key and device, the newest last."""
+"""Presses by key and device, the newest last."""
 
 
 @dataclass

@@ -24,8 +24,8 @@ from taccel_lab.studies.spec.axis import Axis
 from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 
 STEP = 0.02
-"""To a neighbour, as a part of a range: presses stop at residuals of 1e-4, far below what figures
-change by over it."""
+"""Step to a neighbour, as a part of a range: presses stop at residuals of 1e-4, far below what
+figures change by over it."""
 SMALLEST_GAIN = 1e-3
 """Relative change of the objective at which SLSQP is done: a tenth of what presses tell apart."""
 CONSTRAINT_TOLERANCE = 1e-6
@@ -224,7 +224,7 @@ class _Problem:
         return {a.name: a.at(float(unit)) for a, unit in zip(self.axes, x, strict=True)}
 
     def figures(self, x: Sequence[float]) -> Figures:
-        """Of the design at a place."""
+        """Figures of the design at a place."""
         swept = self.swept(x)
         values = tuple(swept.values())
         if values not in self._known:
@@ -293,7 +293,7 @@ class _Problem:
         return value
 
     def _penalty(self, figures: Figures, name: str) -> float:
-        """In the place of a figure that a design does not have: worse than the worst so far.
+        """Value in place of a figure that a design lacks: worse than the worst so far.
 
         The same design keeps its penalty, whatever comes later.
         """

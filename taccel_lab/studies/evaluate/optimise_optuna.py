@@ -185,7 +185,7 @@ class _Problem:
 
     @property
     def name(self) -> str:
-        """Of the Optuna study: another for another question, so that trials are not mixed."""
+        """Name of the Optuna study: another for another question, so that trials are not mixed."""
         from taccel_lab.files.atomic_file import content_id
 
         return content_id(

@@ -53,7 +53,7 @@ class StudyOutcome(Summary):
     study: Study
     folder: StudyFolder
     rows: list[DesignRow]
-    """In the order of the sweep; designs without a row are left out."""
+    """Rows in the order of the sweep; designs without a row are left out."""
     total: int
     """Designs of the sweep; of an optimiser, those that it tried."""
     new: int = 0

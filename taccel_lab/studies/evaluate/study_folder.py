@@ -132,7 +132,7 @@ class StudyFolder:
         return row
 
     def ids(self) -> list[str]:
-        """Of all designs that have a row, sorted."""
+        """Ids of all designs that have a row, sorted."""
         if not self.designs.is_dir():
             return []
         return sorted(path.parent.name for path in self.designs.glob(f"[!.]*/{RESULT}"))

@@ -32,7 +32,7 @@ class DesignFigures:
 
     point: DesignPoint
     figures: dict[str, float | None] = field(default_factory=dict)
-    """By the names of the metrics, in their units."""
+    """Values by the names of the metrics, in their units."""
     causes: dict[str, str] = field(default_factory=dict)
     """Why a figure is None, by metric; under ``press NAME`` why a press failed, and under
     ``design`` why the design could not be built at all."""

@@ -105,7 +105,7 @@ class Evidence:
 
     parameters: FamilyParameters
     records: dict[str, list[PressRecord]]
-    """By press, in the order of its indenters and places."""
+    """Records by press, in the order of its indenters and places."""
     causes: dict[str, str] = field(default_factory=dict)
     """Why a press has no records, by press."""
     load_n: float = LOAD_N
@@ -114,7 +114,7 @@ class Evidence:
     indenter: str = ""
     """The one that figures are read of; empty for a press's first."""
     press: str = ""
-    """That of figures which can be read from several."""
+    """Press of figures which can be read from several."""
     changes: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = field(
         default_factory=dict, repr=False
     )

@@ -105,7 +105,7 @@ def _saturation(evidence: Evidence) -> tuple[float, float]:
     also=_DOWN,
 )  # fmt: skip
 def saturation_depth(evidence: Evidence) -> float:
-    """By power laws between the steps."""
+    """Interpolates by power laws between the steps."""
     return _saturation(evidence)[0]
 
 
@@ -114,7 +114,7 @@ def saturation_depth(evidence: Evidence) -> float:
     also=_DOWN,
 )  # fmt: skip
 def saturation_force(evidence: Evidence) -> float:
-    """By power laws between the steps."""
+    """Interpolates by power laws between the steps."""
     return _saturation(evidence)[1]
 
 
@@ -123,7 +123,7 @@ def saturation_force(evidence: Evidence) -> float:
     also=_DOWN,
 )  # fmt: skip
 def depth_at_load(evidence: Evidence) -> float:
-    """By power laws between the steps."""
+    """Interpolates by power laws between the steps."""
     record = evidence.one(evidence.press)
     return at_load(record, record.depth_mm[record.down], evidence.load_n)
 
@@ -133,7 +133,7 @@ def depth_at_load(evidence: Evidence) -> float:
     "none", ("sphere",), also=_DOWN,
 )  # fmt: skip
 def contact_diameter(evidence: Evidence) -> float:
-    """By power laws between the steps."""
+    """Interpolates by power laws between the steps."""
     record = evidence.one(evidence.press)
     return at_load(record, 2 * contact_radius_mm(record), evidence.load_n)
 
@@ -151,7 +151,7 @@ MOST_AHEAD = 1.5
     "higher", ("sphere",), smooth=True,
 )  # fmt: skip
 def force_range(evidence: Evidence) -> float:
-    """By power laws between the steps.
+    """Interpolates by power laws between the steps.
 
     Where a thick gel was not pressed quite as deep, that of the last two steps goes on.
     """

@@ -73,7 +73,7 @@ def pixel_size(evidence: Evidence) -> float:
     "axes", "higher", (),
 )  # fmt: skip
 def px_per_mm(evidence: Evidence) -> float:
-    """Of the image as the sensor gives it, not of the camera's own pixels."""
+    """Counts pixels of the image as the sensor gives it, not the camera's own."""
     return 1 / evidence.mm_per_px
 
 
@@ -82,7 +82,7 @@ def px_per_mm(evidence: Evidence) -> float:
     "higher", (),
 )  # fmt: skip
 def depth_of_field(evidence: Evidence) -> float:
-    """From the camera's own pixels; None while aperture or focus are unknown."""
+    """Follows from the camera's own pixels; None while aperture or focus are unknown."""
     from taccel_lab.optics.depth_of_field import sharp_range_mm
 
     design = evidence.parameters.optics()
@@ -101,5 +101,5 @@ def depth_of_field(evidence: Evidence) -> float:
     "lower", (),
 )  # fmt: skip
 def shadowed_fraction(evidence: Evidence) -> float:
-    """Over all channels."""
+    """Takes all channels together."""
     return evidence.photometry.shadowed_fraction

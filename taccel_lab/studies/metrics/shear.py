@@ -51,7 +51,7 @@ def shear_stiffness(evidence: Evidence) -> float:
     "higher", ("shear",),
 )  # fmt: skip
 def shear_response_mm(evidence: Evidence) -> float:
-    """Over all nodes of the contact face, along the shear."""
+    """Takes all nodes of the contact face, along the shear."""
     record = evidence.one("shear")
     start, end, force = _stuck_shear(record)
     idx = record.surface.node_idx

@@ -60,7 +60,7 @@ def sensitivity_marker_px(evidence: Evidence) -> float:
     "higher", ("sphere",),
 )  # fmt: skip
 def sensitivity_grey(evidence: Evidence) -> float:
-    """From the optical model, mean of the three channels."""
+    """Follows from the optical model, mean of the three channels."""
     record = evidence.one("sphere")
     change = evidence.picture_change(record, list(range(record.down.stop)))
     return at_load(record, change, evidence.load_n) / evidence.load_n
@@ -199,7 +199,7 @@ def variation(values: list[float]) -> float:
     ("places",),
 )  # fmt: skip
 def uniformity_force(evidence: Evidence) -> float:
-    """At the greatest depth that all places reach."""
+    """Compares at the greatest depth that all places reach."""
     records = _places(evidence)
     depth = min(float(record.depth_mm[record.down][-1]) for record in records)
     forces = [
@@ -215,7 +215,7 @@ def uniformity_force(evidence: Evidence) -> float:
     "lower", ("places",),
 )  # fmt: skip
 def uniformity_contact(evidence: Evidence) -> float:
-    """At half of the least force that the places end with."""
+    """Compares at half of the least force that the places end with."""
     records = _places(evidence)
     load = 0.5 * min(float(record.normal_n[-1]) for record in records)
     return 100 * variation([at_load(r, contact_radius_mm(r), load) for r in records])
@@ -227,7 +227,7 @@ def uniformity_contact(evidence: Evidence) -> float:
     "places", "lower", ("places",),
 )  # fmt: skip
 def uniformity_image(evidence: Evidence) -> float:
-    """At the greatest depth of each place: grey levels in the dent over the force."""
+    """Compares at the greatest depth of each place: grey levels in the dent over the force."""
     records = _places(evidence)
     response = [
         float(evidence.picture_change(r, [r.down.stop - 1])[0] / r.normal_n[-1]) for r in records

@@ -27,21 +27,21 @@ class PressRecord:
     mesh: TetMesh | QuadraticMesh
     """The gel at rest, with all its nodes."""
     surface: ContactFaceMesh
-    """Of ``mesh``."""
+    """Contact face of ``mesh``."""
     gel_from_press: np.ndarray
     """[7]."""
     thickness_mm: float
     """Gel under the press."""
     depth_mm: np.ndarray
-    """Past first touch, shape [step]."""
+    """Depth past first touch, shape [step]."""
     shear_mm: np.ndarray
-    """Along x of the press frame, shape [step]."""
+    """Motion along x of the press frame, shape [step]."""
     twist_deg: np.ndarray
     """Shape [step]."""
     force_n: np.ndarray
-    """Of the gel on the indenter, in the press frame, shape [step, 3]."""
+    """Force of the gel on the indenter, in the press frame, shape [step, 3]."""
     torque_nm: np.ndarray
-    """About the press's axis, shape [step]."""
+    """Torque about the press's axis, shape [step]."""
     indenter_poses: np.ndarray
     """gel_from_indenter, shape [step, 7]."""
     moved_m: np.ndarray
@@ -55,7 +55,7 @@ class PressRecord:
     cause: str = ""
     """Why there are fewer steps; empty when all converged."""
     contact_radius_mm: np.ndarray | None = None
-    """Of the disc of the contact's area, shape [step]; None of tools whose contact is not
+    """Radius of the disc of the contact's area, shape [step]; None of tools whose contact is not
     measured."""
     device: str = "cpu"
     """Warp device that simulated it, and on which its surfaces are rebuilt and rendered."""

@@ -39,7 +39,7 @@ class Limit:
     """What keeps the best design from being better."""
 
     name: str
-    """Of the constraint's metric, or of the parameter."""
+    """Name of the constraint's metric, or of the parameter."""
     text: str
 
 
@@ -52,7 +52,7 @@ class Answer:
     limits: tuple[Limit, ...]
     """Empty where the goal has its optimum inside all ranges."""
     intervals: dict[str, tuple[float, float]]
-    """By parameter with numbers: from and to, in the parameter's unit."""
+    """Ends by parameter with numbers, in the parameter's unit."""
 
 
 def answer(

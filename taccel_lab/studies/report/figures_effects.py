@@ -66,7 +66,7 @@ def _number(value: float | None) -> float:
 
 
 def cell_text(effect: Effect) -> str:
-    """Of one parameter on one metric: ``+0.98   η² 64 %``."""
+    """Effect of one parameter on one metric: ``+0.98   η² 64 %``."""
     parts = []
     if effect.elasticity is not None:
         # Adding zero turns -0.0 round.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SCENE = "scene.png"
 _TOOL = "#7c8694"
 _MOST_FACES = 20_000
-"""Of a tool whose shadow is drawn face by face; of finer ones their convex hull is."""
+"""Faces of a tool whose shadow is drawn face by face; of finer ones the convex hull is."""
 
 
 @in_report_style

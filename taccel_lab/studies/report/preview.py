@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
 _GAIN = 3.0
-"""By how much the picture of the change is amplified."""
+"""Factor by which the picture of the change is amplified."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class DesignPreview:
     light: LightField
     photometry: Photometry
     pressed: PreviewImage | None
-    """At full depth of the first press; None without presses."""
+    """Picture at full depth of the first press; None without presses."""
     further: Mapping[str, PreviewImage]
     """Pictures of further cameras: ``rest_NAME``, and ``pressed_NAME`` where one is pressed."""
     rest_of_press: PreviewImage | None

@@ -26,7 +26,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Effect:
-    """Of one parameter on one metric."""
+    """Effect of one parameter on one metric."""
 
     elasticity: float | None
     share: float | None
@@ -34,18 +34,18 @@ class Effect:
     rank: float | None
     """Spearman's rho, of other sweeps."""
     means: dict[Any, float | None]
-    """Of grids: mean by level, over designs with partners; None for a level without."""
+    """Mean by level of grids, over designs with partners; None for a level without."""
     compared: int
     """Designs with partners, of grids; all with a figure, of other sweeps."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Of one metric to all parameters."""
+    """Sensitivity of one metric to all parameters."""
 
     effects: dict[str, Effect]
     r2: float | None
-    """Of the fit behind the elasticities."""
+    """Coefficient of determination of the fit behind the elasticities."""
     count: int
     """Designs with a figure."""
     lacking: int

@@ -200,7 +200,7 @@ def _pareto(outcome: StudyOutcome) -> dict[str, Any] | None:
 
 
 def sensitivities(outcome: StudyOutcome) -> dict[str, Sensitivity]:
-    """By metric; of a grid over all its designs, those without a row too."""
+    """Sensitivities by metric; of a grid over all its designs, those without a row too."""
     grid = outcome.study.spec.sweep.kind == "grid"
     figures = {row.id: row.figures for row in outcome.rows}
     designs = outcome.study.points() if grid else outcome.done

@@ -16,7 +16,7 @@ from taccel_lab.files.text_file import shown
 from taccel_lab.studies.spec.study_file import MAX_DESIGNS, ParameterRange
 
 SIGNIFICANT_DIGITS = 9
-"""Of values that are computed: a design's identity must not hang on the last bit."""
+"""Digits of values that are computed: a design's identity must not depend on the last bit."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Axis:
     """Listed values, or those of a range with a count; None for a range without."""
     low: float = math.nan
     high: float = math.nan
-    """Of a range."""
+    """Upper end of a range."""
     log: bool = False
     """Whether values are spread by equal ratios."""
     start: float | None = None

@@ -54,7 +54,7 @@ class Study:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Of the family, by name."""
+        """Parameters of the family, by name."""
         return self.family.parameters_type.parameters()
 
     def points(self) -> list[DesignPoint]:
@@ -310,7 +310,7 @@ def require_bearable(
 
 
 def _end_n(press: Any, radius_mm: float, design: FamilyParameters) -> float:
-    """About the force of a press at its full depth [N], of the stiffest layer all through."""
+    """Estimate of the force of a press at its full depth [N], of the stiffest layer all through."""
     thickness = design.pad().thickness_mm
     layers = design.layer_materials()
     depth = min(press.full_depth_mm(thickness), _EQUATOR * radius_mm)

@@ -78,11 +78,11 @@ class StudyBlock(StrictModel):
     loads_n: list[Load] = Field(default_factory=list)
     """Several of them in place of one."""
     accuracy: Accuracy = Accuracy.DEFAULT
-    """Of the presses, as of ``taccel-lab press``."""
+    """Accuracy of the presses, as of ``taccel-lab press``."""
     unit_spread_percent: Number = Field(default=UNIT_SPREAD_PERCENT, ge=0, le=100)
     """Standard deviation of the stiffness from unit to unit, for the intervals."""
     seed: Whole = Field(default=0, ge=0, lt=2**31)
-    """Of random draws and of the optimiser."""
+    """Seed of random draws and of the optimiser."""
 
     @field_validator("metrics", "presses", "loads_n")
     @classmethod
@@ -159,7 +159,7 @@ class Sweep(StrictModel):
     count: Whole | None = Field(default=None, ge=1, le=MAX_DESIGNS)
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
-    """Of a random sweep."""
+    """Sampler of a random sweep."""
     method: Literal["LD_SLSQP", "LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
     """Optimiser: NLopt's SLSQP or COBYLA, or one of Optuna's. Where a study does not say,
     ``make_study`` takes SLSQP for figures that are smooth."""
@@ -212,7 +212,7 @@ class Objective(StrictModel):
         return math.inf if value is None else self.sign * value
 
     def text(self) -> str:
-        """In words: ``least blur``."""
+        """Words such as ``least blur``."""
         return ("least " if self.sign > 0 else "greatest ") + self.metric
 
 
@@ -238,7 +238,7 @@ class Constraint(StrictModel):
         return max(below, above, 0.0)
 
     def text(self) -> str:
-        """In words: ``stiffness_n_per_mm from 1 to 2``."""
+        """Words such as ``stiffness_n_per_mm from 1 to 2``."""
         if self.min is None:
             return f"{self.metric} at most {self.max:g}"
         if self.max is None:
@@ -385,7 +385,7 @@ def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:
 
 
 def _with_hint(line: str, item: Any) -> str:
-    """Of an unknown key inside a table: what is allowed there, and the nearest of it."""
+    """Adds to an unknown key inside a table what is allowed there, and the nearest of it."""
     place = item["loc"]
     if item["type"] != "extra_forbidden":
         return line.removeprefix("StudySpec: ")
