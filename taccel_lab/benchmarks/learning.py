@@ -56,7 +56,7 @@ class Sight:
     env_steps: int
     """Steps of environments that were looked at."""
     seconds: dict[str, float]
-    """Of each kind, torch's part too."""
+    """Seconds of each kind, torch's part too."""
 
     @classmethod
     def none(cls, names: tuple[str, ...]) -> Sight:
@@ -64,7 +64,7 @@ class Sight:
 
     @property
     def total_s(self) -> float:
-        """Of all kinds."""
+        """Seconds of all kinds."""
         return sum(self.seconds.values())
 
 
@@ -135,7 +135,7 @@ class Observer:
         return self.wrenches[:, self.gels].to(torch.float32)
 
     def figures(self, sight: Sight, env_steps: int, seconds: float) -> dict[str, Any]:
-        """For a row of results: of ``env_steps`` steps of environments that took so long."""
+        """Figures for a row of results, of ``env_steps`` steps that took so long."""
         found: dict[str, Any] = {"what": list(self._names), "gels": len(self.gels)}
         found |= {"env_steps": sight.env_steps, "fps": env_steps / seconds}
         found["fps_without"] = env_steps / (seconds - sight.total_s)
@@ -202,7 +202,7 @@ class Learning(Suite):
     """What torch reads of each finished step, on the device: rgb, images of 64 x 64 pixels of each
     gel; wrench, force and torque on each gel, in place of the forces that the host reads."""
     seed: int = 0
-    """Of phases, offsets and resets."""
+    """Seed of phases, offsets and resets."""
     source: str = "auto"
     """Meshes: published, generated, or auto for the published ones where they are."""
     set: tuple[str, ...] = ()
@@ -246,7 +246,7 @@ class LearningPhases:
         self, count: int, steps: int, warm_up: int, reset_share: float, random: np.random.Generator
     ) -> None:
         self.steps = steps
-        """Of the motion."""
+        """Steps of the motion."""
         self.warm_up = warm_up or steps
         """Steps after which each environment has begun anew once, at its own step."""
         self.now = np.zeros(count, dtype=np.int64)
@@ -297,10 +297,10 @@ class LearningLoop:
         self.resets = 0
         """Environments begun anew so far."""
         self.places: list[np.ndarray] = []
-        """Of the steps that ended, as shares of the motion in (0, 1], call by call."""
+        """Places of the steps that ended, as shares of the motion in (0, 1], call by call."""
 
     def _targets(self) -> np.ndarray:
-        """Of the phases, with offsets, [env_count, kinematic_count, 7]."""
+        """Targets of the phases, with offsets, [env_count, kinematic_count, 7]."""
         targets = self._bench.path[self.phases.now].copy()
         shape = (len(targets), int(self._moves.sum()), 3)
         reach = 1e-3 * self._options.offset_mm
@@ -308,8 +308,8 @@ class LearningLoop:
         return targets
 
     def run(self, steps: int, progress: Progress = silent) -> BenchmarkMotion:
-        """So many steps of each environment (in the mean, at their own pace) from where the loop
-        stands."""
+        """Takes so many steps of each environment (in the mean, at their own pace) from where
+        the loop stands."""
         motion = BenchmarkMotion()
         wp.synchronize_device(self.model.device)
         wanted = steps * self.model.env_count

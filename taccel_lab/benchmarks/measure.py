@@ -20,13 +20,13 @@ Clock = Callable[[], float]
 
 
 def clock_of(device: wp.Device | str) -> Clock:
-    """On a GPU wall time; on the CPU the process's own time, to which other work on a shared
+    """Wall time on a GPU; on the CPU the process's own time, to which other work on a shared
     machine adds little. A process of ours computes on one thread."""
     return time.perf_counter if wp.get_device(device).is_cuda else time.process_time
 
 
 def clock_name(device: wp.Device | str) -> str:
-    """For results."""
+    """Name of the clock for results."""
     return "wall" if wp.get_device(device).is_cuda else "process"
 
 
@@ -36,7 +36,7 @@ _LINE = re.compile(r"^\s+(\S+)\s+(?:(\d+) \()?([\d.]+) (B|KB|MB|GB|TB)\)?$")
 
 @dataclass(frozen=True)
 class Allocations:
-    """On one device."""
+    """Allocations on one device."""
 
     count: int
     """Allocations made, freed ones as well."""

@@ -89,7 +89,7 @@ RELAXING_TOOLS = ("ball 4", "ball 1.5", "punch")
 GRADES = ("fast", "default")
 ASKED = ("3%", "1%")
 NEARER = 8
-"""Of ``dhat`` and the steps, for the truth."""
+"""Factor of ``dhat`` and the steps, for the truth."""
 FINE = 2.0
 """Elements along a side over those of the default, for the truth."""
 LEVELS = 2
@@ -147,7 +147,7 @@ class PressCase:
     poisson_ratio: float
     friction: float
     thickness_mm: float | None = None
-    """Of a pad that is not the catalogue's."""
+    """Thickness of a pad that is not the catalogue's."""
     speed_mm_s: float = 1.0
     branches: tuple[tuple[float, float], ...] = ()
     """Relative modulus and time [s] of each."""
@@ -169,7 +169,7 @@ class PressCase:
         return parse_indenter(text) if text else Indenter(self.tool, triangle_prism())
 
     def parameters(self) -> FamilyParameters:
-        """Of the sensor."""
+        """Parameters of the sensor."""
         given = {} if self.thickness_mm is None else {"thickness_mm": self.thickness_mm}
         return sensor_family(self.family).parameters(given)
 
@@ -180,14 +180,14 @@ class PressCaseOutcome:
 
     force_n: float
     solved_n: float
-    """Without what the press beside it takes off."""
+    """Force without what the press beside it takes off."""
     moved_m: np.ndarray
     """Height less that at rest [m], [height_px, width_px], NaN where the gel is steep."""
     force_error_n: float
     """What the press itself states, as the next one."""
     height_error_m: float
     residual: float
-    """Over the contact force."""
+    """Residual over the contact force."""
     node_count: int
     newton_iterations: int
     seconds: float

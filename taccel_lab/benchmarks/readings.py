@@ -55,7 +55,7 @@ class Readings(Suite):
     repeats: int = 20
     """Readings of each row; the median counts."""
     threads: int = 1
-    """Of the CPU."""
+    """Threads of the CPU."""
 
     def settings(self) -> dict[str, Any]:
         return {

@@ -27,7 +27,7 @@ SIDE_BY_SIDE = 5
 """Rows that stand beside one another, a line for each of their figures; more stand one below the
 other."""
 COLUMNS = 6
-"""Of a table of many rows, which goes on in another."""
+"""Columns of a table of many rows, which goes on in another."""
 
 
 def benchmark_page(document: dict[str, Any]) -> Page:
@@ -263,7 +263,7 @@ class Suite:
     """Options of a suite; those of one suite stand in its class, with their help below them."""
 
     name: ClassVar[str]
-    """Of its command and its result file."""
+    """Name of its command and its result file."""
     what: ClassVar[str]
     """A line for the result file."""
     shown: ClassVar[tuple[str, ...]] = ()

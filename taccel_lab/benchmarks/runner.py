@@ -28,7 +28,7 @@ SHOWN = (
     "fps: median", "fps: min", "fps: max", "ms_per_step: median", "newton_mean",
     "residual: worst_over_contact_force", "residual: unconverged", "memory_mib_per_env",
 )  # fmt: skip
-"""Of a row of steps, what is shown while it runs."""
+"""Figures of a row of steps that are shown while it runs."""
 
 
 class ForceProbe:
@@ -38,7 +38,7 @@ class ForceProbe:
         self._wrenches = SoftWrenchReader(solver, in_mounts=False)
 
     def read(self, state: State) -> np.ndarray:
-        """Of the last step, which led to ``state``; in world axes."""
+        """Forces of the last step, which led to ``state``; in world axes."""
         return self._wrenches.read(state).numpy()[..., :3]
 
 

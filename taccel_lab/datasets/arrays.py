@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 MESHES = "meshes"
 CODECS = ("bytes", "crc32c", "zstd")
-"""By their names in zarr's format 3, of whole arrays and within ``SHARDS``; none of them runs
+"""Names in zarr's format 3, of whole arrays and within ``SHARDS``; none of them runs
 anything that a file holds."""
 SHARDS = "sharding_indexed"
 MAX_BLOCK_BYTES = 4 << 30
-"""Of a chunk and of a row: 20 times eight images of 8 megapixels."""
+"""Size of a chunk and of a row: 20 times eight images of 8 megapixels."""
 PACKED_TIMES = 1 << 15
-"""Of its files, what an array of more than a block may have unpacked: zstd's most."""
+"""Multiple of its files that an array of more than a block may have unpacked: zstd's most."""
 MAX_ROWS = 1 << 24
-"""Of an array; a part of 10,000 touches has some hundred thousand steps."""
+"""Rows of an array; a part of 10,000 touches has some hundred thousand steps."""
 _TYPE_BYTES = {
     "bool": 1,
     **{f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)},
@@ -105,7 +105,7 @@ def _array(path: Path) -> zarr.Array[Any]:
 
 
 def _chunk_shape(path: Path, document: dict[str, Any]) -> list[int]:
-    """Of what is unpacked at a time; InputError for codecs that are not read."""
+    """Shape of what is unpacked at a time; InputError for codecs that are not read."""
     codecs, chunk = document["codecs"], document["chunk_grid"]["configuration"]["chunk_shape"]
     stated = codecs
     if [codec["name"] for codec in codecs] == [SHARDS]:

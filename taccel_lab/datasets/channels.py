@@ -36,7 +36,7 @@ class Channel:
     name: str
     dtype: str
     shape: str
-    """Of a row, in words; empty for a number."""
+    """Shape of a row, in words; empty for a number."""
     unit: str
     what: str
     read: Callable[[TouchView], np.ndarray]
@@ -160,7 +160,7 @@ ALWAYS: tuple[Channel, ...] = (
     Channel("status", "uint8", "", "", "1: the step converged; rows of others are not kept",
             lambda v: v.reported("status", 1)),
 )  # fmt: skip
-"""In every data set."""
+"""Channels in every data set."""
 
 OPTIONAL: dict[str, Channel] = {
     channel.name: channel
@@ -185,7 +185,7 @@ OPTIONAL: dict[str, Channel] = {
                 "the gel there", lambda v: 1e-3 * v.tractions_pa[:, v.face_nodes]),
     )
 }  # fmt: skip
-"""By name, of ``output.channels``."""
+"""Channels by name, of ``output.channels``."""
 NODAL = ("node_forces_n", "node_moved_mm", "node_pressures_kpa", "node_tractions_kpa")
 """A row is as long as the contact face of its mesh has nodes; shorter ones end with zeros."""
 _YES_OR_NO = {"contact", "slipping"}

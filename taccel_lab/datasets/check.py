@@ -32,7 +32,7 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.version import __version__
 
 FORCE_TOLERANCE = 1e-5
-"""Of the sum of patch forces beside the force, as a part of the largest force."""
+"""Error of the sum of patch forces beside the force, as a part of the largest force."""
 READ_ROWS = 256
 
 

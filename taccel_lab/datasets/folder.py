@@ -58,7 +58,7 @@ ABOUT_KEYS = {
 }
 PARTS = "parts"
 MAX_TABLE_VALUES = 1 << 30
-"""Of all rows and columns: 26 million steps."""
+"""Values of all rows and columns: 26 million steps."""
 LOCK = ".lock-"
 
 
@@ -155,7 +155,7 @@ class DatasetFolder:
         return self.root / PARTS / part.name
 
     def part_folders(self) -> list[Path]:
-        """Of all parts that are there, in order."""
+        """Folders of all parts that are there, in order."""
         found = (self.root / PARTS).glob("[0-9]*")
         return sorted(path for path in found if path.name.isdecimal() and path.is_dir())
 

@@ -245,7 +245,7 @@ class _Writer:
 
 
 def _stats(values: np.ndarray) -> dict[str, list[Any]]:
-    """Of [n, k]: least, greatest, mean and standard deviation by column, and n."""
+    """Statistics of [n, k]: least, greatest, mean and standard deviation by column, and n."""
     values = values.astype(np.float64)
     return {
         "min": values.min(axis=0).tolist(),
@@ -257,7 +257,7 @@ def _stats(values: np.ndarray) -> dict[str, list[Any]]:
 
 
 def _gathered(parts: list[dict[str, list[Any]]]) -> dict[str, Any]:
-    """Of several sets of numbers together."""
+    """Statistics of several sets of numbers together."""
     count = np.array([part["count"][0] for part in parts], dtype=np.float64)
     mean = np.stack([np.asarray(part["mean"]) for part in parts])
     std = np.stack([np.asarray(part["std"]) for part in parts])

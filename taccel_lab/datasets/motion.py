@@ -30,7 +30,7 @@ class TouchMotion:
     depth_mm: float
     shear_mm: float = 0.0
     direction_deg: float = 0.0
-    """Of shear and roll, from the object's x towards its y."""
+    """Direction of shear and roll, from the object's x towards its y."""
     twist_deg: float = 0.0
     roll_deg: float = 0.0
     step_mm: float = 0.2
@@ -83,9 +83,9 @@ class Placing:
     y_mm: float
     yaw_deg: float = 0.0
     tilt_deg: float = 0.0
-    """Of its axis, along which it comes down, from the face's normal."""
+    """Tilt of its axis, along which it comes down, from the face's normal."""
     lean_deg: float = 0.0
-    """To which side the axis leans, from x towards y."""
+    """Side to which the axis leans, from x towards y."""
 
     @property
     def at_mm(self) -> tuple[float, float]:
@@ -137,7 +137,7 @@ def view_range_mm(grid: PixelGrid, view: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def _height_m(indenter: Indenter, turn: np.ndarray) -> float:
-    """Of the object's origin over its lowest point."""
+    """Height of the object's origin over its lowest point."""
     shape = indenter.shape
     if isinstance(shape, Ball):
         return shape.radius_m

@@ -48,7 +48,7 @@ class PartData:
     part: DatasetPart
     channels: Sequence[Channel]
     arrays: dict[str, np.ndarray]
-    """By channel, a row a step."""
+    """Arrays by channel, a row a step."""
     episodes: dict[str, list[Any]]
     """Columns, a row an episode."""
     meshes: list[tuple[np.ndarray, np.ndarray]]

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
 
 FORMAT = 1
-"""Of the folder; a reader refuses others."""
+"""Format of the folder; a reader refuses others."""
 EPISODE_KEY, LIGHT_KEY, NOISE_KEY = 2, 3, 4
-"""Of the seeds of what they name, beside the data set's own."""
+"""Keys of the seeds of what they name, beside the data set's own."""
 _TOLD_EVERY = 4096
 """Episodes that are drawn between two words of how far it is: a quarter of a second."""
 

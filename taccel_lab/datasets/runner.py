@@ -48,7 +48,7 @@ class Done:
     steps: int
     """Rows, one image each where images are kept."""
     size_bytes: int
-    """On disk; 0 where nothing was written."""
+    """Size on disk; 0 where nothing was written."""
 
 
 @dataclass
@@ -57,9 +57,9 @@ class DatasetOutcome:
 
     root: Path | None
     parts_total: int
-    """Of the shard."""
+    """Parts of the shard."""
     parts_there: int
-    """Before the run."""
+    """Parts before the run."""
     done: list[Done]
     seconds: float
     device: str
@@ -298,7 +298,7 @@ def _here(
     folder: DatasetFolder | None,
     device: str,
 ) -> Iterator[Done]:
-    """In this process; threads write while the next batch is simulated."""
+    """Makes parts in this process; threads write while the next batch is simulated."""
     with ThreadPoolExecutor(WRITERS) as pool:
         waiting: list[Future[Done]] = []
         for group in groups:
@@ -324,7 +324,7 @@ def _finish(plan: DatasetPlan, data: PartData, folder: DatasetFolder | None) -> 
 
 
 _plans: dict[str, DatasetPlan] = {}
-"""Of a process, by what made them."""
+"""Plans of a process, by what made them."""
 
 
 def _in_process(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
 UNITS_KEY = 1
-"""Of the seeds of units, beside the data set's own."""
+"""Key of the seeds of units, beside the data set's own."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Unit:
 
     young_modulus_factor: float = 1.0
     poisson_ratio: float | None = None
-    """In place of the sensor's own."""
+    """Ratio in place of the sensor's own."""
     friction_coefficient: float | None = None
     light: Perturbation | None = None
-    """Of its images, one row; its scale and centre are in ``Sensor.unit_grid``."""
+    """Light of its images, one row; its scale and centre are in ``Sensor.unit_grid``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Sensor:
 
     name: str
     digest: str
-    """Of everything that its profile says; dates do not count."""
+    """Digest of everything that its profile says; dates do not count."""
     pad: Pad
     mesh: TetMesh
     """As designed."""
@@ -66,7 +66,7 @@ class Sensor:
     color: tuple[ColorModel, np.ndarray] | None = None
     """Colour model and image of the untouched gel without its dots, levels, both on ``grid``."""
     dots: PaintedDots | None = None
-    """That the camera sees; ``marker_places_mm`` has their places."""
+    """Dots that the camera sees; ``marker_places_mm`` has their places."""
     optics: OpticalDesign | None = None
     """Predicts images where there is no colour model; its camera is ``camera``."""
     painted: MarkerGrid | None = None

@@ -17,7 +17,7 @@ from taccel_lab.profile.schema import Name
 
 MAX_EPISODES = 10_000_000
 MAX_STEPS = 1000
-"""Of a touch; one takes a second and more of a core."""
+"""Steps of a touch; one takes a second and more of a core."""
 DEFAULT_CHANNELS = ("rgb", "depth_mm", "contact_mask", "markers_px", "patch_forces_n")
 Range = tuple[Number, Number]
 """Drawn evenly between both; equal ends hold it."""
@@ -46,7 +46,7 @@ class DatasetBlock(StrictModel):
     view: Share = 0.7
     """Touches are placed in this part of the camera's view about its middle."""
     x_mm: Range | None = None
-    """In place of ``view``: where they are placed along gel x."""
+    """Places along gel x, in place of ``view``."""
     y_mm: Range | None = None
 
     _ranges = field_validator("x_mm", "y_mm")(_check_range)
@@ -115,15 +115,15 @@ class MotionEntry(StrictModel):
 
     kind: Literal["press", "shear", "twist", "roll", "slip"]
     depth_mm: Range
-    """Past first touch."""
+    """Depth past first touch."""
     shear_mm: Range | None = None
-    """Of shear and slip: how far sideways at full depth."""
+    """Way sideways of shear and slip, at full depth."""
     direction_deg: Range = (0.0, 360.0)
-    """Of shear, slip and roll: which way, from the object's x towards its y."""
+    """Direction of shear, slip and roll, from the object's x towards its y."""
     twist_deg: Range | None = None
-    """Of twist: turn about the object's axis; one sign or both."""
+    """Turn of a twist about the object's axis; one sign or both."""
     roll_deg: Range | None = None
-    """Of roll: turn about an axis along the face, while the object moves on by its height times
+    """Turn of a roll about an axis along the face, while the object moves on by its height times
     the angle, as a ball or a roller does that does not slide."""
     step_mm: Number = Field(default=0.2, gt=0, le=10)
     """Largest motion of a step; each step is a row of the data."""
@@ -165,7 +165,7 @@ class MotionEntry(StrictModel):
         return self
 
     def _most_steps(self) -> float:
-        """Of the longest touch."""
+        """Steps of the longest touch."""
         turns = [
             abs(end) for ends in (self.twist_deg, self.roll_deg) if ends is not None for end in ends
         ]
@@ -182,7 +182,7 @@ class Randomise(StrictModel):
     friction: Range | None = None
     """Coefficient between object and gel, in place of the profile's and the unit's."""
     young_modulus_factor: Range | None = None
-    """Of all layers' moduli, beside the unit's."""
+    """Factor of all layers' moduli, beside the unit's."""
     light_gain: Number = Field(default=0.0, ge=0, le=1)
     """Standard deviation of each colour's gain about the mean of the background."""
     light_offset_levels: Number = Field(default=0.0, ge=0, le=100)

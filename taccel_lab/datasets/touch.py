@@ -28,7 +28,7 @@ class Touch:
     noise_levels: float = 0.0
     marker_noise_px: float = 0.0
     seed: tuple[int, ...] = (0,)
-    """Of the noise."""
+    """Seed of the noise."""
 
     def rng(self, step: int, what: int) -> np.random.Generator:
         """Source of the noise of one step."""
@@ -41,7 +41,7 @@ class TouchRecord:
 
     episode: int
     rows: dict[str, np.ndarray]
-    """By channel, [step + 1, ...]: the untouched gel, then each step that converged."""
+    """Rows by channel, [step + 1, ...]: the untouched gel, then each step that converged."""
     wanted: int
     """Steps of the motion."""
     cause: str

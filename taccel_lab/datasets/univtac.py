@@ -107,6 +107,6 @@ def _put_images(group: Any, name: str, images: np.ndarray) -> None:
 
 
 def _camera_distance_mm(data: Dataset, number: int) -> float:
-    """From the camera to the face at rest along z, where the profile knows; else 0."""
+    """Distance from the camera to the face at rest along z, where the profile knows; else 0."""
     optics = data.profile(number).optics
     return 0.0 if optics is None else abs(float(optics.position_mm[2]))

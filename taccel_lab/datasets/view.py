@@ -79,7 +79,7 @@ class TouchView:
     def at(
         self, step: int, who: np.ndarray, commands: np.ndarray, report: StepReport | None
     ) -> None:
-        """After step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at rest,
+        """Shows step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at rest,
         with no report and no forces. ``commands``: where they were sent, [row, 6]."""
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
@@ -114,7 +114,7 @@ class TouchView:
 
     @cached_property
     def forces_n(self) -> np.ndarray:
-        """Of the gel's nodes on the object, in the gel frame, [row, node, 3]."""
+        """Forces of the gel's nodes on the object, in the gel frame, [row, node, 3]."""
         if not self.touching:
             return np.zeros_like(self.positions_m)
         return -self.env.contact_forces[self.who]
@@ -168,7 +168,7 @@ class TouchView:
 
     @cached_property
     def press_force_n(self) -> np.ndarray:
-        """Of the gel on the object in the press frame, [row, 3]."""
+        """Force of the gel on the object in the press frame, [row, 3]."""
         if not self.touching:
             return np.zeros((len(self.who), 3))
         return self.env.press_force[self.who]

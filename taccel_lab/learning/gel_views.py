@@ -81,7 +81,7 @@ class GelViews:
         self._shapes["wrench"] = (gels, 6)
 
     def space(self, name: str) -> spaces.Box:
-        """Of one environment."""
+        """Space of one environment."""
         shape = self._shapes[name]
         if name in ("contact", "slipping"):
             return spaces.Box(0, 1, shape, bool)  # type: ignore[arg-type]

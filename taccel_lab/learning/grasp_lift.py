@@ -110,7 +110,7 @@ class JointControl:
         self.q = torch.where(who[:, None], moved, self.q)
 
     def poses(self) -> torch.Tensor:
-        """Of ``robot.kinematic_bodies``, [env, body, 7]."""
+        """Poses of ``robot.kinematic_bodies``, [env, body, 7]."""
         return self.robot.targets(self.q, check=False)
 
     def in_mm_and_deg(self) -> torch.Tensor:
@@ -119,7 +119,7 @@ class JointControl:
 
 
 SUCCESS_REWARD = 1.0
-"""Beside the part of the height that each step gains."""
+"""Reward beside the part of the height that each step gains."""
 
 
 class GraspLiftLearning(LearningTask):
@@ -195,7 +195,7 @@ class GraspLiftLearning(LearningTask):
         self._start = put(np.tile([0.0, 0, 0, 0, 0, 0, 1], (count, 1)))
         """Frame in which the gripper began, [env, 7]."""
         self._moved = put(np.zeros((count, 4)))
-        """Of the gripper [m], and its turn [rad], since the start."""
+        """Motion of the gripper [m], and its turn [rad], since the start."""
         self._rise = put(np.zeros(count))
         self._held = torch.zeros(count, dtype=torch.int32, device=device)
         """Steps that the object has been high."""

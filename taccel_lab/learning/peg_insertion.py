@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from taccel_lab.tasks.peg_insertion import PegInsertionParameters
 
 SUCCESS_REWARD = 1.0
-"""Beside the part of the depth that each step gains."""
+"""Reward beside the part of the depth that each step gains."""
 
 
 class PegInsertionLearning(LearningTask):
@@ -79,7 +79,7 @@ class PegInsertionLearning(LearningTask):
         self._gels = put(np.concatenate([apart, turns], axis=2))
         self._middle = put(self._path.gel_m[0] * [0, 1, 1])
         self._moved = put(np.zeros((count, 4)))
-        """Of the middle between the gels [m], and their turn [rad], since the start."""
+        """Motion of the middle between the gels [m], and their turn [rad], since the start."""
         self._closed = torch.zeros(count, dtype=torch.long, device=device)
         self._hole = put(np.tile([0.0, 0, 0, 0, 0, 0, 1], (count, 1)))
         self._depth = put(np.zeros(count))

@@ -159,7 +159,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self.model = task.scene.finalize(device)
         self.num_envs = self.model.env_count
         self.device = torch.device(wp.device_to_torch(self.model.device))
-        """Of all tensors."""
+        """Device of all tensors."""
         self.solver = SolverIPC(self.model, replace(task.config, **(solver or {})))
         self.state = initial_state(self.model)
         task.attach(self.model, self.state)
@@ -183,7 +183,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
 
     @cached_property
     def observation_space(self) -> spaces.Space:  # type: ignore[override]
-        """Of all environments; made on demand, as bounds of images take memory."""
+        """Space of all environments; made on demand, as bounds of images take memory."""
         return batch_space(self.single_observation_space, self.num_envs)
 
     def reset(

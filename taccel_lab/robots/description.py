@@ -22,7 +22,7 @@ class LinkMass:
     center_m: np.ndarray
     """Centre of mass, shape [3]."""
     inertia_kg_m2: np.ndarray
-    """About the centre of mass, shape [3, 3]."""
+    """Inertia about the centre of mass, shape [3, 3]."""
 
 
 @dataclass(frozen=True)

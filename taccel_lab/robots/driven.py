@@ -48,7 +48,7 @@ SURFACE = Surface(layer=LINK_LAYER, collides_with=ALL_LAYERS & ~(LINK_LAYER | GE
 BALL_EDGE = 0.25
 """Edge of the mesh of a ball that moves freely, over its radius."""
 DENSITY = 1000.0
-"""Of links that state no mass [kg/m^3]: that of affine bodies, about what plastic has."""
+"""Density of links that state no mass [kg/m^3]: that of affine bodies, about what plastic has."""
 SLIMMEST = 1e-3
 """Smallest second moment of a link over its largest one, where an inertia is of no solid: a rod
 thirty times as long as wide has it."""
@@ -62,14 +62,14 @@ class DrivenRobot:
     start_q: np.ndarray
     """Coordinates that the scene starts at, where the coordinates of its joints are 0, [dof]."""
     affine_bodies: list[AffineBody]
-    """For ``Scene(affine_bodies=)``."""
+    """Bodies for ``Scene(affine_bodies=)``."""
     soft_bodies: list[SoftBody]
     """Its gels, for ``Scene(soft_bodies=)``."""
     kinematic_bodies: list[KinematicBody]
     """Shapes of the base and frames of its gels, for ``Scene(kinematic_bodies=)``; where it has
     neither, a frame for the joints that hang on it."""
     joints: list[Joint]
-    """For ``Scene(joints=)``; joints that move are called as the robot's."""
+    """Joints for ``Scene(joints=)``; those that move are called as the robot's."""
     base: Robot
     """The robot with the shapes and gels alone of what does not move."""
 
@@ -197,7 +197,7 @@ def drive(
 
 
 def _touching_itself(driven: DrivenRobot) -> DrivenRobot:
-    """With the surfaces of a robot that touches itself; InputError where it overlaps itself."""
+    """Adds the surfaces of a robot that touches itself; InputError where it overlaps itself."""
     robot = driven.robot
     links = {}
     for body in (*driven.affine_bodies, *driven.kinematic_bodies):

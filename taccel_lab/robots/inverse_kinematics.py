@@ -33,7 +33,7 @@ class IKOptions:
     iterations: int = 100
     """Most steps of an attempt."""
     seed: int = 0
-    """Of the random coordinates."""
+    """Seed of the random coordinates."""
 
     def __post_init__(self) -> None:
         for name in ("position_tolerance_m", "rotation_tolerance_rad"):
@@ -63,8 +63,8 @@ class IKResult:
 
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-12, 1e8
 _FIRST_DAMPING = 1.0
-"""Over the mean square of the Jacobian's columns. Long first steps end in other minima more often.
-"""
+"""Damping over the mean square of the Jacobian's columns. Long first steps end in other minima
+more often."""
 _STALLED = 1e-3
 """Part by which the squared error has to fall in ``_PATIENCE`` steps to go on."""
 _PATIENCE = 8

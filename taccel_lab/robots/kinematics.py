@@ -25,9 +25,9 @@ class _Plan:
     bounds: tuple[tuple[int, int], ...]
     """First joint of each depth of the tree, and the one after its last."""
     constants: Constants
-    """Of the joints that carry the links, by depth: what ``_motion`` gives, factors and offsets of
-    their coordinates, which of them turn; where in the depth before each one's parent is; and where
-    the links are among the base and the joints' children."""
+    """Constants of the joints that carry the links, by depth: what ``_motion`` gives, factors and
+    offsets of their coordinates, which of them turn; where in the depth before each one's parent
+    is; and where the links are among the base and the joints' children."""
 
 
 class Kinematics:

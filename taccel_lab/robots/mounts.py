@@ -31,7 +31,7 @@ LINK_LAYER, GEL_LAYER = 1 << 29, 1 << 30
 LINK_SURFACE = Surface(layer=LINK_LAYER, collides_with=ALL_LAYERS & ~GEL_LAYER)
 GEL_SURFACE = Surface(layer=GEL_LAYER, collides_with=ALL_LAYERS & ~LINK_LAYER)
 TOUCHING_SURFACES = Surface(layer=LINK_LAYER), Surface(layer=GEL_LAYER)
-"""Of links and gels of a robot that touches itself."""
+"""Surfaces of links and gels of a robot that touches itself."""
 
 
 def on_seat(mesh: TetMesh) -> np.ndarray:
@@ -52,7 +52,7 @@ class Mount:
 
     link: str
     gel: SoftBody
-    """In the gel frame."""
+    """Gel in the gel frame."""
     link_from_gel: np.ndarray
     """Where the gel frame is in the link, [4, 4]."""
 

@@ -404,7 +404,7 @@ class Robot:
 
     @cached_property
     def _offsets(self) -> Constants:
-        """Of the bodies in the links that carry them, [body, 4, 4]."""
+        """Places of the bodies in the links that carry them, [body, 4, 4]."""
         offsets = [carried.link_from_body for carried in self._carried]
         return Constants({"link_from_body": np.array(offsets).reshape(-1, 4, 4)})
 

@@ -31,14 +31,14 @@ class LinkPart:
     body: str
     """Its name in the scene."""
     name: str
-    """That of the link or of the gel."""
+    """Name of the link or of the gel."""
     link: str
     """What it is, or what carries it."""
     gel: bool
 
 
 def rigid_groups(links: Iterable[str], joints: Iterable[RobotJoint]) -> dict[str, str]:
-    """Of each link the first link of those that fixed joints connect it with."""
+    """First link, by link, of those that fixed joints connect it with."""
     carrier = {joint.child: joint for joint in joints}
     groups = {}
     for name in links:

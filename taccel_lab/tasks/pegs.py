@@ -73,7 +73,8 @@ class Peg(FreeBody):
     shape: Literal["octagon", "round", "rectangle", "trapezoid", "waisted"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=4)]
     """Size across flats of an octagon; diameter; across x and y of a rectangle; across x of a
-    trapezoid, and its sides at +x and -x; across x and y of a rectangle, and length and width of its waist."""
+    trapezoid, and its sides at +x and -x; across x and y of a rectangle, length and
+    width of its waist."""
     height_mm: Positive
 
     @model_validator(mode="after")

@@ -23,7 +23,7 @@ class Forces:
     """[arrow, 3]."""
 
     def largest_n(self) -> float:
-        """Of their magnitudes; 0 without a force."""
+        """Largest of their magnitudes; 0 without a force."""
         return float(np.linalg.norm(self.forces_n, axis=1).max(initial=0.0))
 
 

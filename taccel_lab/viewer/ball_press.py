@@ -60,7 +60,7 @@ class PressAnswer:
     pressures_pa: np.ndarray
     """[node]."""
     forces_n: np.ndarray
-    """Of the ball on the nodes, [node, 3]."""
+    """Forces of the ball on the nodes, [node, 3]."""
     von_mises_pa: np.ndarray
     """[node]."""
     ball_mm: np.ndarray
@@ -120,7 +120,7 @@ SOURCES = (
     "bodies", "cad", "geometry", "ipc", "model", "outputs", "presses", "scene",
     "sensors", "signals", "solvers", "state.py", "viewer/ball_press.py", "viewer/design_press.py",
 )  # fmt: skip
-"""Of this package, the code that presses are made by."""
+"""Code of this package that presses are made by."""
 _LIBRARIES = ("numpy", "scipy", "warp-lang")
 _BASE, _MESH = "base.", "mesh."
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 DIRECTION = (0.35, -1.0, 0.75)
-"""From which a gel is seen: from the front, right and above; z is up."""
+"""Direction from which a gel is seen: from the front, right and above; z is up."""
 
 
 def add_axes(server: ViserServer, corner_mm: np.ndarray, length_mm: float) -> None:

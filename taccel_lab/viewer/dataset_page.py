@@ -116,7 +116,7 @@ def _sampled(image: np.ndarray, view: View, points_mm: np.ndarray) -> np.ndarray
 
 
 def _forces(data: Dataset, rows: np.ndarray, view: View, rest_mm: np.ndarray) -> np.ndarray | None:
-    """Of the object on the nodes [N], [step, node, 3]: the negative of what the object feels."""
+    """Forces of the object on the nodes [N], [step, node, 3]: the negative of what it feels."""
     if "node_forces_n" in data.channels:
         return -data.read("node_forces_n", rows).astype(np.float64)[:, : len(rest_mm)]
     if "patch_forces_n" not in data.channels:

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 
 PIECES = ("formula", "solid", "quick", "rest", "pressed", "drawing", "exact")
-"""Of an answer, in the order in which they are begun; the last one is worked on beside all others,
-so that it may come before some of them."""
+"""Pieces of an answer, in the order in which they are begun; the last one is worked on beside all
+others, so that it may come before some of them."""
 PICTURES = ("rest", "pressed")
 PICTURE_PX = 240
 """Longer side of the pictures of the page."""
@@ -322,7 +322,7 @@ _WORDS = {
     "drawing": "drawing",
     "exact": "press at default accuracy",
 }
-"""Of ``design_answer.PIECES``."""
+"""Words for ``PIECES``."""
 
 
 def heading(label: str, parameters: FamilyParameters) -> PageText:

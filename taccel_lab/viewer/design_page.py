@@ -209,7 +209,7 @@ class DesignPage:
         self.work.ask(choice)
 
     def _work(self, choice: Choice, superseded: Callable[[], bool]) -> None:
-        """In the thread of the work: answer one choice, as far as it is still wanted."""
+        """Answers one choice, as far as it is still wanted; in the thread of the work."""
         try:
             self._status.content = PageText("*working …*")
             self._answers.answer(choice, self._tell, superseded)
@@ -281,7 +281,7 @@ class DesignPage:
             self._view.show_states(_untouched(answer.mesh, _images(answer)))
 
     def _enlarge(self, event: Any) -> None:
-        """In the browser that asked for it; other ones go on as they were."""
+        """Enlarges in the browser that asked for it; other ones go on as they were."""
         if self.shown is None or self.shown.drawing_rgb is None or event.client is None:
             return
         gui = event.client.gui

@@ -23,7 +23,7 @@ class Field:
     """Limits of its colours; those of the values when None."""
 
     def limits(self) -> tuple[float, float]:
-        """From 0, or the least value below it, to the largest of all states; never empty."""
+        """Range from 0, or the least value below it, to the largest of all states; never empty."""
         if self.span is not None:
             return self.span
         low = min(float(np.nanmin(self.values, initial=0.0)), 0.0)
@@ -70,7 +70,7 @@ class GelStates:
     """A line of text a state."""
     fields: list[Field] = field(default_factory=list)
     forces_n: np.ndarray | None = None
-    """Of the tool on the nodes, [state, node, 3]."""
+    """Forces of the tool on the nodes, [state, node, 3]."""
     tool: ShownTool | None = None
     images: SensorImages | None = None
 

@@ -74,7 +74,7 @@ def probe(
 PLANES = {"none": None, "across x": (1.0, 0.0), "across y": (0.0, 1.0), "across z": None}
 ARROWS = ("none", "by patch", "by node")
 LONGEST_ARROW = 0.3
-"""Of arrows at rest of their slider, as a part of the gel's longer side."""
+"""Length of arrows at rest of their slider, as a part of the gel's longer side."""
 ARROW_RGB = (213, 94, 0)
 TOOL_RGB = (150, 156, 166)
 PROBE_RGB = (204, 121, 167)

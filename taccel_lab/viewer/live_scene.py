@@ -64,7 +64,7 @@ class BodiesView:
 LEAST_MM, LEAST_KPA = 0.01, 0.1
 """Least reach of the colour bars: less is noise."""
 SHARE = 0.999
-"""Of pixels that the bar of the depth reaches: a face that folds over shows a few far away."""
+"""Share of pixels that the bar of the depth reaches: a face that folds shows a few far away."""
 
 
 def gel_images(
@@ -90,7 +90,7 @@ def gel_images(
 
 
 DIRECTION = (1.0, -1.4, 0.25)
-"""From which scenes are seen: from the side, as gels may hide what is below them."""
+"""Direction from which scenes are seen: the side, as gels may hide what is below them."""
 
 
 class Stepping(Protocol):
@@ -137,7 +137,7 @@ class LiveScene:
         self._colors = colors
         self._watch: GelWatch | None = None
         self._frames: list[GelSnapshot] = []
-        """At rest, and now."""
+        """Frames at rest, and now."""
         self._server, self._begin, self._title = server, begin, title
         self._play, self._end, self._restart = threading.Event(), threading.Event(), True
         self._single = False

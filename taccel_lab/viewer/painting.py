@@ -14,7 +14,7 @@ from taccel_lab.viewer.section import SectionSurface
 
 MAPS = ("viridis", "magma", "turbo", "cividis")
 GREY = (0.72, 0.74, 0.77)
-"""Of values that are not known."""
+"""Colour of values that are not known."""
 _STEPS = 256
 _LIT, _GLOW = 0.45, 0.5
 """Part of a colour that depends on the light, and part that does not: shape is seen, and a section

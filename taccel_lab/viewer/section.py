@@ -27,7 +27,7 @@ class SectionSurface:
     """[point]."""
 
     def area(self) -> float:
-        """Of all triangles, in the square of the nodes' unit."""
+        """Area of all triangles, in the square of the nodes' unit."""
         a, b, c = (self.points[self.faces[:, i]] for i in range(3))
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 

@@ -23,7 +23,7 @@ PEERS = Path(__file__).parents[1] / "peers.json"
 
 
 def read_peers() -> dict[str, Any]:
-    """On the peg scene, and others."""
+    """Figures on the peg scene, and others."""
     return json.loads(PEERS.read_text(encoding="utf-8"))
 
 
@@ -142,7 +142,7 @@ def _speed(results: Results) -> list[str]:
 
 
 def _fps(results: Results, suite: str, of_interest: Any) -> dict[int, float]:
-    """Of the scene ``peg`` on an H200, by environments."""
+    """Rates of the scene ``peg`` on an H200, by environments."""
     return {
         row["envs"]: row["fps"]["median"]
         for document in results.get(suite, [])

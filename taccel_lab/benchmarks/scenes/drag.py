@@ -21,7 +21,7 @@ FRICTION = 0.5
 
 @dataclass(frozen=True)
 class PressMotion:
-    """Of the ball, in metres."""
+    """Motion of the ball, in metres."""
 
     ball_m: float
     depth_m: float

@@ -48,9 +48,9 @@ class GelPlace:
     link: str
     """Name of the published gel."""
     polar_deg: float
-    """From straight below, over +y."""
+    """Angle from straight below, over +y."""
     lateral_deg: float = 0.0
-    """Towards +x."""
+    """Angle towards +x."""
     along: bool = True
     """Whether its long side follows the polar direction."""
 

@@ -40,11 +40,11 @@ PARTS_M = 1e-3 * np.array(
 """Centre and half axes of trunk, head, ears, arms, legs [m]; it stands on z = 0."""
 BLEND_M = 3e-3
 LEAST_VOLUME = 0.15
-"""Of a tet over that of one of an undistorted cell."""
+"""Volume of a tet over that of one of an undistorted cell."""
 
 
 def surface_value(points_m: np.ndarray) -> np.ndarray:
-    """About the distance from the surface [m], negative inside, shape [...]."""
+    """Estimate of the distance from the surface [m], negative inside, shape [...]."""
     center, radii = PARTS_M[:, 0], PARTS_M[:, 1]
     scaled = np.linalg.norm((points_m[..., None, :] - center) / radii, axis=-1)
     distance = (scaled - 1) * radii.min(axis=1)
@@ -141,7 +141,7 @@ DT_S = 1 / 50
 TEDDY = Material(young_modulus_pa=2e4, poisson_ratio=0.4, density_kg_m3=250.0)
 FRICTION = 0.8
 CLEARANCE_M = 0.15e-3
-"""Over the ground at the start."""
+"""Height over the ground at the start."""
 GRIP_M = 33e-3
 """Height of the middle of the gels."""
 GAP_M, SQUEEZE_M, LIFT_M = 1e-3, 4e-3, 30e-3
@@ -150,7 +150,7 @@ STEPS = (16, 24)
 
 
 def build(options: SceneOptions) -> BenchScene:
-    """With the published pads of 239 nodes where they are; the bear is always ours."""
+    """Builds it with the published pads of 239 nodes where they are; the bear is always ours."""
     gel, source = pad(239, options.source)
     bear = teddy_mesh()
     gels, mounts = mounted({"front": gel, "back": gel}, FRICTION)

@@ -278,7 +278,7 @@ class ForceBalance:
         return [b.node_slice for b in self.model.bodies if b.kind is BodyKind.SOFT]
 
     def volume_ratios(self, env: int, x: np.ndarray) -> list[tuple[bool, np.ndarray]]:
-        """Of each soft body: whether it bears inversion, and all det F."""
+        """Ratios of each soft body: whether it bears inversion, and all det F."""
         forces = self.soft[env % self.model.rest_count]
         return [
             (body.bears_inversion(), body.volume_ratios(x[nodes]))

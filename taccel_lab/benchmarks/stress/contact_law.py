@@ -41,9 +41,9 @@ class SurfaceMotion:
     """How far everything has moved in a step."""
 
     moved_m: Array
-    """Of each node [m], [node_count, 3]."""
+    """Motion of each node [m], [node_count, 3]."""
     poses_before: Array
-    """Of the kinematic bodies at the start, [kinematic_count, 7]."""
+    """Poses of the kinematic bodies at the start, [kinematic_count, 7]."""
     poses: Array
 
 
@@ -121,7 +121,7 @@ def _turned(nodes: Array, normals: Array, motion: SurfaceMotion, model: Model) -
 
 
 def rotation_matrices(poses: Array) -> Array:
-    """Of poses (place, then quaternion x, y, z, w), [count, 7]: [count, 3, 3]."""
+    """Rotations of poses (place, then quaternion x, y, z, w), [count, 7]: [count, 3, 3]."""
     x, y, z, w = poses[:, 3:].T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -146,7 +146,7 @@ class Stress(Suite):
     count: int = 200
     """Scenes."""
     seed: int = 0
-    """Of the first scene; the same seed gives the same scenes."""
+    """Seed of the first scene; the same seed gives the same scenes."""
     families: tuple[str, ...] = ()
     """Kinds of scenes. Default: all."""
     jobs: int = 1

@@ -23,7 +23,7 @@ class ForceOptions:
     device: str = "cpu"
     """Device of the training: cpu, or cuda."""
     seed: int = 0
-    """Of weights, batches and drawn lights."""
+    """Seed of weights, batches and drawn lights."""
     markers: Literal["auto", "on", "off"] = "auto"
     """Marker displacements are an input too. auto: if profile and data set have them."""
     light: float = 1.0
