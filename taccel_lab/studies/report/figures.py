@@ -22,6 +22,22 @@ MOST_PAIRED = 5
 """Metrics in the picture of pairs."""
 MOST_AXES = 10
 """Axes of the parallel coordinates."""
+_COLUMNS = 3
+"""Panels in a row."""
+
+
+def panel_grid(
+    count: int, each: tuple[float, float], more: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Figure, Any]:
+    """Figure and panels [row, column], three a row and as many shown as ``count``; sizes of each
+    and of what is around them in inches."""
+    columns = min(_COLUMNS, count)
+    rows = -(-count // columns)
+    size = each[0] * columns + more[0], each[1] * rows + more[1]
+    figure, panels = new_figure(*size, rows, columns, squeeze=False)
+    for panel in panels.flat[count:]:
+        panel.set_visible(False)
+    return figure, panels
 
 
 def with_unit(name: str, unit: str) -> str:
@@ -236,7 +252,6 @@ def draw_parallel(outcome: StudyOutcome, front: list[str], best: list[str]) -> F
 
 
 MOST_TOOLS = 6
-_COLUMNS = 3
 _DASHES = ("-", "--", ":", "-.")
 
 
@@ -273,9 +288,7 @@ def draw_tools(outcome: StudyOutcome, contact: bool) -> Figure:
             for tool, made in curves.items()
             if (kept := [(r, c) for r, c in made if c.get("contact_diameter_mm")])
         }
-    columns = min(_COLUMNS, len(curves))
-    rows = -(-len(curves) // columns)
-    figure, panels = new_figure(3.3 * columns + 1.0, 2.7 * rows + 0.5, rows, columns, squeeze=False)
+    figure, panels = panel_grid(len(curves), (3.3, 2.7), (1.0, 0.5))
     axes = [axis for axis in outcome.study.axes if axis.numeric]
     shade = (
         np.array([float(row.parameters[axes[0].name]) for row in outcome.done]) if axes else None
@@ -304,8 +317,6 @@ def draw_tools(outcome: StudyOutcome, contact: bool) -> Figure:
         panel.set_xlabel("force [N]" if contact else "depth [mm]", fontsize=9)
         panel.set_ylabel("contact diameter [mm]" if contact else "force [N]", fontsize=9)
         panel.tick_params(labelsize=8)
-    for panel in list(panels.flat)[len(curves) :]:
-        panel.set_visible(False)
     if norm is not None:
         from matplotlib.cm import ScalarMappable
 
@@ -357,23 +368,18 @@ def drawn_presses(outcome: StudyOutcome, designs: list[DesignRow]) -> list[str]:
 def draw_curves(outcome: StudyOutcome, best: list[DesignRow], worst: list[DesignRow]) -> Figure:
     """Force over depth, or over the sideways motion, in the first record of every press."""
     presses = drawn_presses(outcome, [*best, *worst])
-    columns = min(3, len(presses))
-    rows = -(-len(presses) // columns)
-    figure, panels = new_figure(3.2 * columns, 2.5 * rows + 0.4, rows, columns, squeeze=False)
-    for place, panel in enumerate(panels.flat):
-        if place >= len(presses):
-            panel.set_visible(False)
-            continue
+    figure, panels = panel_grid(len(presses), (3.2, 2.5), (0.0, 0.4))
+    for press, panel in zip(presses, panels.flat, strict=False):
         panel.grid(True)
         panel.set_axisbelow(True)
         for designs, color, word in ((worst, ORANGE, "worst"), (best, GREEN, "best")):
             for number, design in enumerate(designs):
-                for curve in curves_of(design, presses[place])[:1]:
+                for curve in curves_of(design, press)[:1]:
                     label = f"{word} {number + 1}" if len(designs) > 1 else word
                     labels = _draw_curve(panel, curve, SHADES[number], color, label)
                     panel.set_xlabel(labels[0], fontsize=9)
                     panel.set_ylabel(labels[1], fontsize=9)
-        panel.set_title(presses[place])
+        panel.set_title(press)
         panel.set_xlim(left=0)
         if panel.get_xlabel().startswith("depth"):
             panel.set_ylim(bottom=0)

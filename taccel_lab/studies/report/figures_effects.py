@@ -14,6 +14,7 @@ from taccel_lab.studies.report.figures import (
     color_norm,
     column,
     metric_label,
+    panel_grid,
     parameter_label,
     plain_log_ticks,
 )
@@ -169,16 +170,11 @@ def draw_maps(outcome: StudyOutcome) -> Figure:
     first, second = outcome.study.axes
     designs = outcome.done
     metrics = [m for m in list(outcome.study.metrics)[:MOST_METRICS] if _known(outcome, m)]
-    columns = min(3, len(metrics))
-    rows = -(-len(metrics) // columns)
-    figure, panels = new_figure(3.3 * columns, 2.75 * rows, rows, columns, squeeze=False)
+    figure, panels = panel_grid(len(metrics), (3.3, 2.75))
     xs, ys = sorted(first.values or ()), sorted(second.values or ())
-    for place, panel in enumerate(panels.flat):
-        if place >= len(metrics):
-            panel.set_visible(False)
-            continue
+    for metric, panel in zip(metrics, panels.flat, strict=False):
         cells = np.full((len(ys), len(xs)), np.nan)
-        for row, value in zip(designs, column(designs, metrics[place]), strict=True):
+        for row, value in zip(designs, column(designs, metric), strict=True):
             spot = ys.index(row.parameters[second.name]), xs.index(row.parameters[first.name])
             cells[spot] = value
         drawn = panel.pcolormesh(
@@ -192,7 +188,7 @@ def draw_maps(outcome: StudyOutcome) -> Figure:
         for y, x in zip(*np.nonzero(np.isnan(cells)), strict=True):
             panel.text(x, y, "\N{MULTIPLICATION SIGN}", ha="center", va="center", color=GREY)
         panel.set_facecolor("#f3f4f6")
-        panel.set_title(metric_label(outcome, metrics[place]), fontsize=9)
+        panel.set_title(metric_label(outcome, metric), fontsize=9)
         for ticks, values in ((panel.set_xticks, xs), (panel.set_yticks, ys)):
             step = max(1, -(-len(values) // 5))
             ticks(range(0, len(values), step), [f"{v:.3g}" for v in values[::step]])
