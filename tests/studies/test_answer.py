@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.cad.parameters import Parameter
-from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import ranked
+from taccel_lab.studies.evaluate.design_row import DesignRow, ranked
 from taccel_lab.studies.report.answer import Answer, answer
 from taccel_lab.studies.report.sensitivity import sensitivity
 from taccel_lab.studies.spec.axis import Axis

@@ -18,8 +18,8 @@ from hypothesis.extra.numpy import arrays
 from markupsafe import escape
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import (
+from taccel_lab.studies.evaluate.design_row import (
+    DesignRow,
     directed,
     is_feasible,
     least_violating,

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from taccel_lab.studies.evaluate.ranking import TOLERANCE
+from taccel_lab.studies.evaluate.design_row import TOLERANCE
 from taccel_lab.studies.spec.axis import Axis
 from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
 

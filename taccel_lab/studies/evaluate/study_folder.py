@@ -30,7 +30,7 @@ from taccel_lab.files.file_lock import hold
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, require_growable
 from taccel_lab.files.shard import Shard
-from taccel_lab.studies.evaluate.design_row import DesignRow, read_row
+from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible, read_row
 
 if TYPE_CHECKING:
     from taccel_lab.studies.evaluate.design_row import DesignRow
@@ -165,8 +165,6 @@ def interval_columns(name: str) -> tuple[str, str]:
 
 def table_rows(study: Study, designs: Sequence[DesignRow]) -> list[dict[str, Any]]:
     """Rows of the table; None where a figure is missing."""
-    from taccel_lab.studies.evaluate.ranking import is_feasible
-
     names = columns(study)
     rows = []
     for design in designs:

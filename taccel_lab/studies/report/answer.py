@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.report.html import format_number
 from taccel_lab.report.remark import Remark, Severity
-from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import is_feasible, violations
+from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible, violations
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.sensitivity import Sensitivity
 from taccel_lab.studies.spec.axis import Axis

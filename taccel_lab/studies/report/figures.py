@@ -9,8 +9,7 @@ import numpy as np
 
 from taccel_lab.report.html import format_number
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
-from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import is_feasible
+from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report.values import compared, costs_of, pareto_front
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.studies.evaluate.design_row import DesignRow
-from taccel_lab.studies.evaluate.ranking import (
+from taccel_lab.studies.evaluate.design_row import (
+    DesignRow,
     directed,
     is_feasible,
     least_violating,
