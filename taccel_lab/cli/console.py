@@ -16,8 +16,6 @@ from taccel_lab.errors import keeping
 from taccel_lab.files.atomic_file import to_jsonable
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rich.console import Console
     from rich.status import Status
 

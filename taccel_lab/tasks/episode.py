@@ -111,8 +111,8 @@ class TaskEpisode(ABC):
         """What came of each seed."""
         found = []
         for env, (seed, start) in enumerate(zip(self.seeds, self.starts, strict=True)):
-            missed, found = self.judge(env)
-            figures = {name: float(value) for name, value in found.items()}
+            missed, measured = self.judge(env)
+            figures = {name: float(value) for name, value in measured.items()}
             cause = self._causes[env] or missed
             steps = int(self._steps[env])
             found.append(

@@ -24,8 +24,6 @@ from taccel_lab.viewer.gel_view import GelView
 if TYPE_CHECKING:
     from viser import ViserServer
 
-    from taccel_lab.datasets.reading import Dataset
-
 
 def read_touch(data: Dataset, episode: int) -> GelStates:
     """The steps of a touch. Motion and forces are those of the nodes where the data set has them;

@@ -27,8 +27,6 @@ from taccel_lab.with_error import with_error
 if TYPE_CHECKING:
     from viser import ViserServer
 
-    from taccel_lab.viewer.gel_states import GelStates
-
 
 STATES = "states.npz"
 PRESS = "press.json"

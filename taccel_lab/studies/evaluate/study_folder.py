@@ -33,7 +33,6 @@ from taccel_lab.files.shard import Shard
 from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible, read_row
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.evaluate.design_row import DesignRow
     from taccel_lab.studies.spec.study import Study
 
 
