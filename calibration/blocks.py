@@ -16,9 +16,9 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color
 from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.depth.depth_page import depth_page
-from taccel_lab.calibration.depth.fit import calibrate_depth
-from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.grey.depth_page import depth_page
+from taccel_lab.calibration.grey.fit import calibrate_depth
+from taccel_lab.calibration.grey.options import DepthOptions
 from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.markers_page import marker_page
 from taccel_lab.calibration.material.fit import calibrate_material

@@ -29,7 +29,7 @@ from taccel_lab.calibration.check.block_findings import capture_check
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.grey.result import DepthCalibration
 from taccel_lab.calibration.markers.result import MarkerCalibration
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.normals.result import NormalCalibration

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import subprocess
 import sys
@@ -207,7 +208,7 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
     from taccel_lab.calibration.blocks import BLOCKS
 
     for block in BLOCKS:
-        folder = ROOT / "calibration" / block.name
+        folder = Path(inspect.getfile(block.verb)).parent
         assert {"fit.py", "result.py", f"{block.name}_page.py"} <= {
             path.name for path in folder.iterdir()
         }

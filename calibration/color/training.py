@@ -10,7 +10,7 @@ import torch
 
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorSamples
-from taccel_lab.calibration.training import (
+from taccel_lab.calibration.response.training import (
     arrays_of,
     descend,
     initial_weights,

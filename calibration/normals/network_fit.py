@@ -33,7 +33,7 @@ from taccel_lab.calibration.normals.samples import (
     join,
 )
 from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress, synthetic_samples
-from taccel_lab.calibration.training import (
+from taccel_lab.calibration.response.training import (
     arrays_of,
     descend,
     going_on,

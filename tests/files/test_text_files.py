@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.grey.options import DepthOptions
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files import table_file

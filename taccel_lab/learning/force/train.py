@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from taccel_lab.calibration.training import descend, one_thread
+from taccel_lab.calibration.response.training import descend, one_thread
 from taccel_lab.errors import InputError
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples, spread_of

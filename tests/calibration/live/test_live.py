@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-from taccel_lab.calibration.depth.captures import CaptureSet
+from taccel_lab.calibration.grey.captures import CaptureSet
 from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
 from taccel_lab.calibration.live.pictures import BEYOND, pictures
 from taccel_lab.calibration.live.reader import LiveReader
@@ -22,7 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, grey_unit
+from tests.calibration.grey.test_depth import BALL_MM, CIRCLES, GRID, grey_unit
 from tests.calibration.record.sessions import SteeredCamera
 from tests.support.capture_sets import write_image
 from tests.support.real_data import real_data

@@ -22,7 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.profile import BranchEntry, SensorProfile
-from tests.calibration.depth.test_depth import grey_unit
+from tests.calibration.grey.test_depth import grey_unit
 from tests.support.small_captures import write_image
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, widest_gap_px
-from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.grey.result import DepthCalibration
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.shared_remarks import (
     GREY_OR_COLOUR,

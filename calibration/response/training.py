@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import torch
 
-from taccel_lab.calibration.muon import Muon
+from taccel_lab.calibration.response.muon import Muon
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
 LEAST_SCHEDULE = 11

@@ -27,8 +27,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.calibration.circles.usable import usable_presses
-from taccel_lab.calibration.depth.captures import grey_captures
-from taccel_lab.calibration.depth.curve import (
+from taccel_lab.calibration.grey.captures import grey_captures
+from taccel_lab.calibration.grey.curve import (
     ContactPixels,
     contact_pixels,
     curve_spread_mm,
@@ -37,14 +37,14 @@ from taccel_lab.calibration.depth.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
-from taccel_lab.calibration.depth.options import DepthOptions
-from taccel_lab.calibration.depth.remarks import (
+from taccel_lab.calibration.grey.options import DepthOptions
+from taccel_lab.calibration.grey.remarks import (
     curve_remarks,
     error_remarks,
     label_remarks,
     place_remarks,
 )
-from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
+from taccel_lab.calibration.grey.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.grey.result import DepthCalibration
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
