@@ -76,8 +76,21 @@ def _contacts() -> tuple[CaptureFigure, ...]:
 
 
 TAXIM, FOTS, RVSATHU = "taxim:gelsight", "fots_calib", "gelsight_rvsathu_sim2real"
-STATED = {"9dtact_official": ("--board", "dots:9x7:2.5")}
-"""What the files of a set do not say, and importers ask for: its authors' board."""
+LAYOUTS = Path(__file__).resolve().parents[2] / "docs" / "examples" / "layouts"
+STATED = {
+    # Its authors' board, which no file says.
+    "9dtact_official": ("--board", "dots:9x7:2.5"),
+    **{
+        source: ("--layout", str(LAYOUTS / f"{script}.py"))
+        for source, script in (
+            (FOTS, "fots"),
+            (RVSATHU, "rvsathu"),
+            ("gelsight_osaka_photon26", "osaka"),
+            ("gsmini_feats_calib", "feats"),
+        )
+    },
+}
+"""Options of the import."""
 CASES = (
     CaptureCase("GelSight (taxim)", TAXIM, "", "contacts", _contacts()),
     CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "contacts", _contacts()),

@@ -150,10 +150,6 @@ def _importer(layout: str, **options: str | float) -> Callable[[Path, Path], Non
     return call
 
 
-def _import_by_recipe(given: Path, out: Path) -> None:
-    _importer(str(given / "mine.toml"))(given / "bench", out)
-
-
 def _import_pack(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_captures
 
@@ -335,7 +331,6 @@ READERS: dict[str, Reader] = {
     "capture-rectify": Reader(captures.raw_with_maps, _rectify, ("maps.npz", "maps.npz", "raw/*")),
     "rectification": Reader(captures.raw_with_maps, _rectify, ("maps.npz",)),
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
-    "import-recipe": Reader(layouts.own_recipe, _import_by_recipe, named=("mine.toml",)),
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
     "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
     "import-video": Reader(layouts.video_of_dots, _importer("markers")),

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from taccel_lab.calibration.capture.camera.name_stamps import name_stamps
-from taccel_lab.calibration.capture.importers.path_pattern import natural_key
+from taccel_lab.calibration.capture.importers.files import natural_key
 from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, is_video
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5

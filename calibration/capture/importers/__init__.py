@@ -3,16 +3,35 @@
 
 from __future__ import annotations
 
+import importlib.util
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers import markers, ninedtact, plain, taxim
-from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.layout import CaptureLayout
+from taccel_lab.calibration.capture.importers import (
+    gs_sdk,
+    markers,
+    ninedtact,
+    plain,
+    printer,
+    taxim,
+)
+from taccel_lab.calibration.capture.importers.draft import (
+    CaptureLayout,
+    Draft,
+    ImportOptions,
+    board_entry,
+)
+from taccel_lab.calibration.capture.importers.files import (
+    images_in,
+    label_numbers,
+    press_rows,
+    stated_number,
+)
+from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
-from taccel_lab.calibration.capture.importers.recipe_layout import RECIPES, recipe_layout
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
@@ -21,16 +40,25 @@ from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
 
 LAYOUTS: dict[str, CaptureLayout] = {
-    layout.name: layout
     # The most telling first: any folder of images is a plain one.
-    for layout in (
-        *(part.LAYOUT for part in (taxim, ninedtact)),
-        *(recipe_layout(path) for path in sorted(RECIPES.glob("*.toml"))),
-        *(part.LAYOUT for part in (markers, plain)),
-    )
+    part.LAYOUT.name: part.LAYOUT
+    for part in (taxim, ninedtact, gs_sdk, printer, markers, plain)
 }
 AUTO = "auto"
-RECIPE_SUFFIX = ".toml"
+SCRIPT_SUFFIX = ".py"
+SCRIPTS = "docs/examples/layouts"
+"""Where the layouts of further published sets are, as scripts."""
+PUBLISHED = {
+    "fots": ["mlp_calib/*"],
+    "feats": ["force_indentation.json"],
+    "py3dcal": ["probe_images/*"],
+    "osaka": ["fisheye/cam*/*"],
+    "rvsathu": ["calib_*_real.*"],
+    "ruihangao": ["calib_ball/frame_*"],
+    "gelslim": ["**/ref.*", "**/sample_*"],
+    "cube-edges": ["*/label.npz"],
+}
+"""Their names, and what a folder has that follows one."""
 
 __all__ = [
     "AUTO",
@@ -39,40 +67,78 @@ __all__ = [
     "Draft",
     "ImportOptions",
     "Imported",
+    "board_entry",
     "detect_layout",
+    "images_in",
     "import_captures",
     "import_folders",
+    "label_numbers",
+    "press_rows",
     "read_drafts",
+    "read_label_tables",
+    "stated_number",
 ]
+"""Scripts of layouts use what reads files here, too."""
 
 
 def detect_layout(source: Path | str) -> CaptureLayout:
     """The layout that ``source`` follows.
 
     Raises:
-        InputError: None of them; the message names all.
+        InputError: None of them, or a published one that a script reads; the message names it, or
+            all.
     """
     source = _own_files_alone(Path(source))
+    folder = source if source.is_dir() else source.parent
     for layout in LAYOUTS.values():
+        if layout in (markers.LAYOUT, plain.LAYOUT):
+            for name, signs in PUBLISHED.items():
+                if all(next(folder.glob(sign), None) for sign in signs):
+                    raise InputError(
+                        f"{source} has {' and '.join(signs)}, as the published set {name}: add "
+                        f"--layout {SCRIPTS}/{name}.py to taccel-lab capture import, or --layout "
+                        f"{plain.LAYOUT.name} where all of its images are of one ball"
+                    )
         if layout.recognises(source):
             return layout
     known = "; ".join(f"{layout.name} ({layout.title})" for layout in LAYOUTS.values())
-    raise InputError(f"{source} follows none of the layouts known: {known}")
+    raise InputError(
+        f"{source} follows none of the layouts known: {known}; docs/capture_import.md shows how a "
+        "script of 20 lines reads one of your own"
+    )
 
 
 def named_layout(name: str) -> CaptureLayout:
-    """The layout of that name, or that of a recipe's file, ``mine.toml``.
+    """The layout of that name, or that of a script, ``mine.py``.
 
-    Raises InputError for another name, and for a recipe with a fault.
+    Raises InputError for another name, and for a script without ``read``.
     """
-    if name.endswith(RECIPE_SUFFIX):
-        return recipe_layout(Path(name))
+    if name.endswith(SCRIPT_SUFFIX):
+        return script_layout(Path(name))
     if name not in LAYOUTS:
+        script = f"; {SCRIPTS}/{name}.py reads it" if name in PUBLISHED else ""
         raise InputError(
-            f"no layout {name!r}; known: {AUTO}, {', '.join(LAYOUTS)}, or the file of a recipe, "
-            f"which ends in {RECIPE_SUFFIX}"
+            f"no layout {name!r}{script}; known: {AUTO}, {', '.join(LAYOUTS)}, or a script, which "
+            f"ends in {SCRIPT_SUFFIX}"
         )
     return LAYOUTS[name]
+
+
+def script_layout(path: Path) -> CaptureLayout:
+    """The layout whose ``read(source, options)`` a Python file defines, as ``CaptureLayout`` has
+    it; its docstring begins with the title. The file is run.
+
+    Raises InputError where there is no such file or function.
+    """
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise InputError(f"{path} does not exist; a layout's script is needed")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    if not callable(getattr(script, "read", None)):
+        raise InputError(f"{path} defines no read(source, options), which returns drafts")
+    title = (script.__doc__ or "a layout of your own").strip().splitlines()[0]
+    return CaptureLayout(path.stem, title, lambda source: True, script.read)
 
 
 def read_drafts(
@@ -90,6 +156,7 @@ def read_drafts(
         raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     require_effect(options, drafts, source, chosen.name)
     origin = read_origin(source)
+    _part_ways(drafts)
     for draft in drafts:
         draft.apply(options, source if source.is_dir() else source.parent)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
@@ -103,6 +170,15 @@ def read_drafts(
         draft.used |= origin.files
     _leave_out_the_rest(source, drafts, chosen.name)
     return chosen, drafts
+
+
+def _part_ways(drafts: list[Draft]) -> None:
+    """Number parts of one name, each of which becomes a folder."""
+    seen: Counter[str] = Counter()
+    for draft in drafts:
+        seen[draft.part] += 1
+        if seen[draft.part] > 1:
+            draft.part += f"_{seen[draft.part]}"
 
 
 def _own_files_alone(source: Path) -> Path:

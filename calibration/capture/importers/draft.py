@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A capture folder in the making: what an importer found, ready to be written or opened."""
+"""What a layout provides: capture folders in the making, ready to be written or opened."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +16,12 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.importers.background_guess import (
+    BACKGROUND_NAME,
+    median_image,
+)
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
 from taccel_lab.calibration.capture.importers.left_out import left_out_sentences
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
@@ -32,14 +39,19 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
+from taccel_lab.files.cell_number import number
 from taccel_lab.files.images import MAX_FILE_BYTES, Image, levels, read_image
-from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.files.regular_file import LARGEST_BYTES, file_sha256, require_regular_file
 from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Image files whose bytes are kept; others become PNG, which loses nothing."""
 MEDIAN = "median"
+FALLBACK_SENSOR = "flat_pad"
+"""Where nothing says which sensor the captures are of."""
+ANY_FLAT_GEL = "which stands for any flat gel; --sensor names another"
+_BOARD = re.compile(r"^(chessboard|charuco|dots):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
 _NAME_BYTES = 240
 """Of a file's name, whose copies are numbered; systems take 255."""
 _SCALES = (MIN_MM_PER_PX, MAX_MM_PER_PX)
@@ -92,6 +104,26 @@ def require_lengths(**lengths: float | None) -> None:
         )
 
 
+def board_entry(text: str) -> dict[str, Any]:
+    """Kind, columns, rows and, where it is given, pitch of a board, as keys of its entry.
+
+    Raises InputError when ``text`` is not ``kind:COLUMNSxROWS[:pitch_mm]``.
+    """
+    match = _BOARD.match(text)
+    if match is None:
+        raise InputError(
+            f"board {text!r}; kind:COLUMNSxROWS[:pitch_mm] is allowed, such as chessboard:6x6:2.5 "
+            "(kinds chessboard, charuco, dots)"
+        )
+    entry: dict[str, Any] = {"kind": match[1], "columns": int(match[2]), "rows": int(match[3])}
+    if match[4] is not None:
+        try:
+            entry["pitch_mm"] = number(match[4])
+        except ValueError as error:
+            raise InputError(f"board {text!r}: the pitch: {error}") from None
+    return entry
+
+
 @dataclass
 class Draft:
     """A manifest, the files it names, what had to be assumed, and what was left out."""
@@ -120,6 +152,10 @@ class Draft:
     def assume(self, name: str, text: str) -> None:
         """Keep that the value ``name`` is stated by no file: what was taken, and why."""
         self.assumed[name] = text
+
+    def assume_sensor(self, why: str = ANY_FLAT_GEL) -> None:
+        """Keep that no file names the sensor."""
+        self.assume("sensor", f"{self.sensor}, {why}")
 
     def leave_out(self, path: Path, why: str) -> None:
         """Keep why a file is not imported."""
@@ -173,6 +209,47 @@ class Draft:
         self.assumed.pop("background", None)
         if why is not None:
             self.assume("background", why)
+
+    def find_background(
+        self, options: ImportOptions, *patterns: str, why: str = "by its name"
+    ) -> Path | None:
+        """Make the first image below ``place`` that a pattern matches the background, else one that
+        is called so; a note where there is none."""
+        found = images_in(self.place, *patterns) or [
+            image for image in images_in(self.place) if BACKGROUND_NAME.search(image.stem)
+        ]
+        if found:
+            self.set_background(found[0], f"{found[0].relative_to(self.place)}, {why}")
+            return found[0]
+        if options.background is None:
+            self.notes.append(
+                f"no background: {patterns[0].replace('*', 'png')} is missing; give one with "
+                "--background, or --background median for that of the presses"
+            )
+        return None
+
+    def add_untouched(self, image: Path) -> None:
+        """Add a further background, unless it is the same image again."""
+        background = self.files[self.manifest["background"]]
+        assert isinstance(background, Path)
+        if file_sha256(background) == file_sha256(image):
+            self.leave_out(image, "the same image as the background")
+        elif read_image(background).shape != read_image(image).shape:
+            self.leave_out(image, "not of the background's size")
+        else:
+            self.manifest.setdefault("untouched", []).append(self.add_image(image, "untouched"))
+
+    def add_presses(
+        self, images: Sequence[Path], name: Callable[[Path], str] = lambda image: image.stem
+    ) -> None:
+        """Add ball presses, with circles of the tables beside them."""
+        if not images:
+            return
+        labels = read_label_tables(self.place)
+        circles = labels.of_images(images)
+        for image in images:
+            self.add_press(image, name(image), contact=circles.get(image))
+        labels.tell(self, images)
 
     def add_press(self, image: Path | np.ndarray, name: str | None = None, **values: Any) -> None:
         """Add a ball press; ``values`` are further keys of its entry, None left out."""
@@ -244,8 +321,6 @@ class Draft:
 
     def median_of_presses(self) -> np.ndarray:
         """Median of the presses, RGB uint8: the untouched gel where presses are spread enough."""
-        from taccel_lab.calibration.capture.importers.background_guess import median_image
-
         names = [entry["image"] for entry in self.manifest.get("presses", [])]
         if len(names) < 3:
             raise InputError(
@@ -314,6 +389,22 @@ class Draft:
             except InputError as error:
                 raise InputError(str(error).replace(name, str(self.place))) from error
             yield replace(folder, source=str(self.place))
+
+
+@dataclass(frozen=True)
+class CaptureLayout:
+    """One way in which people store captures."""
+
+    name: str
+    """Name on the command line."""
+    title: str
+    """One line: whose layout, and what tells it."""
+    recognises: Callable[[Path], bool]
+    """Whether a file or folder follows it; decodes a few images at most."""
+    read: Callable[[Path, ImportOptions], list[Draft]]
+    """One draft for each sensor or set; none where it is of another layout, which may be looked for
+    less closely than by ``recognises``. Raises InputError naming the file, what was found and what
+    is allowed."""
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:

@@ -7,12 +7,15 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.table_file import numbered_lines, read_table, read_table_text
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture.importers.draft import Draft
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""
@@ -90,7 +93,8 @@ class LabelTables:
         presses."""
         draft.used |= self.read
         for path, why in self.left_out.items():
-            draft.leave_out(path, why)
+            if path not in draft.used:
+                draft.leave_out(path, why)
         used = {name for image in images for name in self._names(image)}
         lost = sorted(name for name in self.circles if name not in used)
         if lost:

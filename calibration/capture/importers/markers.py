@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.draft import CaptureLayout, Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
-from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.calibration.capture.suffixes import is_video
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
@@ -74,7 +73,7 @@ def _shows_dots(path: Path) -> bool:
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
     draft = Draft("", "gelsight_mini", path)
-    draft.assume("sensor", "gelsight_mini, the usual sensor with dots; --sensor names another")
+    draft.assume_sensor("the usual sensor with dots; --sensor names another")
     videos = [path] if path.is_file() else [] if images_in(path) else _videos(path)
     if videos:
         root = path.parent if path.is_file() else path

@@ -12,10 +12,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.calibration.capture.importers.board_text import board_entry
-from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.draft import (
+    CaptureLayout,
+    Draft,
+    ImportOptions,
+    board_entry,
+)
 from taccel_lab.calibration.capture.importers.files import first_existing, images_in
-from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.plain_values import number_at
@@ -113,7 +116,7 @@ def _unit(
     options: ImportOptions,
 ) -> Draft:
     draft = Draft(part, "9dtact", unit)
-    draft.assume("sensor", "9dtact, whose layout this is")
+    draft.assume_sensor("whose layout this is")
     if config is not None:
         draft.used.add(config)
     if part:

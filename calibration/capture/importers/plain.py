@@ -11,14 +11,16 @@ from taccel_lab.calibration.capture.importers.background_guess import (
     BACKGROUND_NAME,
     guess_background,
 )
-from taccel_lab.calibration.capture.importers.board_text import board_entry
-from taccel_lab.calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import images_in
-from taccel_lab.calibration.capture.importers.label_tables import (
-    read_label_tables,
-    without_path,
+from taccel_lab.calibration.capture.importers.draft import (
+    FALLBACK_SENSOR,
+    MEDIAN,
+    CaptureLayout,
+    Draft,
+    ImportOptions,
+    board_entry,
 )
-from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, CaptureLayout
+from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.label_tables import without_path
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.calibration.capture.suffixes import is_video
@@ -43,7 +45,7 @@ _SENSOR_WORDS = (
 
 
 def _recognises(path: Path) -> bool:
-    return path.is_dir() and bool(images_in(path, recursive=True))
+    return path.is_dir() and bool(images_in(path, "**/*"))
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
@@ -51,7 +53,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         raise InputError(f"{path} is a file; a folder with images is needed")
     draft = _draft(path)
     images = []
-    for image in images_in(path, recursive=True):
+    for image in images_in(path, "**/*"):
         if _DERIVED_NAME.search(image.stem):
             draft.leave_out(image, "a drawing, by its name; rename it if it is none")
         else:
@@ -66,17 +68,12 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
         return [draft]
     images = _take_mask(images, draft)
     images = _take_background(path, images, draft, options)
-    labels = read_label_tables(path)
-    circles = labels.of_images(images)
     if images:
         draft.assume(
             "presses",
             "all images that are called neither background nor mask show one and the same ball",
         )
-    for image in images:
-        name = "_".join(image.relative_to(path).with_suffix("").parts)
-        draft.add_press(image, name, contact=circles.get(image))
-    labels.tell(draft, images)
+    draft.add_presses(images, lambda image: "_".join(image.relative_to(path).with_suffix("").parts))
     _take_records(path, draft)
     _take_videos(path, draft)
     return [draft]
@@ -88,12 +85,10 @@ def _draft(path: Path) -> Draft:
     for word, name in _SENSOR_WORDS:
         if word in text:
             draft = Draft("", name, path)
-            draft.assume("sensor", f"{name}, by {word!r} in the path; --sensor names another")
+            draft.assume_sensor(f"by {word!r} in the path; --sensor names another")
             return draft
     draft = Draft("", FALLBACK_SENSOR, path)
-    draft.assume(
-        "sensor", f"{FALLBACK_SENSOR}, which stands for any flat gel; --sensor names another"
-    )
+    draft.assume_sensor()
     return draft
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.layout import CaptureLayout
+from taccel_lab.calibration.capture.importers.draft import CaptureLayout, Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.taxim_pack import (
     PACK_NAME,

@@ -24,8 +24,8 @@ class CaptureImport:
     out: Positional[Path]
     """Capture folder to write."""
     layout: str = "auto"
-    """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges,
-    rvsathu, ruihangao, gelslim, osaka, markers or plain, or your recipe, mine.toml
+    """Layout of the source: auto, taxim, 9dtact, gs-sdk, printer, markers or plain, or a script,
+    which is run: those of other published sets are in docs/examples/layouts
     (docs/capture_import.md)."""
     sensor: str | None = None
     """Sensor of the catalogue, or a profile folder. Default: that of the layout; flat_pad if
@@ -43,7 +43,7 @@ class CaptureImport:
     edge_mm: float | None = None
     """Length of the edge of edge presses [mm]."""
     board: str | None = None
-    """The board of a 9DTact, of Osaka's views or of all images of a plain folder, such as
+    """The board of the layout, or that of all images of a plain folder, such as
     chessboard:6x6:2.5. The numbers are inner corners or dots along a row x rows, and their pitch
     in mm if known. Kinds: chessboard, charuco, dots."""
     origin: str | None = None

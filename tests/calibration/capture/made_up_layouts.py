@@ -162,11 +162,21 @@ def plain(folder: Path) -> None:
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {
-    "taxim": taxim, "fots": fots, "9dtact": ninedtact, "feats": feats, "py3dcal": py3dcal,
-    "gs-sdk": gs_sdk, "cube-edges": cube_edges, "rvsathu": rvsathu, "ruihangao": ruihangao,
-    "osaka": osaka, "gelslim": gelslim, "printer": printer,
+    "taxim": taxim, "9dtact": ninedtact, "gs-sdk": gs_sdk, "printer": printer,
     "markers": markers, "plain": plain,
 }  # fmt: skip
+SCRIPTED: dict[str, Callable[[Path], None]] = {
+    "fots": fots, "feats": feats, "py3dcal": py3dcal, "cube-edges": cube_edges,
+    "rvsathu": rvsathu, "ruihangao": ruihangao, "osaka": osaka, "gelslim": gelslim,
+}  # fmt: skip
+"""Published sets that scripts of the documentation read."""
+SCRIPTS = Path(__file__).parents[3] / "docs" / "examples" / "layouts"
+
+
+def layout_of(make: Callable[[Path], None]) -> str:
+    """What ``--layout`` says for what ``make`` writes."""
+    scripts = [str(SCRIPTS / f"{name}.py") for name, other in SCRIPTED.items() if other is make]
+    return scripts[0] if scripts else "auto"
 
 
 def source_of(make: Callable[[Path], None], folder: Path) -> Path:

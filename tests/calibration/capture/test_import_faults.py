@@ -25,6 +25,7 @@ from tests.calibration.capture.made_up_layouts import (
     fots,
     gs_sdk,
     imported,
+    layout_of,
     ninedtact,
     picture,
     plain,
@@ -51,9 +52,9 @@ def source(tmp_path: Path) -> Path:
     return folder
 
 
-def taken(source: Path) -> tuple[CaptureFolder, str]:
+def taken(source: Path, layout: str = "auto") -> tuple[CaptureFolder, str]:
     """The one folder that is made of it, and its manifest."""
-    (captures,) = imported(source)
+    (captures,) = imported(source, layout)
     return captures, (source.parent / "out" / "captures.toml").read_text(encoding="utf-8")
 
 
@@ -82,7 +83,7 @@ def test_an_image_of_gigabytes_is_refused_before_it_is_copied(tmp_path: Path) ->
     image = tmp_path / "s" / "calib_10_real.png"
     os.truncate(image, 1 << 30)
     with pytest.raises(InputError) as error:
-        import_captures(tmp_path / "s", tmp_path / "out")
+        import_captures(tmp_path / "s", tmp_path / "out", layout_of(rvsathu))
     # Of the image itself; the copy's refusal would add where it was imported from.
     assert str(error.value) == f"{image} has 1 GiB; an image may have up to 512 MiB"
 
@@ -154,10 +155,10 @@ def test_labels_name_images_with_or_without_the_ending(source: Path, table: str,
 def test_rvsathu_with_another_background(tmp_path: Path) -> None:
     source = source_of(rvsathu, tmp_path)
     (source / "background_real.png").rename(source / "bg.png")
-    captures, _ = taken(source)
+    captures, _ = taken(source, layout_of(rvsathu))
     assert captures.background is not None
     (source / "bg.png").unlink()
-    captures, manifest = taken(source)
+    captures, manifest = taken(source, layout_of(rvsathu))
     assert captures.background is None and "background_real.png is missing; give" in manifest
 
 
@@ -165,9 +166,9 @@ Make = Callable[[Path], None]
 BOARD = "camera_calibration: {row_points: 7, col_points: 9, grid_distance: 2.5}\n"
 
 
-def refused(source: Path, options: ImportOptions | None = None) -> str:
+def refused(source: Path, options: ImportOptions | None = None, layout: str = "auto") -> str:
     with pytest.raises(InputError) as caught:
-        import_captures(source, source.parent / "out", options=options)
+        import_captures(source, source.parent / "out", layout, options)
     assert not (source.parent / "out").exists()
     return str(caught.value)
 
@@ -201,7 +202,8 @@ FAULTS: list[tuple[Make, str, str | bytes | None, str]] = [
      "radius has type <U1; real numbers"),
     (cube_edges, "2/label.npz", saved(line_center=np.zeros(3)),
      "2/label.npz lacks line_length and line_angle"),
-    (cube_edges, "2/gelsight.png", None, "2/gelsight.png does not exist"),
+    (gs_sdk, "4.760mm/0/gelsight.png", None, "0/gelsight.png does not exist"),
+    (cube_edges, "2/label.npz", None, "2/label.npz"),
     (py3dcal, "annotations/annotations.csv", "img_name\n../../secret.png\n", "'..' leads out"),
     (py3dcal, "annotations/annotations.csv", "img_name\n/etc/secret.png\n", "absolute path"),
     (py3dcal, "annotations/annotations.csv", "img_name,depth_mm\n0.png,1_0\n",
@@ -210,8 +212,8 @@ FAULTS: list[tuple[Make, str, str | bytes | None, str]] = [
     (py3dcal, "annotations/metadata.json", metadata(0), "px_per_mm is 0; a positive number"),
     (py3dcal, "probe_images/0.png", None, "0.png does not exist"),
     (feats, "force_indentation.json", indentations(indenter="radius 7.5.1 mm"),
-     "force_indentation.json: indenter: '7.5.1' is not a number"),
-    (feats, "force_indentation.json", indentations(indentation_mm=[True]), "a list of numbers"),
+     "force_indentation.json: '7.5.1' is not a number"),
+    (feats, "force_indentation.json", indentations(indentation_mm=["x"]), "json: could"),
     (fots, "mlp_calib/gelsight/0001.png", "x", "is not an image"),
     (plain, "labels.csv", "name,x,y,radius,X\na_2.png,3,2,1,4\n", "has the columns x and X"),
     (plain, "labels.csv", "name,x,y,radius\na_2.png,3,2,1\na_2.png,3,2,2\n", "has two circles of"),
@@ -234,7 +236,7 @@ def test_faulty_files(
         (out,) = import_captures(source, tmp_path / "out")
         assert words in (out / "captures.toml").read_text(encoding="utf-8")
         return
-    assert words in refused(source)
+    assert words in refused(source, layout=layout_of(make))
 
 
 def test_settings_of_the_9dtact_are_taken(tmp_path: Path) -> None:

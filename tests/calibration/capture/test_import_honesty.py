@@ -19,11 +19,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.capture.made_up_layouts import (
     MAKERS,
+    SCRIPTED,
     cube_edges,
     fots,
     gelslim,
     gs_sdk,
     imported,
+    layout_of,
     ninedtact,
     osaka,
     picture,
@@ -37,13 +39,14 @@ from tests.calibration.capture.made_up_layouts import (
 MIT = "MIT License\n\nPermission is hereby granted, free of charge, to any person"
 
 
-@pytest.mark.parametrize("name", sorted(MAKERS))
-def test_every_file_is_imported_read_or_told(name: str, tmp_path: Path) -> None:
-    source = source_of(MAKERS[name], tmp_path)
+@pytest.mark.parametrize("make", (MAKERS | SCRIPTED).values())
+def test_every_file_is_imported_read_or_told(make: Callable[[Path], None], tmp_path: Path) -> None:
+    source = source_of(make, tmp_path)
     picture(source / "deep" / "below" / "x.png", size=(40, 50))
     (source / "notes.docx").write_bytes(b"anything")
     (source / ".hidden").write_text("not looked at")
-    _, drafts = read_drafts(source, name)
+    told = layout_of(make) if layout_of(make) != "auto" else make.__name__
+    _, drafts = read_drafts(source, {"ninedtact": "9dtact", "gs_sdk": "gs-sdk"}.get(told, told))
     used = {path for draft in drafts for path in draft.used}
     told = {path for draft in drafts for path in draft.left_out}
     assert set(files_of(source)) == {path for path in used | told if source in path.parents}
@@ -58,11 +61,12 @@ def test_every_file_is_imported_read_or_told(name: str, tmp_path: Path) -> None:
 
 def test_what_a_person_states_is_not_assumed(tmp_path: Path) -> None:
     source = source_of(ruihangao, tmp_path)
-    (captures,) = imported(source)
+    (captures,) = imported(source, layout_of(ruihangao))
     assert {"sensor", "radius_mm", "mm_per_px", "background", "gel"} == set(captures.assumed)
     assert captures.assumed["radius_mm"].startswith("2 mm, that of sensorParams.py")
     (captures,) = imported(
         source,
+        layout_of(ruihangao),
         sensor="gelsight_mini",
         radius_mm=2.0,
         mm_per_px_x=0.09,
@@ -76,7 +80,7 @@ def test_what_a_person_states_is_not_assumed(tmp_path: Path) -> None:
 
 
 def test_assumptions_reach_the_check_and_the_profile(tmp_path: Path) -> None:
-    (captures,) = imported(source_of(ruihangao, tmp_path))
+    (captures,) = imported(source_of(ruihangao, tmp_path), layout_of(ruihangao))
     findings = {f.code: f.message for f in check_captures(captures, fit_ball=False).findings}
     assert "radius_mm: 2 mm, that of sensorParams.py" in findings["assumed"]
     profile = on_grid(catalogue_profile(captures.sensor), captures.grid(), captures.provenance)
@@ -84,7 +88,7 @@ def test_assumptions_reach_the_check_and_the_profile(tmp_path: Path) -> None:
 
 
 def test_the_catalogue_s_thickness_is_told(tmp_path: Path) -> None:
-    (captures,) = imported(source_of(gelslim, tmp_path))
+    (captures,) = imported(source_of(gelslim, tmp_path), layout_of(gelslim))
     assert captures.sensor == "flat_pad" and "4 mm thick" in captures.assumed["gel"]
 
 
@@ -129,7 +133,7 @@ def test_a_given_board_replaces_the_settings(tmp_path: Path) -> None:
     assert unit.boards[0].entry.pitch_mm == 3.0 and unit.boards[0].entry.on_gel
     assert unit.ball_radius_mm == 4.0 and "radius_mm" in unit.assumed
     osaka(other := tmp_path / "other")
-    (captures,) = imported(other, board="chessboard:5x4:3")
+    (captures,) = imported(other, layout_of(osaka), board="chessboard:5x4:3")
     assert captures.boards[0].entry.pitch_mm == 3 and "board" not in captures.assumed
 
 
@@ -139,16 +143,16 @@ def test_a_given_board_replaces_the_settings(tmp_path: Path) -> None:
         (taxim, "taxim", ["params.json"], {"mm_per_px_x": 0.1}),
         (gs_sdk, "gs-sdk", ["background.png"], {"background": "4.760mm/1/gelsight.png"}),
         (gs_sdk, "gs-sdk", ["gsmini.yaml"], {"mm_per_px_x": 0.06}),
-        (py3dcal, "py3dcal", ["annotations/metadata.json"],
+        (py3dcal, layout_of(py3dcal), ["annotations/metadata.json"],
          {"mm_per_px_x": 0.05, "radius_mm": 2.0}),
-        (py3dcal, "py3dcal", ["blank_images/blank.png"], {"background": "spare.png"}),
-        (fots, "fots", ["mlp_calib/0000.png", "mlp_calib/scripts/0000.png"],
+        (py3dcal, layout_of(py3dcal), ["blank_images/blank.png"], {"background": "spare.png"}),
+        (fots, layout_of(fots), ["mlp_calib/0000.png", "mlp_calib/scripts/0000.png"],
          {"background": "spare.png"}),
         (ninedtact, "9dtact", [f"calibration/sensor_{n}/{part}_calibration/ref.png"
                                for n in (1, 2) for part in ("camera", "depth")],
          {"background": "spare.png"}),
-        (gelslim, "gelslim", ["updated_calib/ref.jpg"], {"background": "spare.png"}),
-        (cube_edges, "cube-edges", ["background.png"], {"background": "spare.png"}),
+        (gelslim, layout_of(gelslim), ["updated_calib/ref.jpg"], {"background": "spare.png"}),
+        (cube_edges, layout_of(cube_edges), ["background.png"], {"background": "spare.png"}),
     ],
 )  # fmt: skip
 def test_flags_replace_missing_files(
@@ -192,15 +196,15 @@ def test_what_is_missing_is_asked_for(
     if missing:
         (source / missing).unlink()
     with pytest.raises(InputError, match=words):
-        imported(source, **options)
+        imported(source, layout_of(make), **options)
 
 
 def test_what_may_be_missing_is_noted(tmp_path: Path) -> None:
     source = source_of(py3dcal, tmp_path)
     (source / "annotations" / "metadata.json").unlink()
-    imported(source, radius_mm=2.0)
+    imported(source, layout_of(py3dcal), radius_mm=2.0)
     notes = (tmp_path / "out" / "captures.toml").read_text()
-    assert "# annotations/metadata.json is missing; --mm-per-px-x give" in notes
+    assert "# annotations/metadata.json is missing; --mm-per-px-x" in notes
 
 
 def test_a_background_by_name_is_no_other_image_of_that_name(tmp_path: Path) -> None:

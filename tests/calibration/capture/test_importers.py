@@ -14,6 +14,7 @@ import pytest
 from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import (
     LAYOUTS,
+    PUBLISHED,
     ImportOptions,
     detect_layout,
     read_drafts,
@@ -23,12 +24,14 @@ from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import (
     MAKERS,
     RNG,
+    SCRIPTED,
     cube_edges,
     dots_at,
     feats,
     fots,
     gs_sdk,
     imported,
+    layout_of,
     ninedtact,
     osaka,
     picture,
@@ -41,16 +44,22 @@ from tests.support.capture_sets import gel, press, spread_circles, write_image
 
 
 def test_every_layout_has_a_maker() -> None:
-    assert set(MAKERS) == set(LAYOUTS)
+    assert set(MAKERS) == set(LAYOUTS) and set(SCRIPTED) == set(PUBLISHED)
 
 
-@pytest.mark.parametrize("name", sorted(MAKERS))
+@pytest.mark.parametrize("name", sorted(MAKERS | SCRIPTED))
 def test_every_layout_is_told_and_its_files_keep_their_bytes(name: str, tmp_path: Path) -> None:
-    source = source_of(MAKERS[name], tmp_path)
+    make = (MAKERS | SCRIPTED)[name]
+    source = source_of(make, tmp_path)
     before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
-    layout, drafts = read_drafts(source)
-    assert layout.name == detect_layout(source).name == name
-    outs = import_captures(source, tmp_path / "out")
+    if name in SCRIPTED:
+        with pytest.raises(InputError, match=f"add --layout docs/examples/layouts/{name}.py"):
+            detect_layout(source)
+    else:
+        assert detect_layout(source).name == name
+    layout, drafts = read_drafts(source, layout_of(make))
+    assert layout.name == name
+    outs = import_captures(source, tmp_path / "out", layout_of(make))
     assert {p: p.read_bytes() for p in source.rglob("*") if p.is_file()} == before
     for draft, out in zip(drafts, outs, strict=True):
         captures = load_capture_folder(out)
@@ -67,7 +76,7 @@ def test_every_layout_is_told_and_its_files_keep_their_bytes(name: str, tmp_path
 
 
 def test_fots_has_three_sets(tmp_path: Path) -> None:
-    mini, digit, dots = imported(source_of(fots, tmp_path))
+    mini, digit, dots = imported(source_of(fots, tmp_path), layout_of(fots))
     assert (mini.sensor, mini.ball_radius_mm) == ("gelsight_mini", 2.35)
     assert mini.mm_per_px == pytest.approx((1 / 19.58,) * 2)
     assert [press.circle is not None for press in mini.presses] == [False, True]
@@ -100,7 +109,9 @@ def test_ninedtact_units(tmp_path: Path) -> None:
 def test_lengths_and_names_of_other_layouts(tmp_path: Path) -> None:
     def only(make: Callable[[Path], None], **options: object) -> CaptureFolder:
         (tmp_path / make.__name__).mkdir()
-        (captures,) = imported(source_of(make, tmp_path / make.__name__), **options)
+        (captures,) = imported(
+            source_of(make, tmp_path / make.__name__), layout_of(make), **options
+        )
         return captures
 
     captures = only(feats)
@@ -239,8 +250,10 @@ def test_nothing_to_import(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     with pytest.raises(InputError, match="no layout 'x'; known: auto, taxim"):
         read_drafts(tmp_path, "x")
-    with pytest.raises(InputError, match="is not of the layout fots"):
+    with pytest.raises(InputError, match=r"no layout 'fots'; docs/examples/layouts/fots.py reads"):
         read_drafts(tmp_path, "fots")
+    with pytest.raises(InputError, match="is not of the layout printer"):
+        read_drafts(tmp_path, "printer")
     (tmp_path / "captures.toml").write_text("")
     with pytest.raises(InputError, match="is a capture folder already"):
         import_captures(tmp_path, tmp_path / "out")

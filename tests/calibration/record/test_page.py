@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from taccel_lab.calibration.record.tiles import tiled
 from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger, UntouchedGel
 from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
+from tests.calibration.capture.made_up_layouts import layout_of, ruihangao, rvsathu
 from tests.calibration.drawn.faults import quantise
 from tests.calibration.record.sessions import FACTS, SteeredCamera, Watching, source
 from tests.support.capture_sets import gel, press, spread_circles, write_image
@@ -263,12 +265,15 @@ def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "count"), [("gelsight_rvsathu_sim2real", 22), ("gsmini_ruihangao_calib", 49)]
+    ("name", "make", "count"),
+    [("gelsight_rvsathu_sim2real", rvsathu, 22), ("gsmini_ruihangao_calib", ruihangao, 49)],
 )
-def test_real_presses_are_taken(tmp_path: Path, name: str, count: int) -> None:
+def test_real_presses_are_taken(
+    tmp_path: Path, name: str, make: Callable[[Path], None], count: int
+) -> None:
     from taccel_lab.calibration.capture import import_captures
 
-    (folder,) = import_captures(real_data(name), tmp_path / "set")
+    (folder,) = import_captures(real_data(name), tmp_path / "set", layout_of(make))
     seen, _ = watched(folder, CameraReplay(noise_levels=1.0))
     assert sum(frame.take for _, frame in seen) == count
 

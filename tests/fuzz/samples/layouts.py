@@ -35,33 +35,6 @@ def video_of_dots(given: Path) -> None:
     write_video(given / "shear.avi")
 
 
-def own_recipe(given: Path) -> None:
-    """A recipe of somebody's own, and a folder of its layout."""
-    (given / "mine.toml").write_text(_RECIPE)
-    bench = given / "bench"
-    bench.mkdir()
-    for number in range(2):
-        write_image(bench / f"p_{number}.png", picture(number))
-    write_image(bench / "bg.png", picture(9))
-    (bench / "presses.csv").write_text("file,u,v,r,mm\np_0.png,20,15,6,0.3\np_1.png,21,16,6,0.4\n")
-    (bench / "stage.json").write_text('{"camera": {"px_per_mm": 20.0, "tip": "ball of 2.5 mm"}}')
-
-
-_RECIPE = """\
-title = "a bench"
-[[sets]]
-part = "a"
-sensor = "gelsight_mini"
-background = ["bg.*"]
-settings = "stage.json"
-px_per_mm = { key = "camera.px_per_mm" }
-radius_mm = { key = "camera.tip", text = "*of {value} mm" }
-presses = { table = "presses.csv", image = "file", circle = ["u", "v", "r"], depth_mm = "mm" }
-leave_out = { "p_{n:number}.txt" = "words" }
-notes = ["mine"]
-"""
-
-
 def boards(given: Path) -> None:
     """Pictures that are said to show a board."""
     for number in range(2):
