@@ -173,7 +173,7 @@ def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProf
     return folder.once.of(
         ("background", profile.grid()),
         lambda: _in_mean_light(calibrate_background(folder, profile)),
-    ).apply_to(profile.without("background"))
+    ).image_on(profile.without("background"))
 
 
 def _in_mean_light(found: BackgroundCalibration) -> BackgroundCalibration:

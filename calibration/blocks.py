@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.calibration.background.background_page import background_page
-from taccel_lab.calibration.background.fit import calibrate_background
+from taccel_lab.calibration.background.fit import BackgroundOptions, calibrate_background
 from taccel_lab.calibration.camera.camera_page import camera_page
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.options import CameraOptions
@@ -30,8 +30,6 @@ from taccel_lab.calibration.normals.options import NormalOptions
 from taccel_lab.calibration.result import CalibrationResult
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.scale_page import scale_page
-from taccel_lab.calibration.spread.fit import SpreadOptions, calibrate_spread
-from taccel_lab.calibration.spread.spread_page import spread_page
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -84,13 +82,12 @@ class CalibrationBlock:
 BLOCKS = (
     CalibrationBlock("camera", calibrate_camera, camera_page, CameraOptions, reads_folder=True),
     CalibrationBlock("scale", calibrate_scale, scale_page, reads_folder=True),
-    CalibrationBlock("background", calibrate_background, background_page),
+    CalibrationBlock("background", calibrate_background, background_page, BackgroundOptions),
     CalibrationBlock("color", calibrate_color, color_page, ColorOptions),
     CalibrationBlock("normals", calibrate_normals, normals_page, NormalOptions),
     CalibrationBlock("depth", calibrate_depth, depth_page, DepthOptions),
     CalibrationBlock("markers", calibrate_markers, marker_page),
     CalibrationBlock("material", calibrate_material, material_page, MaterialOptions),
-    CalibrationBlock("spread", calibrate_spread, spread_page, SpreadOptions),
 )
 """What each needs of a capture folder, ``calibration/check/content.py`` says."""
 

@@ -39,7 +39,6 @@ from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK
 from taccel_lab.calibration.result import CalibrationResult
 from taccel_lab.calibration.scale.result import ScaleCalibration
-from taccel_lab.calibration.spread.result import SpreadCalibration
 from taccel_lab.calibration.unfinished import UnfinishedCalibration, calibration_key
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import atomic_directory
@@ -115,11 +114,6 @@ class Calibration(Summary):
     def material(self) -> MaterialCalibration:
         """Stiffness and friction."""
         return self._result("material", MaterialCalibration)
-
-    @property
-    def spread(self) -> SpreadCalibration:
-        """How units and frames differ."""
-        return self._result("spread", SpreadCalibration)
 
     def _result(self, name: str, kind: type[Result]) -> Result:
         found = self.results.get(name)

@@ -53,6 +53,7 @@ def background_page(result: BackgroundCalibration) -> Page:
                 caption=f"The {len(rows)} of {len(result.frames)} frames that differ most. Levels "
                 "of 255, over the untouched part; gain and offset against the background.",
             ),
+            *_spread_tables(result),
         ),
         pictures=(
             Picture("background", lambda: _draw_images(result), _IMAGES_CAPTION),
@@ -61,6 +62,17 @@ def background_page(result: BackgroundCalibration) -> Page:
         figures=figures,
         files={"dust.png": lambda path: _write_mask(path, result.clean)},
     )
+
+
+def _spread_tables(result: BackgroundCalibration) -> list[Table]:
+    block = result.perturbation
+    if block is None:
+        return []
+    values = block.model_dump(exclude={"provenance"}, exclude_none=True)
+    rows = [(k, *v) if isinstance(v, tuple) else (k, v, None, None) for k, v in values.items()]
+    columns = ("quantity", "red or value", "green", "blue")
+    caption = "; ".join((f"Standard {block.provenance.method}"[9:], *block.provenance.remarks))
+    return [Table("Spread, from which sensors are drawn", columns, rows, caption=caption)]
 
 
 def _write_mask(path: Path, mask: np.ndarray) -> None:

@@ -18,6 +18,7 @@ from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light.perturbation import spread_of_units
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.light.untouched import (
     background_from_presses,
@@ -38,8 +39,19 @@ MIN_SEEN_FRAMES = 3
 """Frames that have to show a new speck."""
 
 
+@dataclass(frozen=True)
+class BackgroundOptions:
+    """What is compared besides the frames of the folder."""
+
+    units: tuple[SensorProfile, ...] = ()
+    """Profiles of several units of one design, the one at hand among them where it is known."""
+
+
 def calibrate_background(
-    folder: CaptureFolder, base: SensorProfile, progress: Progress = silent
+    folder: CaptureFolder,
+    base: SensorProfile,
+    options: BackgroundOptions = BackgroundOptions(),
+    progress: Progress = silent,
 ) -> BackgroundCalibration:
     """The untouched sensor from all the frames of ``folder``, in the light of its background.
 
@@ -47,10 +59,11 @@ def calibrate_background(
     presses beside their contacts add fine grain alone, held-out ones nothing. Without any untouched
     image the background is the median of the presses. Each frame is then compared with the mean of
     the others. ``base`` is what the result extends; of it only the kind of image counts. Raises
-    InputError when there is nothing to make a background of, and for raw images of a rectified
-    profile.
+    InputError when there is nothing to make a background of, for raw images of a rectified
+    profile, and for units that cannot be compared.
     """
     require_image_of(base, folder)
+    units = spread_of_units(options.units) if options.units else None
     sources = _sources(folder)
     mask = folder.mask
     if mask is not None and mask.all():
@@ -109,6 +122,7 @@ def calibrate_background(
             "contacts"
         )
         + ", each frame's gain, offset and gradient of the light taken off",
+        units=units,
     )
 
 

@@ -12,10 +12,11 @@ from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
 from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
+from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
@@ -57,6 +58,8 @@ class BackgroundCalibration(ResultSummary):
     source: str
     mm_per_px: tuple[float, float] | None
     method: str
+    units: UnitSpread | None = None
+    """How other units of the design differ, where their profiles were given."""
 
     @property
     def clean(self) -> np.ndarray:
@@ -69,6 +72,21 @@ class BackgroundCalibration(ResultSummary):
         """Median noise of a pixel between frames [levels]; None with fewer than 3 frames."""
         known = self.noise[np.isfinite(self.noise)]
         return float(np.median(known)) if len(known) else None
+
+    @property
+    def perturbation(self) -> PerturbationBlock | None:
+        """How far the light of the untouched frames differs, or of the presses where there are
+        fewer than two of them, and units; None of one frame without units."""
+        untouched = [frame.drift for frame in self.frames if frame.kind == "untouched"]
+        presses = [frame.drift for frame in self.frames if frame.kind == "press"]
+        return perturbation_block(
+            untouched if len(untouched) > 1 else presses,
+            self.units,
+            self.noise_levels,
+            self.image.astype(np.float64).mean(axis=(0, 1)),
+            dict(self.inputs),
+            self.source,
+        )
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
@@ -99,6 +117,10 @@ class BackgroundCalibration(ResultSummary):
             "dust_specks": speck_count(self.dust),
             "dust_share": float(self.dust.mean()),
             "new_dust_specks": speck_count(self.new_dust),
+            "perturbation": None
+            if self.perturbation is None
+            else self.perturbation.model_dump(exclude={"provenance"}, exclude_none=True),
+            "unit_count": 0 if self.units is None else self.units.unit_count,
             "frames": rows,
         }
 
@@ -106,6 +128,11 @@ class BackgroundCalibration(ResultSummary):
         return float(np.mean([getattr(frame, name) for frame in self.frames]))
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the background, and with the spread of its light where it has one."""
+        profile, spread = self.image_on(profile), self.perturbation
+        return profile if spread is None else profile.with_block(spread)
+
+    def image_on(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` with the background, and the image's size where the profile has another."""
         height, width = self.image.shape[:2]
         camera = profile.camera

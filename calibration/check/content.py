@@ -156,14 +156,6 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
             return "an image of pressed dots", "an image of the dots at rest"
         rest = "videos show rest" if folder.markers.rest is None else "dots at rest"
         return f"{rest}, {counted(videos, 'video')}", ""
-    if command == "spread":
-        untouched = len(folder.untouched)
-        several = f"{untouched} further images of the untouched gel" if untouched > 1 else ""
-        if presses > 1 and not several:
-            several = f"{presses} ball presses"
-        if folder.background is None or not several:
-            return "", "an image of the untouched gel, and several more of it or ball presses"
-        return several, ""
     kinds = [record.entry.kind for record in folder.records]
     if not kinds:
         return "", "force records: indentation (E)"

@@ -16,7 +16,6 @@ COMMANDS = (
     "depth",
     "markers",
     "material",
-    "spread",
 )
 """Blocks that captures calibrate, by the name of their command."""
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}

@@ -84,7 +84,6 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import (
         ProfileAddView,
-        ProfileCompare,
         ProfileReport,
         ProfileShow,
         ProfileValidate,
@@ -115,7 +114,6 @@ def command_tree() -> dict[str, type[Command] | Group]:
             {
                 "show": ProfileShow,
                 "validate": ProfileValidate,
-                "compare": ProfileCompare,
                 "report": ProfileReport,
                 "add-view": ProfileAddView,
             },

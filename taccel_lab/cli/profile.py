@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab profile show``, ``validate``, ``compare``, ``report`` and ``add-view``."""
+"""``taccel-lab profile show``, ``validate``, ``report`` and ``add-view``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.comparison import ProfileComparison
     from taccel_lab.profile import SensorProfile
 
 
@@ -82,45 +81,6 @@ class ProfileValidate:
 
 
 @dataclass(frozen=True)
-class ProfileCompare:
-    """Compare two sensor profiles: every value that differs, and its effect.
-
-    Differences are in standard deviations if the blocks state their spread. Networks are compared
-    by their outputs: the colour of every normal at five positions of the image.
-    """
-
-    a: Positional[Path]
-    """Profile folder."""
-    b: Positional[Path]
-    """The other profile folder."""
-    out: Path | None = None
-    """Folder for a report (HTML, JSON, pictures). Default: none."""
-    json: bool = False
-    """Print the comparison as JSON instead of a table."""
-
-    def run(self) -> None:
-        from taccel_lab.calibration.comparison import compare_profiles
-        from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.files.output_folder import require_replaceable
-        from taccel_lab.profile import load_profile
-        from taccel_lab.report.page import write_page
-
-        if self.out is not None:
-            require_replaceable(self.out)
-        names = (self.a.name, self.b.name)
-        if names[0] == names[1]:
-            names = (str(self.a), str(self.b))
-        found = compare_profiles(load_profile(self.a), load_profile(self.b), names)
-        if self.json:
-            print_json(found.figures())
-        else:
-            _print_comparison(found)
-        if self.out is not None:
-            write_page(found.page(), self.out)
-            notes().print(f"wrote {self.out / 'report.html'}")
-
-
-@dataclass(frozen=True)
 class ProfileReport:
     """Write a page about a sensor profile: each block with its evidence, verdict and pictures."""
 
@@ -178,25 +138,6 @@ class ProfileAddView:
         if self.json:
             print_json({"profile": str(self.out), "views": list(profile.view_names())})
         notes().print(f"wrote {self.out}: {', '.join(profile.view_names())}")
-
-
-def _print_comparison(found: ProfileComparison) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    from taccel_lab.cli.console import results
-    from taccel_lab.report.html import format_number
-
-    console = results()
-    for remark in found.remarks:
-        console.print(Text(str(remark)))
-    for part in found.page().tables:
-        if not part.rows:
-            continue
-        table = Table(*part.columns, title=part.title, title_justify="left")
-        for row in part.rows:
-            table.add_row(*(Text(format_number(cell)) for cell in row))
-        console.print(table)
 
 
 def _as_dict(profile: SensorProfile) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def drawn_units(profile: SensorProfile, count: int, seed: tuple[int, ...]) -> tu
         raise InputError(
             f"sensor {profile.sensor.name!r} states no measured spread, so that its units cannot "
             "be drawn: set units = 1 and say what varies in [randomise], or measure it with "
-            "taccel-lab calibrate material or calibrate spread"
+            "taccel-lab calibrate material or calibrate background"
         )
     units = [Unit()]
     for number in range(1, count):

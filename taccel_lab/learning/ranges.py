@@ -112,5 +112,5 @@ def _unstated(sensor: SensorProfile, what: str) -> InputError:
         f"sensor {sensor.sensor.name!r} states no measured spread of {what}: its material is "
         f"{kind}, and its block perturbation has none between units either. Give a range yourself, "
         f"randomised={{{what!r}: (low, high)}}, or measure it with taccel-lab calibrate material "
-        "or calibrate spread"
+        "or calibrate background"
     )

@@ -16,14 +16,14 @@ import pytest
 
 import taccel_lab.calibration.calibrate as whole
 from taccel_lab.calibration.block_outcome import BlockState
-from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check import block_findings
 from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.check.run import CaptureCheck
-from taccel_lab.calibration.spread.fit import SpreadOptions
+from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
@@ -54,8 +54,16 @@ def refuse(*_: object) -> None:
     raise InputError("the light is off")
 
 
+@pytest.fixture
+def quick_color(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The block of colours fits what that of the background does."""
+    quick = replace(block_named("background"), name="color")
+    blocks = tuple(quick if b.name == "color" else b for b in BLOCKS)
+    monkeypatch.setattr(whole, "BLOCKS", blocks)
+
+
 def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
-    blocks = tuple(replace(b, verb=fit) if b.name == name else b for b in BLOCKS)
+    blocks = tuple(replace(b, verb=fit) if b.name == name else b for b in whole.BLOCKS)
     monkeypatch.setattr(whole, "BLOCKS", blocks)
 
 
@@ -67,13 +75,12 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     told: list[str] = []
     found = calibrate(
         captures,
-        only=("background", "markers", "spread"),
+        only=("background", "markers"),
         progress=lambda task, done, total: told.append(task),
     )
     assert [(o.name, o.state) for o in found.blocks] == [
         ("background", BlockState.DONE),
         ("markers", BlockState.SKIPPED),
-        ("spread", BlockState.DONE),
     ]
     assert "dots at rest" in found.blocks[1].message
     assert not found.unfit
@@ -88,30 +95,32 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     assert "Calibrated blocks" in html and "perturbation" in html
 
 
+@pytest.mark.usefixtures("quick_color")
 def test_a_block_that_refuses_leaves_the_others_alone(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replace_fit(monkeypatch, "background", refuse)
-    found = calibrate(load_capture_folder(captures), only=("background", "spread"))
+    found = calibrate(load_capture_folder(captures), only=("background", "color"))
     (refused,) = found.unfit
     assert (refused.state, refused.message) == (BlockState.REFUSED, "the light is off")
     assert refused.page is None
-    assert found.profile.background is None and found.profile.perturbation is not None
+    assert found.profile.background is not None
     found.write_report(tmp_path / "report")
     data = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert data["verdict"] == "weak" and data["blocks"][0]["state"] == "refused"
 
 
+@pytest.mark.usefixtures("quick_color")
 def test_the_same_call_goes_on_after_a_kill(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    only, kept = ("background", "spread"), tmp_path / "kept"
+    only, kept = ("background", "color"), tmp_path / "kept"
 
     def kill(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        replace_fit(patch, "spread", kill)
+        replace_fit(patch, "color", kill)
         with pytest.raises(KeyboardInterrupt):
             calibrate(captures, only=only, unfinished=kept)
     # What is finished is a whole profile with its report.
@@ -132,8 +141,8 @@ def test_the_same_call_goes_on_after_a_kill(
     assert (tmp_path / "report" / "background" / "report.html").is_file()
     with pytest.raises(InputError, match="no result of background: done, "):
         _ = found.background
-    text = repr(found.spread)
-    assert text.startswith("SpreadCalibration\n  verdict") and len(text.splitlines()) < 14
+    text = repr(found.results["color"])
+    assert text.startswith("BackgroundCalibration\n  verdict") and len(text.splitlines()) < 14
     # Captures that were written again begin anew, whatever time they bear.
     again, about = captures / "p0.png", (captures / "p0.png").stat()
     again.write_bytes(again.read_bytes())
@@ -159,18 +168,18 @@ def test_captures_that_calibrate_nothing_leave_nothing(
 def test_a_block_is_fitted_with_its_options(
     captures: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[SpreadOptions] = []
+    given: list[ColorOptions] = []
 
-    def fit(folder: CaptureFolder, base: SensorProfile, options: SpreadOptions, _: object) -> None:
+    def fit(folder: CaptureFolder, base: SensorProfile, options: ColorOptions, _: object) -> None:
         given.append(options)
         raise InputError("no fit in this test")
 
-    replace_fit(monkeypatch, "spread", fit)
-    units = SpreadOptions((catalogue_profile("gelsight"),))
-    only = ("background", "spread")
-    calibrate(captures, only=only, options={"spread": units})
+    replace_fit(monkeypatch, "color", fit)
+    seeded = ColorOptions(seed=3)
+    only = ("background", "color")
+    calibrate(captures, only=only, options={"color": seeded})
     calibrate(captures, only=only)
-    assert given == [units, SpreadOptions()]
+    assert given == [seeded, ColorOptions()]
 
 
 def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +189,7 @@ def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(captures.parent)
     names: dict[str, Any] = {}
     exec(compile(example[1], "calibration.md", "exec"), names)
-    assert [block.state for block in names["found"].blocks] == [BlockState.DONE, BlockState.DONE]
+    assert [block.state for block in names["found"].blocks] == [BlockState.DONE]
     assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
 
 
@@ -266,6 +275,7 @@ def test_a_check_goes_with_its_captures_and_is_made_again_for_others(
     assert len(made) == 3
 
 
+@pytest.mark.usefixtures("quick_color")
 def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded: Counter[str] = Counter()
     real = images.read_apart
@@ -275,7 +285,7 @@ def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyP
         return real(what, *arguments, **options)
 
     monkeypatch.setattr(images, "read_apart", counted)
-    found = calibrate(captures, only=("background", "spread"))
+    found = calibrate(captures, only=("background", "color"))
     assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.DONE]
     files = {str(path) for path in captures.glob("*.png")}
     assert decoded == Counter(dict.fromkeys(files, 1))

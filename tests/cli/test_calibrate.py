@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
@@ -67,20 +67,25 @@ def test_a_block_that_refuses_ends_with_1(
     def refuse(*_: object) -> None:
         raise InputError("the light is off")
 
-    blocks = tuple(replace(b, verb=refuse) if b.name == "background" else b for b in BLOCKS)
+    background = block_named("background")
+    changed = {
+        "background": replace(background, verb=refuse),
+        "color": replace(background, name="color"),
+    }
+    blocks = tuple(changed.get(block.name, block) for block in BLOCKS)
     monkeypatch.setattr("taccel_lab.calibration.calibrate.BLOCKS", blocks)
     # The report may be the folder one is in.
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     words = [captures, "--out", tmp_path / "unit", "--report", "."]
-    words += ["--only", "background", "spread", "markers"]
+    words += ["--only", "background", "color", "markers"]
     shown = cli.json("calibrate all", *words, code=1)["blocks"]
     assert {s["name"]: s["state"] for s in shown} == {
-        "background": "refused", "spread": "done", "markers": "skipped",
+        "background": "refused", "color": "done", "markers": "skipped",
     }  # fmt: skip
     assert any("the light is off" in json.dumps(block) for block in shown)
     assert load_profile(tmp_path / "unit").perturbation is not None
-    assert (tmp_path / "here" / "spread" / "report.html").is_file()
+    assert (tmp_path / "here" / "color" / "report.html").is_file()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["captures", "here", "unit"]
 
 

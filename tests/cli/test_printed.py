@@ -134,7 +134,6 @@ CHEAP = {
     "doctor": "",
     "export": "PROFILE --to taxim --out OUT",
     "preview": "PROFILE --out OUT --presses --size-px 64",
-    "profile compare": "PROFILE PROFILE",
     "profile report": "PROFILE --out OUT",
     "profile show": "PROFILE",
     "profile validate": "PROFILE",

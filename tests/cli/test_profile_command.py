@@ -119,35 +119,21 @@ def test_a_family_that_is_not_here_is_a_warning(folder: Path, cli: Cli) -> None:
     assert "of_a_package is not in the catalogue" in cli("profile validate", folder).out
 
 
-def test_compare_tells_what_differs(folder: Path, tmp_path: Path, cli: Cli) -> None:
-    profile = load_profile(folder)
-    softer = profile.with_block(profile.material.replace(young_modulus_pa=1.2e5))
-    save_profile(softer, tmp_path / "q")
-    shown = cli("profile compare", folder, tmp_path / "q").out
-    assert "material.young_modulus_pa" in shown and "-3e+04" in shown
-    arguments = [folder, tmp_path / "q", "--out", tmp_path / "page"]
-    (field,) = cli.json("profile compare", *arguments)["fields"]
-    assert field["difference"] == pytest.approx(-3e4) and field["z"] is None
-    assert (tmp_path / "page" / "report.html").is_file()
-
-
 def test_report_writes_a_page(folder: Path, tmp_path: Path, cli: Cli) -> None:
     cli("profile report", folder, "--out", tmp_path / "page")
     html = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     assert "Sensor profile unit 3" in html and "made up [bold]for[/] a test" in html
 
 
-@pytest.mark.parametrize("command", [["compare"], ["report", "--out", "page"]])
 def test_missing_profiles_and_foreign_folders_are_refused(
-    command: list[str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    others = [str(folder)] if command[0] == "compare" else []
-    assert "no such profile folder" in cli.refusal("profile", *command, *others, "nowhere")
+    command = ["profile", "report", "--out", "page"]
+    assert "no such profile folder" in cli.refusal(*command, "nowhere")
     (tmp_path / "page").mkdir()
     (tmp_path / "page" / "mine.txt").write_text("keep")
-    out = [] if command[0] == "report" else ["--out", "page"]
-    assert "did not write" in cli.refusal("profile", *command, *others, folder, *out)
+    assert "did not write" in cli.refusal(*command, folder)
     assert (tmp_path / "page" / "mine.txt").read_text() == "keep"
 
 

@@ -19,8 +19,8 @@ from taccel_lab.cli.calibrate.base import BlockCommand
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
+    from taccel_lab.calibration.background.fit import BackgroundOptions
     from taccel_lab.calibration.material.options import MaterialOptions
-    from taccel_lab.calibration.spread.fit import SpreadOptions
     from taccel_lab.profile import SensorProfile
 
 Files = Mapping[Path, Callable[[Path], None]]
@@ -33,8 +33,23 @@ class CalibrateBackground(BlockCommand):
     Uses the background, the further untouched images and the untouched parts of the presses; with
     no untouched image at all, the median of five or more presses. Reports the drift over the
     frames, whether the white balance was automatic, the noise of the pixels, and dust. Writes the
-    block ``background``, and dust.png beside the report, which serves as the captures' mask.
+    block ``background``, and dust.png beside the report, which serves as the captures' mask; of
+    several frames the block ``perturbation``, too, from which
+    taccel_lab.signals.perturbation.draw_perturbation draws sensors.
     """
+
+    units: tuple[Path, ...] = ()
+    """Profiles of other units of the same design, whose images at rest, scales and materials are
+    compared, too; the base counts as one when it is given."""
+
+    def options(self, base: SensorProfile) -> BackgroundOptions:
+        from taccel_lab.calibration.background.fit import BackgroundOptions
+        from taccel_lab.profile import load_profile
+
+        units = [load_profile(path) for path in self.units]
+        if units and self.base is not None:
+            units.insert(0, base)
+        return BackgroundOptions(tuple(units))
 
 
 @dataclass(frozen=True)
@@ -198,31 +213,6 @@ class CalibrateScale(BlockCommand):
     """Capture folder (docs/calibration_camera.md)."""
 
 
-@dataclass(frozen=True)
-class CalibrateSpread(BlockCommand):
-    """Measure how much frames drift and units differ, for domain randomisation.
-
-    The light of every frame (gain, offset, gradient) is fitted against the background; with
-    --units the images at rest, scales and materials of other units of this design are compared
-    too. The block ``perturbation`` holds the standard deviations;
-    taccel_lab.signals.perturbation.draw_perturbation draws sensors from it.
-    """
-
-    captures: Positional[Path]
-    """Capture folder with captures.toml: its untouched images are compared, or else its presses."""
-    units: tuple[Path, ...] = ()
-    """Profiles of other units of the same design; the base counts as one when it is given."""
-
-    def options(self, base: SensorProfile) -> SpreadOptions:
-        from taccel_lab.calibration.spread.fit import SpreadOptions
-        from taccel_lab.profile import load_profile
-
-        units = [load_profile(path) for path in self.units]
-        if units and self.base is not None:
-            units.insert(0, base)
-        return SpreadOptions(tuple(units))
-
-
 def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
     """Held parameters from ``name=value``; InputError says what is wrong."""
     fixed = {}
@@ -248,6 +238,5 @@ BLOCK_COMMANDS: dict[str, type[BlockCommand]] = {
         CalibrateMaterial,
         CalibrateNormals,
         CalibrateScale,
-        CalibrateSpread,
     )
 }

@@ -32,7 +32,7 @@ NO_LIGHT = RemarkKind(
     "force_one_light",
     Severity.WARNING,
     "trained in the background's own light: the profile has no block perturbation, or --light is "
-    "0. A lamp that drifts then reads as a touch. Measure the drift (taccel-lab calibrate spread)",
+    "0. A lamp that drifts then reads as a touch. Measure the drift (taccel-lab calibrate background)",
 )
 FEW_IMAGES = RemarkKind(
     "force_few_images",

@@ -10,8 +10,11 @@ import pytest
 
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.spread.result import SpreadCalibration
-from taccel_lab.calibration.spread.units import UnitSpread, spread_of_units
+from taccel_lab.calibration.light.perturbation import (
+    UnitSpread,
+    perturbation_block,
+    spread_of_units,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.signals.perturbation import draw_perturbation
@@ -40,9 +43,11 @@ def textured_background() -> np.ndarray:
 
 def spread(
     drifts: Sequence[LightDrift], units: UnitSpread | None = None, noise_levels: float | None = None
-) -> SpreadCalibration:
+) -> PerturbationBlock:
     pivot = textured_background().mean(axis=(0, 1))
-    return SpreadCalibration(tuple(drifts), noise_levels, units, pivot, {"a": "0" * 64}, "test")
+    block = perturbation_block(drifts, units, noise_levels, pivot, {"a": "0" * 64}, "test")
+    assert block is not None
+    return block
 
 
 def drawn_frames(count: int, noise: float, background: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -57,22 +62,21 @@ def test_the_spread_of_many_frames_is_recovered() -> None:
     # A quarter of the picture: how many frames there are limits what is found, not their pixels.
     background = textured_background()[:60, :80]
     drifts = [fit_light(frame, background) for frame in drawn_frames(count, 1.0, background)]
-    found = spread(drifts, noise_levels=1.0).values()
+    found = spread(drifts, noise_levels=1.0)
     # A standard deviation from 200 samples is uncertain by 5 %: 3 of these.
     for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
-        assert found[name] == pytest.approx(getattr(TRUTH, name), rel=0.15), name
+        assert getattr(found, name) == pytest.approx(getattr(TRUTH, name), rel=0.15), name
     pivot = textured_background().mean(axis=(0, 1))
-    assert found["pivot_rgb"] == pytest.approx(pivot)
-    assert found["noise_levels"] == 1.0
+    assert found.pivot_rgb == pytest.approx(pivot)
+    assert found.noise_levels == 1.0
 
 
 def test_the_block_draws_images_like_the_measured_ones() -> None:
     background = textured_background()[:60, :80]
     frames = drawn_frames(100, 0.5, background)
     drifts = [fit_light(frame, background) for frame in frames]
-    result = spread(drifts)
-    block = result.apply_to(tiny_profile(GRID)).perturbation
-    assert block is not None and block.provenance.verdict == "good"
+    block = spread(drifts)
+    assert block.provenance.verdict == "good"
     draw = draw_perturbation(block, 400, np.random.default_rng(1))
     again = PerturbedSensors(draw).apply(np.repeat(background[None], 400, axis=0))
     # The spread of a pixel between frames is what randomisation is about.
@@ -92,22 +96,23 @@ def test_units_are_compared_by_what_was_measured() -> None:
     units = spread_of_units(
         [unit(b, e, MEASURED) for b, e in ((0.9, 1.4e5), (1.0, 1.5e5), (1.1, 1.6e5))]
     )
-    assert units.young_modulus_relative == pytest.approx(0.1 / 1.5)
-    assert units.mm_per_px_relative is None  # the cameras were assumed
+    assert units.values["young_modulus_relative"] == pytest.approx(0.1 / 1.5)
+    assert "mm_per_px_relative" not in units.values  # the cameras were assumed
     gains = np.array([light.gain for light in units.lights])
     assert gains == pytest.approx(np.array([0.9, 1.0, 1.1])[:, None].repeat(3, 1), abs=0.01)
     result = spread([], units)
-    assert result.values()["gain_rgb"] == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
-    assert [r.code for r in result.remarks] == ["too_few"]
+    assert result.gain_rgb == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
+    (remark,) = result.provenance.remarks
+    assert remark.startswith("3 units: each standard deviation is itself uncertain by 50%")
     assumed = spread_of_units([unit(b, e, ASSUMED) for b, e in ((1.0, 1e5), (1.1, 2e5))])
-    assert assumed.young_modulus_relative is None
+    assert not assumed.values
 
 
 def test_too_little_is_refused() -> None:
     with pytest.raises(InputError, match="at least 2 profiles"):
         spread_of_units([tiny_profile(GRID)])
-    with pytest.raises(InputError, match="at least 2 frames or 2 profiles"):
-        spread([])
+    one = fit_light(textured_background(), textured_background())
+    assert perturbation_block([one], None, None, np.full(3, 9.0), {}, "test") is None
     other = tiny_profile(GRID)
     other = other.with_block(other.sensor.replace(family="digit"))
     with pytest.raises(InputError, match="different families"):
