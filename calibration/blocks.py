@@ -1,55 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks that captures calibrate, in the order in which one builds on another."""
+"""The blocks that captures calibrate, in the order in which one builds on another.
+
+The table names where each block's functions are; a block is loaded when it is fitted.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
-from taccel_lab.calibration.background.background_page import background_page
-from taccel_lab.calibration.background.fit import BackgroundOptions, calibrate_background
-from taccel_lab.calibration.camera.camera_page import camera_page
-from taccel_lab.calibration.camera.fit import calibrate_camera
-from taccel_lab.calibration.camera.options import CameraOptions
-from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.color.color_page import color_page
-from taccel_lab.calibration.color.fit import calibrate_color
-from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.grey.depth_page import depth_page
-from taccel_lab.calibration.grey.fit import calibrate_depth
-from taccel_lab.calibration.grey.options import DepthOptions
-from taccel_lab.calibration.markers.fit import calibrate_markers
-from taccel_lab.calibration.markers.markers_page import marker_page
-from taccel_lab.calibration.material.fit import calibrate_material
-from taccel_lab.calibration.material.material_page import material_page
-from taccel_lab.calibration.material.options import MaterialOptions
-from taccel_lab.calibration.normals.fit import calibrate_normals
-from taccel_lab.calibration.normals.normals_page import normals_page
-from taccel_lab.calibration.normals.options import NormalOptions
-from taccel_lab.calibration.result import CalibrationResult
-from taccel_lab.calibration.scale.fit import calibrate_scale
-from taccel_lab.calibration.scale.scale_page import scale_page
 from taccel_lab.errors import InputError
-from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
-from taccel_lab.report.page import Page
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture.folder import CaptureFolder
+    from taccel_lab.calibration.result import BlockResult
+    from taccel_lab.profile import SensorProfile
+    from taccel_lab.report.page import Page
 
 
 @dataclass(frozen=True)
 class CalibrationBlock:
-    """One block: how it is fitted, and how its result is shown."""
+    """One block: how it is fitted, and how its result is shown. Modules are below
+    ``taccel_lab.calibration``."""
 
     name: str
     """As in ``taccel-lab calibrate NAME``."""
-    verb: Callable[..., CalibrationResult]
-    """(folder, base, options, progress) -> result; no options for a block that has none."""
-    describe: Callable[..., Page]
-    """(result) -> page, or (result, folder) where the page reads images of the folder."""
-    options: type | None = None
-    """Of the fit; None where there is nothing to choose."""
+    fitted_in: str
+    """Module of ``calibrate_NAME``: (folder, base, options, progress) -> result; no options for a
+    block that has none."""
+    shown_in: str
+    """Module of ``NAME_page``: (result) -> page, or (result, folder) where the page reads images of
+    the folder."""
+    choices: str = ""
+    """``module:class`` of the fit's options; empty where there is nothing to choose."""
     reads_folder: bool = False
     """Whether the page takes the folder."""
+
+    @property
+    def verb(self) -> Callable[..., BlockResult]:
+        """Function that fits the block."""
+        return _loaded(f"{self.fitted_in}:calibrate_{self.name}")
+
+    @property
+    def options(self) -> type | None:
+        """Of the fit; None where there is nothing to choose."""
+        return _loaded(self.choices) if self.choices else None
 
     def fit(
         self,
@@ -57,37 +55,55 @@ class CalibrationBlock:
         base: SensorProfile,
         options: Any = None,
         progress: Progress = silent,
-    ) -> CalibrationResult:
+    ) -> BlockResult:
         """The block's calibration, with its defaults where no options are given.
 
         Raises:
             InputError: Captures that it cannot use, or options for a block that has none.
         """
-        if self.options is None:
+        allowed = self.options
+        if allowed is None:
             if options is not None:
                 raise InputError(f"the calibration of {self.name} has no options")
             return self.verb(folder, base, progress)
-        if options is not None and not isinstance(options, self.options):
+        if options is not None and not isinstance(options, allowed):
             raise InputError(
-                f"the calibration of {self.name} takes {self.options.__name__}, "
+                f"the calibration of {self.name} takes {allowed.__name__}, "
                 f"got {type(options).__name__}"
             )
-        return self.verb(folder, base, self.options() if options is None else options, progress)
+        options = allowed() if options is None else options
+        return self.verb(folder, base, options, progress)
 
-    def page(self, result: CalibrationResult, folder: CaptureFolder) -> Page:
+    def page(self, result: BlockResult, folder: CaptureFolder) -> Page:
         """The result as a page; pictures are drawn when it is written."""
-        return self.describe(result, folder) if self.reads_folder else self.describe(result)
+        describe = _loaded(f"{self.shown_in}:{self.name}_page")
+        return describe(result, folder) if self.reads_folder else describe(result)
+
+
+def _loaded(name: str) -> Any:
+    return resolve_name(f"taccel_lab.calibration.{name}")
 
 
 BLOCKS = (
-    CalibrationBlock("camera", calibrate_camera, camera_page, CameraOptions, reads_folder=True),
-    CalibrationBlock("scale", calibrate_scale, scale_page, reads_folder=True),
-    CalibrationBlock("background", calibrate_background, background_page, BackgroundOptions),
-    CalibrationBlock("color", calibrate_color, color_page, ColorOptions),
-    CalibrationBlock("normals", calibrate_normals, normals_page, NormalOptions),
-    CalibrationBlock("depth", calibrate_depth, depth_page, DepthOptions),
-    CalibrationBlock("markers", calibrate_markers, marker_page),
-    CalibrationBlock("material", calibrate_material, material_page, MaterialOptions),
+    CalibrationBlock(
+        "camera", "camera.fit", "camera.camera_page", "camera.options:CameraOptions", True
+    ),
+    CalibrationBlock("scale", "scale.fit", "scale.scale_page", reads_folder=True),
+    CalibrationBlock(
+        "background",
+        "background.fit",
+        "background.background_page",
+        "background.fit:BackgroundOptions",
+    ),
+    CalibrationBlock("color", "color.fit", "color.color_page", "color.options:ColorOptions"),
+    CalibrationBlock(
+        "normals", "normals.fit", "normals.normals_page", "normals.options:NormalOptions"
+    ),
+    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "grey.options:DepthOptions"),
+    CalibrationBlock("markers", "markers.fit", "markers.markers_page"),
+    CalibrationBlock(
+        "material", "material.fit", "material.material_page", "material.options:MaterialOptions"
+    ),
 )
 """What each needs of a capture folder, ``calibration/check/content.py`` says."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.calibration.result import CalibrationResult, ScoredFit
+from taccel_lab.calibration.result import BlockResult, ScoredFit
 from taccel_lab.profile import SensorProfile
 
 
@@ -22,7 +22,7 @@ class Profiles:
         """One that is both."""
         return cls(profile, profile)
 
-    def after(self, result: CalibrationResult) -> Profiles:
+    def after(self, result: BlockResult) -> Profiles:
         """Both with what a block found; errors of ``apply_to``."""
         scored = result.scored if isinstance(result, ScoredFit) else result
         final = result.apply_to(self.final)

@@ -4,7 +4,7 @@
 The kinds of a block are in its own table, ``calibration/<block>/remarks.py``; code that
 finds something calls the kind with the figures of its sentence::
 
-    FEW_FRAMES = RemarkKind("few_frames", Severity.WARNING, "{count} frames: ...")
+    FEW_FRAMES = warning("few_frames", "{count} frames: ...")
     remarks.append(FEW_FRAMES(count=3))
 
 ``remark_table`` lists them all, for docs/remarks.md.
@@ -70,6 +70,25 @@ class RemarkKind:
             tuple(frames),
             self.blocks if blocks is None else tuple(blocks),
         )
+
+
+def info(
+    code: str, text: str, blocks: tuple[str, ...] = (), graver: Severity | None = None
+) -> RemarkKind:
+    """Kind that leaves the verdict as it is."""
+    return RemarkKind(code, Severity.INFO, text, blocks, graver)
+
+
+def warning(
+    code: str, text: str, blocks: tuple[str, ...] = (), graver: Severity | None = None
+) -> RemarkKind:
+    """Kind that makes a verdict at most usable."""
+    return RemarkKind(code, Severity.WARNING, text, blocks, graver)
+
+
+def error(code: str, text: str, blocks: tuple[str, ...] = ()) -> RemarkKind:
+    """Kind that makes a verdict weak."""
+    return RemarkKind(code, Severity.ERROR, text, blocks)
 
 
 def remark_kinds(*packages: ModuleType) -> list[tuple[str, RemarkKind]]:

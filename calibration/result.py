@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every calibrator returns besides its block: estimates, remarks and a verdict."""
+"""What every calibration of a block returns: estimates, figures, remarks, evidence, a profile."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile import SensorProfile
+from taccel_lab.profile import Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.ball_presses import Untouched
+    from taccel_lab.calibration.capture.split import PressSplit
+    from taccel_lab.calibration.thickness.fit import GelThickness
 
 MOST_SHOWN = 10
 """Figures that a result shows of itself."""
@@ -55,13 +60,20 @@ def mean_figures(scores: Sequence[Any]) -> dict[str, float]:
     return {name: float(np.mean([getattr(score, name) for score in scores])) for name in names}
 
 
-class ResultSummary(Summary):
-    """A result whose ``repr`` is its verdict and its first single figures, not its arrays."""
+class BlockResult(Summary):
+    """What the calibration of a block gives: figures and remarks, and a profile with the block.
 
-    remarks: Any
+    Its ``repr`` is its verdict and its first single figures, not its arrays.
+    """
+
+    remarks: tuple[Remark, ...]
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
+        raise NotImplementedError
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the calibrated blocks, their evidence in the provenance."""
         raise NotImplementedError
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
@@ -73,6 +85,15 @@ class ResultSummary(Summary):
         ]
         rows = [("verdict", str(judge(self.remarks))), *single[:MOST_SHOWN]]
         return type(self).__name__, rows
+
+
+def calibrated(remarks: Sequence[Remark], **evidence: Any) -> Provenance:
+    """Provenance of a block that a calibration found, with the verdict that its remarks leave;
+    ``evidence`` is of the provenance's fields."""
+    said = tuple(str(remark) for remark in remarks)
+    return Provenance(
+        **{"kind": "calibrated", "verdict": judge(remarks).value, "remarks": said} | evidence
+    )
 
 
 class Placed(Protocol):
@@ -104,8 +125,8 @@ class Fit(Protocol):
 FitType = TypeVar("FitType", bound=Fit)
 
 
-@dataclass(frozen=True, repr=False)
-class ScoredFit(ResultSummary, Generic[FitType]):
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ScoredFit(BlockResult, Generic[FitType]):
     """A model that is fitted, scored on held-out presses, and then fitted to all of them."""
 
     fit: FitType
@@ -113,6 +134,16 @@ class ScoredFit(ResultSummary, Generic[FitType]):
     final: FitType | None
     """To all presses, once the held-out ones were scored; what a profile gets. None where no
     held-out press can be used."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where there are none."""
+    valid_region: dict[str, tuple[float, float]]
+    """Range of contact positions, tilts and displacements in the presses of the last fit."""
+    gel: GelThickness | None = None
+    """What the presses say of the gel's thickness; None where it is known and they agree."""
+    untouched: Untouched | None = None
+    """What it was fitted against; that of the captures when None."""
+    remarks: tuple[Remark, ...] = ()
+    """What a person has to know before the model is used."""
 
     @property
     def last(self) -> FitType:
@@ -131,18 +162,3 @@ class ScoredFit(ResultSummary, Generic[FitType]):
         if self.final is None:
             return ""
         return f"scored so, then fitted to all {len(self.final.inputs)} presses"
-
-
-class CalibrationResult(Protocol):
-    """What the commands, the report and the whole-folder run need of a calibration."""
-
-    @property
-    def remarks(self) -> tuple[Remark, ...]: ...
-
-    def figures(self) -> dict[str, Any]:
-        """Everything measured, ready for JSON."""
-        ...
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the calibrated blocks, their evidence in the provenance."""
-        ...

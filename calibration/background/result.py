@@ -13,10 +13,10 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
-from taccel_lab.calibration.result import ResultSummary
+from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
+from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
@@ -35,9 +35,23 @@ class FrameLight:
     corrected_l1: float
     """The same from the background that was made of the other frames, in this frame's light."""
 
+    def figures(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "gain_rgb": self.drift.gain.tolist(),
+            "offset_rgb": self.drift.offset.tolist(),
+            "gradient_rgb": self.drift.gradient.tolist(),
+            "noise_levels": self.drift.noise_levels,
+            "untouched_share": self.seen_share,
+            "plain_l1": self.plain_l1,
+            "corrected_l1": self.corrected_l1,
+        }
+
 
 @dataclass(frozen=True, repr=False)
-class BackgroundCalibration(ResultSummary):
+class BackgroundCalibration(BlockResult):
     """The background image with what is known of its quality."""
 
     image: np.ndarray
@@ -90,22 +104,6 @@ class BackgroundCalibration(ResultSummary):
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
-        rows = []
-        for frame in self.frames:
-            drift = frame.drift
-            rows.append(
-                {
-                    "name": frame.name,
-                    "kind": frame.kind,
-                    "gain_rgb": drift.gain.tolist(),
-                    "offset_rgb": drift.offset.tolist(),
-                    "gradient_rgb": drift.gradient.tolist(),
-                    "noise_levels": drift.noise_levels,
-                    "untouched_share": frame.seen_share,
-                    "plain_l1": frame.plain_l1,
-                    "corrected_l1": frame.corrected_l1,
-                }
-            )
         return {
             "verdict": judge(self.remarks),
             "plain_l1": self._mean("plain_l1"),
@@ -121,7 +119,7 @@ class BackgroundCalibration(ResultSummary):
             if self.perturbation is None
             else self.perturbation.model_dump(exclude={"provenance"}, exclude_none=True),
             "unit_count": 0 if self.units is None else self.units.unit_count,
-            "frames": rows,
+            "frames": [frame.figures() for frame in self.frames],
         }
 
     def _mean(self, name: str) -> float:
@@ -145,10 +143,6 @@ class BackgroundCalibration(ResultSummary):
                 )
             grid = PixelGrid(width, height, *self.mm_per_px)
             profile = on_grid(profile, grid, {"source": self.source})
-        residuals = {
-            "heldout_untouched_l1_levels": self._mean("corrected_l1"),
-            "plain_untouched_l1_levels": self._mean("plain_l1"),
-        }
         spread = {
             "heldout_untouched_l1_levels": float(np.std([f.corrected_l1 for f in self.frames]))
         }
@@ -157,21 +151,16 @@ class BackgroundCalibration(ResultSummary):
         if self.spread is not None:
             for name, value in zip(("red", "green", "blue"), self.spread.shift_levels, strict=True):
                 spread[f"drift_{name}_levels"] = value
-        return profile.with_block(
-            BackgroundBlock(
-                provenance=Provenance(
-                    kind="calibrated",
-                    method=self.method,
-                    source=self.source,
-                    inputs=self.inputs,
-                    residuals=residuals,
-                    spread=spread,
-                    valid_region={
-                        "level": (float(self.image.min()), float(self.image.max())),
-                    },
-                    verdict=judge(self.remarks).value,
-                    remarks=tuple(remark.message for remark in self.remarks),
-                )
-            ),
-            self.image,
+        provenance = calibrated(
+            self.remarks,
+            method=self.method,
+            source=self.source,
+            inputs=self.inputs,
+            residuals={
+                "heldout_untouched_l1_levels": self._mean("corrected_l1"),
+                "plain_untouched_l1_levels": self._mean("plain_l1"),
+            },
+            spread=spread,
+            valid_region={"level": (float(self.image.min()), float(self.image.max()))},
         )
+        return profile.with_block(BackgroundBlock(provenance=provenance), self.image)

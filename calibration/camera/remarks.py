@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.remarks import error, info, warning
 from taccel_lab.report.remark import Severity
 
 # The captures.
-BOARDS_REFUSED = RemarkKind(
+BOARDS_REFUSED = info(
     "boards_refused",
-    Severity.INFO,
     "the board was not used in {count} of {total} images: {reasons}",
     graver=Severity.WARNING,
 )
-SIZE_DIFFERS = RemarkKind(
+SIZE_DIFFERS = error(
     "size_differs",
-    Severity.ERROR,
     "the board was seen in images of {width}x{height} px, the background has "
     "{background_width}x{background_height} px: the scale holds for images of the board's size "
     "only",
@@ -23,36 +21,31 @@ SIZE_DIFFERS = RemarkKind(
 
 # The lens.
 MORE_VIEWS = "20 or more, spread over the image, determine the distortion"
-LENS_COVERAGE = RemarkKind(
+LENS_COVERAGE = warning(
     "lens_coverage",
-    Severity.WARNING,
     "the board covers {share:.0%} of the image; the distortion is unknown beyond. Show the board "
     "in the corners too",
 )
-VIEWS_ALIKE = RemarkKind(
+VIEWS_ALIKE = error(
     "views_alike",
-    Severity.ERROR,
     "{reason}, so that the focal length cannot be told from the distance; tilt the board by 20 to "
     "45 degrees, to all sides",
 )
-FOCAL_UNCERTAIN = RemarkKind(
+FOCAL_UNCERTAIN = warning(
     "focal_uncertain",
-    Severity.WARNING,
     "the focal length is known to {percent:.1f} % only; take more views with more tilt",
     graver=Severity.ERROR,
 )
 
 # Boards on the gel.
-DISTORTED = RemarkKind(
+DISTORTED = warning(
     "distorted",
-    Severity.WARNING,
     "the scale runs from {least:.2f} to {largest:.2f} of its value at the board's middle: mm/px "
     "hold about the middle of the raw image, and everywhere only in images that are rectified "
     "(--maps)",
 )
-OFF_CENTER = RemarkKind(
+OFF_CENTER = error(
     "off_center",
-    Severity.ERROR,
     "the gel frame's origin at pixel ({u:.0f}, {v:.0f}) is not under the board, so that the scale "
     "there is extrapolated; lay the board over the middle of the image of {width}x{height} px",
 )

@@ -14,9 +14,9 @@ from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.result import ResultSummary
-from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
+from taccel_lab.calibration.result import BlockResult, calibrated
+from taccel_lab.profile import CameraBlock, OpticsBlock, SensorProfile
+from taccel_lab.report.remark import Remark
 
 _CALIBRATED = (
     "model", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion",
@@ -26,7 +26,7 @@ _CALIBRATED = (
 
 
 @dataclass(frozen=True, repr=False)
-class CameraCalibration(ResultSummary):
+class CameraCalibration(BlockResult):
     """Lens, pose and scale, as far as the boards give them."""
 
     source: str
@@ -75,13 +75,11 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
     grid = on_gel.grid.width_px, on_gel.grid.height_px
     return CameraBlock.from_grid(
         on_gel.grid,
-        Provenance(
-            kind="calibrated",
-            method=(
-                f"board on the gel, {on_gel.fit.model.name}; mm/px are means over a pitch of the "
-                "board to both sides of the origin; the origin is taken where the profile had it, "
-                "else in the middle of the image"
-            ),
+        calibrated(
+            on_gel.remarks,
+            method=f"board on the gel, {on_gel.fit.model.name}; mm/px are means over a pitch of "
+            "the board to both sides of the origin; the origin is taken where the profile had it, "
+            "else in the middle of the image",
             source=source_of(result.provenance, result.source),
             inputs=result.inputs,
             residuals={
@@ -101,8 +99,6 @@ def camera_block(result: CameraCalibration) -> CameraBlock:
                 "x_mm": (float(x_mm.min()), float(x_mm.max())),
                 "y_mm": (float(y_mm.min()), float(y_mm.max())),
             },
-            verdict=judge(on_gel.remarks).value,
-            remarks=tuple(remark.message for remark in on_gel.remarks),
         ),
         rectified=grid != on_gel.views[0].size_px or largest - least > DISTORTED,
     )
@@ -141,16 +137,13 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
         position, rotation = (0.0, 0.0, -distance), (0.0, 0.0, 0.0, 1.0)
         where = "pose assumed: straight above the gel at focal length times mm/px"
     camera = found.lens.camera(found.parameters, found.size_px, position, rotation)
-    remarks = [*found.remarks, *([] if on_gel is None else on_gel.remarks)]
     points = np.concatenate([view.uv_px for view in found.views])
     described: dict[str, Any] = {name: getattr(camera, name) for name in _CALIBRATED}
-    described["provenance"] = Provenance(
-        kind="calibrated",
-        method=(
-            f"{len(found.views)} views of a board, {found.lens.name} lens chosen among "
-            f"{', '.join(score.lens.name for score in found.scores)} by {found.folds}-fold "
-            f"held-out reprojection; {where}"
-        ),
+    described["provenance"] = calibrated(
+        (*found.remarks, *(() if on_gel is None else on_gel.remarks)),
+        method=f"{len(found.views)} views of a board, {found.lens.name} lens chosen among "
+        f"{', '.join(score.lens.name for score in found.scores)} by {found.folds}-fold "
+        f"held-out reprojection; {where}",
         source=source_of(result.provenance, result.source),
         inputs=result.inputs,
         residuals=residuals,
@@ -160,8 +153,6 @@ def optics_block(result: CameraCalibration, profile: SensorProfile) -> OpticsBlo
             "u_px": (float(points[:, 0].min()), float(points[:, 0].max())),
             "v_px": (float(points[:, 1].min()), float(points[:, 1].max())),
         },
-        verdict=judge(remarks).value,
-        remarks=tuple(remark.message for remark in remarks),
     )
     # A board says nothing of apertures, crop and media: they stay as designed.
     return OpticsBlock(**described) if designed is None else designed.replace(**described)

@@ -3,16 +3,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.coverage import coverage_map
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
-from taccel_lab.calibration.check import drawings
+from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.check.presses import label_gaps
+from taccel_lab.calibration.check.presses import found_circles, label_gaps
 from taccel_lab.calibration.check.run import CaptureCheck
-from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.report.style import CHANNELS, GREEN, INK, ORANGE, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAX_ROWS = 40
+SHEET_COLUMNS, SHEET_FRAMES = 4, 60
 
 
 def check_page(check: CaptureCheck) -> Page:
@@ -68,18 +80,15 @@ def remarks_by_frame(check: CaptureCheck) -> dict[str, list[str]]:
 
 
 def _blocks(check: CaptureCheck) -> Table:
-    return Table(
+    return Table.of(
         "Blocks of a profile",
-        ("command", "state", "found", "missing"),
-        [
-            (
-                f"calibrate {block.command}",
-                block.readiness.value,
-                block.found or None,
-                block.missing,
-            )
-            for block in check.blocks
-        ],
+        check.blocks,
+        {
+            "command": lambda block: f"calibrate {block.command}",
+            "state": "readiness.value",
+            "found": lambda block: block.found or None,
+            "missing": "missing",
+        },
         "ready: can be run; weak: runs, and the warnings say why its result will not be good; "
         "blocked: captures are there and something stops the command; absent: no captures for it.",
     )
@@ -90,6 +99,10 @@ def _presses(check: CaptureCheck) -> list[Table]:
         return []
     gaps = {gap.name: gap for gap in label_gaps(check.frames, check.grid)}
     remarks = remarks_by_frame(check)
+    columns = (
+        "press", "u [px]", "v [px]", "radius [px]", "confidence", "label off [px]",
+        "radius off [px]", "light shift [levels]", "saturated [%]", "rim [px]", "findings",
+    )  # fmt: skip
     rows = []
     for frame in _worst_first(check)[:MAX_ROWS]:
         gap, circle = gaps.get(frame.press.name), frame.circle
@@ -98,75 +111,150 @@ def _presses(check: CaptureCheck) -> list[Table]:
                 frame.press.name,
                 *((None,) * 3 if circle is None else (circle.u_px, circle.v_px, circle.radius_px)),
                 None if frame.contact is None else frame.contact.confidence,
-                None if gap is None else gap.center_px,
-                None if gap is None else gap.radius_px,
+                *((None,) * 2 if gap is None else (gap.center_px, gap.radius_px)),
                 float(abs(frame.shift_levels).max()),
                 100 * frame.saturated_share,
                 frame.rim_px,
                 ", ".join(remarks.get(frame.press.name, [])).replace("_", " "),
             )
         )
-    return [
-        Table(
-            "Presses, worst first",
-            (
-                "press",
-                "u [px]",
-                "v [px]",
-                "radius [px]",
-                "confidence",
-                "label off [px]",
-                "radius off [px]",
-                "light shift [levels]",
-                "saturated [%]",
-                "rim [px]",
-                "findings",
-            ),
-            rows,
-            "Circles as found in the image; “off”: distance of the given circle's centre from it, "
-            "and found less given radius. Light shift: untouched gel against the background.",
-        )
-    ]
+    caption = (
+        "Circles as found in the image; “off”: distance of the given circle's centre from it, and "
+        "found less given radius. Light shift: untouched gel against the background."
+    )
+    return [Table("Presses, worst first", columns, rows, caption)]
 
 
 def _pictures(check: CaptureCheck) -> list[Picture]:
     if check.grid is None or not check.frames or check.background is None:
         return []
     frames, grid, background = check.frames, check.grid, check.background
-    remarks = remarks_by_frame(check)
     pictures = [
-        Picture(
-            "coverage",
-            lambda: drawings.draw_coverage(frames, background.image, grid),
-            "Where balls were: the colour model holds there and nowhere else. Green: contact "
-            "found; orange: only the given circle.",
-        ),
-        Picture(
-            "frames",
-            lambda: drawings.draw_frames(_worst_first(check), remarks, grid),
-            "Presses, worst first. Orange: the contact as found; white, dashed: as given. To "
-            f"correct one, edit {CONTACTS_NAME} beside this page and put it into the capture "
-            "folder.",
-        ),
+        _coverage(frames, background.image, grid),
+        _frames(_worst_first(check), remarks_by_frame(check), grid),
     ]
     if len(frames) > 1:
-        pictures.append(
-            Picture(
-                "light",
-                lambda: drawings.draw_light(frames),
-                "Colour of the untouched gel in each frame against the background: flat lines are "
-                "fixed camera settings.",
-            )
-        )
+        pictures.append(_light(frames))
     given = check.folder.background
     if background.is_median and given is not None:
-        pictures.insert(
-            0,
-            Picture(
-                "framings",
-                lambda: drawings.draw_framings(background, given.image()),
-                "The background as given is not the untouched gel of the presses; the box shows "
-                "the part that both have in common, where one was found.",
-            ),
-        )
+        pictures.insert(0, _framings(background, given.image))
     return pictures
+
+
+@picture(
+    "coverage",
+    "Where balls were: the colour model holds there and nowhere else. Green: contact found; "
+    "orange: only the given circle.",
+)
+def _coverage(frames: Sequence[FrameFigures], background: np.ndarray, grid: PixelGrid) -> Figure:
+    """Contacts over the untouched gel, and how often each pixel was touched."""
+    aspect = grid.height_px / grid.width_px
+    width = 8.6 if aspect <= 1 else 7.4
+    figure, axes = new_figure(width, 1.0 + 0.4 * width * aspect, 1, 2)
+    figure.set_layout_engine("compressed")
+    axes[0].imshow(background)
+    for frame in frames:
+        if frame.circle is not None:
+            color = GREEN if frame.contact is not None else ORANGE
+            _circle(axes[0], frame.circle, grid, color, "-", 1.0)
+    axes[0].set_title(f"{len(frames)} presses")
+    count = coverage_map(found_circles(frames), grid)
+    top = max(1, int(count.max()))
+    drawn = axes[1].imshow(count, cmap="viridis", vmin=0, vmax=top)
+    ticks = np.unique(np.linspace(0, top, min(top, 5) + 1).round())
+    figure.colorbar(drawn, ax=axes[1], label="contacts on a pixel", ticks=ticks)
+    axes[1].set_title(f"{(count > 0).mean():.0%} of the image touched")
+    for panel in axes:
+        panel.set_xlim(-0.5, grid.width_px - 0.5)
+        panel.set_ylim(grid.height_px - 0.5, -0.5)
+        panel.set_xlabel("u [px]")
+    axes[0].set_ylabel("v [px]")
+    return figure
+
+
+@picture(
+    "light",
+    "Colour of the untouched gel in each frame against the background: flat lines are fixed camera "
+    "settings.",
+)
+def _light(frames: Sequence[FrameFigures]) -> Figure:
+    """Colour of the untouched gel over the frames, against the background."""
+    figure, axes = new_figure(8.6, 2.6)
+    shifts = np.stack([frame.shift_levels for frame in frames])
+    for channel, (name, color) in enumerate(CHANNELS):
+        axes.plot(shifts[:, channel], marker=".", lw=1, color=color, label=name)
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set_xlabel("press, in the order of the manifest")
+    axes.set_ylabel("untouched gel less\nbackground [levels]")
+    axes.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2))
+    return figure
+
+
+@picture(
+    "frames",
+    "Presses, worst first. Orange: the contact as found; white, dashed: as given. To correct one, "
+    f"edit {CONTACTS_NAME} beside this page and put it into the capture folder.",
+)
+def _frames(
+    frames: Sequence[FrameFigures], remarks: dict[str, list[str]], grid: PixelGrid
+) -> Figure:
+    """The first ``SHEET_FRAMES`` frames: contact found, label, findings."""
+    chosen = frames[:SHEET_FRAMES]
+    columns = min(SHEET_COLUMNS, len(chosen))
+    rows = -(-len(chosen) // columns)
+    aspect = grid.height_px / grid.width_px
+    figure, axes = new_figure(
+        2.3 * columns + 0.2, rows * (2.2 * aspect + 0.62), rows, columns, squeeze=False
+    )
+    for panel in axes.ravel():
+        panel.set_axis_off()
+    for panel, frame in zip(axes.ravel(), chosen, strict=False):
+        panel.imshow(np.clip(frame.press.image(), 0, 255))
+        if frame.press.circle is not None:
+            _circle(panel, frame.press.circle, grid, "white", "--", 1.2)
+        if frame.contact is not None:
+            _circle(panel, frame.contact.circle, grid, ORANGE, "-", 1.2)
+        panel.set_xlim(-0.5, grid.width_px - 0.5)
+        panel.set_ylim(grid.height_px - 0.5, -0.5)
+        codes = remarks.get(frame.press.name, [])
+        text = ", ".join(code.replace("_", " ") for code in codes[:3]) or "no remark"
+        panel.set_title(f"{_short(frame.press.name)}\n{text}", fontsize=8)
+    return figure
+
+
+@picture(
+    "framings",
+    "The background as given is not the untouched gel of the presses; the box shows the part that "
+    "both have in common, where one was found.",
+)
+def _framings(check: BackgroundCheck, given: Callable[[], np.ndarray]) -> Figure:
+    """The background beside the median of the presses."""
+    background = given()
+    figure, axes = new_figure(8.6, 1.0 + 4.0 * background.shape[0] / background.shape[1], 1, 2)
+    figure.set_layout_engine("compressed")
+    axes[0].imshow(background)
+    axes[0].set_title("background as given")
+    axes[1].imshow(check.image)
+    axes[1].set_title("median of the presses")
+    for panel in axes:
+        panel.set_xlabel("u [px]")
+    axes[0].set_ylabel("v [px]")
+    return figure
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 26 else name[:12] + "…" + name[-12:]
+
+
+def _circle(
+    panel: Any, circle: ContactCircle, grid: PixelGrid, color: str, line: str, width: float
+) -> None:
+    from matplotlib.patches import Ellipse
+
+    high = 2 * circle.radius_px * grid.mm_per_px_x / grid.mm_per_px_y
+    panel.add_patch(
+        Ellipse(
+            (circle.u_px, circle.v_px), 2 * circle.radius_px, high,
+            fill=False, ec=color, ls=line, lw=width,
+        )
+    )  # fmt: skip

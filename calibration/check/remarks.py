@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.remarks import error, info, warning
 from taccel_lab.report.remark import Severity
 
 BY_COLOR = ("color", "normals")
@@ -11,58 +11,50 @@ BY_COLOR = ("color", "normals")
 BY_BACKGROUND = ("background", "color", "normals")
 
 # The folder as a whole.
-EMPTY = RemarkKind("empty", Severity.ERROR, "the folder holds no captures")
-SENSOR_UNKNOWN = RemarkKind(
+EMPTY = error("empty", "the folder holds no captures")
+SENSOR_UNKNOWN = error(
     "sensor_unknown",
-    Severity.ERROR,
     "the catalogue has no sensor {sensor!r} (taccel-lab sensors list); flat_pad stands for any "
     "flat gel, and the folder of a profile for a gel of your own",
     ("color", "normals", "material"),
 )
-BALL_RADIUS_UNSTATED = RemarkKind(
+BALL_RADIUS_UNSTATED = error(
     "ball_radius_unstated",
-    Severity.ERROR,
     "the radius of the ball is not stated: without it a contact says nothing about slopes. Measure "
     "the ball and add [indenter] radius_mm",
     ("color", "normals", "scale", "depth"),
 )
-SCALE_UNSTATED = RemarkKind(
+SCALE_UNSTATED = error(
     "scale_unstated",
-    Severity.ERROR,
     "the scale is not stated and nothing here gives it: add mm_per_px_x and mm_per_px_y, a press "
     "of a board or of a known edge, or the pitch of the markers",
     ("color", "normals", "depth"),
 )
-ASSUMED = RemarkKind(
+ASSUMED = info(
     "assumed",
-    Severity.INFO,
     "{count} values are assumed, no file states them: {assumed}. Correct what is wrong in "
     "captures.toml, and take out of [assumed] what you have checked",
 )
 
 # The background.
-NO_BACKGROUND = RemarkKind(
+NO_BACKGROUND = error(
     "no_background",
-    Severity.ERROR,
     "there is no image of the untouched gel. {instead}",
     BY_BACKGROUND,
 )
-BACKGROUND_DIFFERS = RemarkKind(
+BACKGROUND_DIFFERS = error(
     "background_differs",
-    Severity.ERROR,
     "the background is not that of the presses: {reason}.{advice}",
     BY_BACKGROUND,
 )
-UNTOUCHED_DIFFERS = RemarkKind(
+UNTOUCHED_DIFFERS = warning(
     "untouched_differs",
-    Severity.WARNING,
     "{name} is {misfit:.0f} levels from the background after exposure and white balance are "
     "fitted: the sensor has changed, or it is another one",
     ("background",),
 )
-BACKGROUND_PRESSED = RemarkKind(
+BACKGROUND_PRESSED = error(
     "background_pressed",
-    Severity.ERROR,
     "something touches the gel in the background, around ({u:.0f}, {v:.0f}) px: {count} presses "
     "that lie elsewhere differ from it there alike, by {levels:.0f} levels. Take an image of the "
     "untouched gel, or use capture import --background median",
@@ -70,33 +62,29 @@ BACKGROUND_PRESSED = RemarkKind(
 )
 
 # Light and channels.
-SATURATED = RemarkKind(
+SATURATED = warning(
     "saturated",
-    Severity.WARNING,
     "{bad} of {count} contacts have more than {limit:.0%} of their pixels at full level (up to "
     "{largest:.0%}): their colours are cut off. Lower the exposure",
     BY_COLOR,
     graver=Severity.ERROR,
 )
-CHANNELS_SWAPPED = RemarkKind(
+CHANNELS_SWAPPED = error(
     "channels_swapped",
-    Severity.ERROR,
     "the colour channels of {what} are in different orders: read as {order} the frames are "
     "{best:.0f} levels from the background, as they are {as_is:.0f}. Save all images through one "
     "program (OpenCV writes BGR)",
     ("color", "normals", "background"),
 )
-LAMPS_REVERSED = RemarkKind(
+LAMPS_REVERSED = warning(
     "lamps_reversed",
-    Severity.WARNING,
     "red, green and blue light come {found} round the contacts, on a {family} {expected}: red and "
     "blue are swapped in all images (BGR saved as RGB), the images are mirrored, or it is another "
     "sensor",
     BY_COLOR,
 )
-MIXED_SENSORS = RemarkKind(
+MIXED_SENSORS = error(
     "mixed_sensors",
-    Severity.ERROR,
     "the untouched gel looks different in {names} than in the other {others} images compared: "
     "{between:.0f} levels apart where frames of one kind differ by {within:.0f}. They are of "
     "another sensor, another crop, or another lamp setting; give each its own folder",
@@ -104,75 +92,65 @@ MIXED_SENSORS = RemarkKind(
 )
 
 # Ball presses.
-NO_CONTACT = RemarkKind(
+NO_CONTACT = warning(
     "no_contact",
-    Severity.WARNING,
     "no contact was found in {lost} of {count} presses ({names}). {first}: {reason}.{border}",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
-ONE_SPOT = RemarkKind(
+ONE_SPOT = error(
     "one_spot",
-    Severity.ERROR,
     "all {count} presses lie within {reach:.0f} px of each other and cover {covered:.0%} of the "
     "gel: colours elsewhere cannot be learned. Press all over the gel, also near its edges",
     BY_COLOR,
 )
-COVERAGE = RemarkKind(
+COVERAGE = warning(
     "coverage",
-    Severity.WARNING,
     "the contacts cover {covered:.0%} of the gel; no press in {empty} of {parts} parts of the "
     "image{names}. The colour model is only valid where balls were",
     ("color",),
 )
-SAME_DEPTH = RemarkKind(
+SAME_DEPTH = warning(
     "same_depth",
-    Severity.WARNING,
     "all contacts are of nearly one size ({smallest:.0f} to {largest:.0f} px): press with "
     "different forces, so that every slope is seen at every place",
     BY_COLOR,
 )
-BLURRED = RemarkKind(
+BLURRED = warning(
     "blurred",
-    Severity.WARNING,
     "{blurred} of {count} presses are blurred against the others ({names}): the fine texture of "
     "the gel is gone beside the contact, or its rim is wide. They were moving, or out of focus",
     ("color", "normals", "scale"),
 )
-DUPLICATES = RemarkKind(
+DUPLICATES = warning(
     "duplicates",
-    Severity.WARNING,
     "the same press is there several times: {names}. Figures on held-out frames would be of frames "
     "that the fit has seen. Remove the copies",
     ("color", "normals", "depth"),
 )
 
 # The ball's radius and the scale.
-BALL_TOO_SMALL = RemarkKind(
+BALL_TOO_SMALL = warning(
     "ball_too_small",
-    Severity.WARNING,
     "{wider} of {count} contacts are wider than their ball beyond the error of circle and scale "
     "({names}): {first} has a radius of {widest:.2f} +- {sigma:.2f} mm at {mm_per_px:g} mm/px, the "
     "ball {stated:g} mm. The ball's radius is too small, or the scale too large",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
-BALL_CONTRADICTED = RemarkKind(
+BALL_CONTRADICTED = error(
     "ball_contradicted",
-    Severity.ERROR,
     "the ball's radius{diameter}, the scale or the travel is wrong: {evidence}",
     ("color", "normals", "scale", "material"),
 )
-SCALE_UNUSUAL = RemarkKind(
+SCALE_UNUSUAL = warning(
     "scale_unusual",
-    Severity.WARNING,
     "at {mm_per_px:g} mm/px the image is {length:.1f} mm long, {usual}: check the scale, or the "
     "crop of the images",
     ("scale", "color", "normals", "depth"),
 )
-SIZE_OTHER = RemarkKind(
+SIZE_OTHER = warning(
     "size_other",
-    Severity.WARNING,
     "the images are {width}x{height} px, those of the catalogue's {family} "
     "{usual_width}x{usual_height} px: of other proportions, so that they cannot show the same part "
     "of the gel. Is it another crop, another mode of the camera, or another sensor? State the "
@@ -181,33 +159,26 @@ SIZE_OTHER = RemarkKind(
 )
 
 # Boards and edges.
-BOARD_NOT_FOUND = RemarkKind("board_not_found", Severity.ERROR, "{board} was not found: {reason}")
-BOARD_WITHOUT_PITCH = RemarkKind(
-    "board_without_pitch", Severity.ERROR, "{board} on the gel needs pitch_mm for a scale"
-)
+BOARD_NOT_FOUND = error("board_not_found", "{board} was not found: {reason}")
+BOARD_WITHOUT_PITCH = error("board_without_pitch", "{board} on the gel needs pitch_mm for a scale")
 
 # Markers.
-NO_REST_FRAME = RemarkKind("no_rest_frame", Severity.ERROR, "{reason}", ("markers", "scale"))
-VIDEO_SIZE = RemarkKind(
+NO_REST_FRAME = error("no_rest_frame", "{reason}", ("markers", "scale"))
+VIDEO_SIZE = error(
     "video_size",
-    Severity.ERROR,
     "{video}: frames of {width}x{height} px, the image at rest has {rest_width}x{rest_height} px",
     ("markers",),
 )
-NO_MOTION = RemarkKind(
-    "no_motion", Severity.WARNING, "{video}: nothing moves in {count} frames", ("markers",)
-)
+NO_MOTION = warning("no_motion", "{video}: nothing moves in {count} frames", ("markers",))
 
 # Force records.
-TOOL_UNKNOWN = RemarkKind(
+TOOL_UNKNOWN = error(
     "tool_unknown",
-    Severity.ERROR,
     "{record}: the radius of the {tool} is missing; give tool = {{ kind, radius_mm }}",
     ("material",),
 )
-MODULUS_UNUSUAL = RemarkKind(
+MODULUS_UNUSUAL = warning(
     "modulus_unusual",
-    Severity.WARNING,
     "{record}: by Hertz the gel would have {modulus:.3g} MPa, gels on a window look {low:g} to "
     "{high:g} MPa: check the units of force and depth and the tool's radius",
     ("material",),

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
-from taccel_lab.calibration.color.heldout import HeldoutPress, mean_bare
+from taccel_lab.calibration.color.evaluate import crop_slices
+from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.result import in_figures, mean_figures
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
-from taccel_lab.report.page import Page, Picture, Table
-from taccel_lab.report.style import INK, in_report_style, new_figure
+from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.style import INK, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,32 +36,14 @@ ERROR_LEVELS = 24.0
 
 def color_page(result: ColorCalibration) -> Page:
     """The page of a colour calibration."""
-    pictures = []
-    if result.heldout:
-        pictures.append(
-            Picture(
-                "heldout",
-                partial(draw_heldout, result),
-                "Held-out presses from the worst to the best, placed as the quoted figures have "
-                "them: capture, render, mean absolute error over the channels. The circle is the "
-                "one in which figures are taken.",
-            )
-        )
-    pictures += [
-        Picture(
-            "coverage",
-            partial(draw_coverage, result),
-            "Contacts on the background, by their error: colours are only known where balls were.",
-        ),
-    ]
     return Page(
-        title="Colour calibration",
-        summary=_summary(result),
-        remarks=result.remarks,
-        tables=_tables(result),
-        pictures=pictures,
-        figures={"color": result.figures()},
-        files=_files(result),
+        "Colour calibration",
+        _summary(result),
+        result.remarks,
+        _tables(result),
+        [*([_heldout(result)] if result.heldout else []), _coverage(result)],
+        {"color": result.figures()},
+        _files(result),
     )
 
 
@@ -71,8 +52,7 @@ def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
     if result.table is None:
         return {}
     figures: dict[str, float] = {}
-    if result.table_scores:
-        scores = mean_figures([item.score for item in result.table_scores])
+    if scores := result.table_means():
         figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
         figures["heldout_presses"] = float(len(result.table_scores))
     size = (result.captures.grid.width_px, result.captures.grid.height_px)
@@ -90,7 +70,7 @@ def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:
         columns[PLACED_BY[result.placement]] = result.heldout_means()
         columns["background only"] = mean_bare(result.heldout, result.failures)
     if result.table_scores:
-        columns["Taxim's table"] = mean_figures([item.score for item in result.table_scores])
+        columns["Taxim's table"] = result.table_means()
     return columns
 
 
@@ -147,37 +127,43 @@ def _tables(result: ColorCalibration) -> list[Table]:
 
 
 def _press_table(result: ColorCalibration) -> Table:
-    rows: list[tuple[str, str, ContactCircle, float, ImageScore | None]] = []
+    rows: list[tuple[Any, ...]] = []
     for item in result.heldout:
-        rows.append((item.name, "held out", item.placed, item.score.disc_l1, item.score))
+        score, placed = item.score, item.placed
+        rows.append(
+            (item.name, "held out", placed.u_px, placed.v_px, placed.radius_px, score.disc_l1,
+             score.crop_psnr_db, score.crop_ssim, score.crop_l1)
+        )  # fmt: skip
     for name, circle in zip(result.train_names, result.circles, strict=True):
-        rows.append((name, "fitted", circle, result.fit.disc_l1_train[name], None))
-    rows.sort(key=lambda row: -row[3])
+        disc_l1 = result.fit.disc_l1_train[name]
+        rows.append(
+            (name, "fitted", circle.u_px, circle.v_px, circle.radius_px, disc_l1, *(None,) * 3)
+        )
     return Table(
         "Presses, worst first",
         ("press", "", "u [px]", "v [px]", "radius [px]", "L1 disc", "PSNR crop [dB]", "SSIM crop",
          "L1 crop"),
-        [
-            (
-                name, kind, circle.u_px, circle.v_px, circle.radius_px, disc_l1,
-                *((None,) * 3 if score is None else
-                  (score.crop_psnr_db, score.crop_ssim, score.crop_l1)),
-            )
-            for name, kind, circle, disc_l1, score in rows
-        ],
+        sorted(rows, key=lambda row: -row[5]),
         "Fitted presses tell which capture is off; only held-out ones are scores.",
     )  # fmt: skip
 
 
-@in_report_style
-def draw_heldout(result: ColorCalibration) -> Figure:
+@picture(
+    "heldout",
+    "Held-out presses from the worst to the best, placed as the quoted figures have them: capture, "
+    "render, mean absolute error over the channels. The circle is the one in which figures are "
+    "taken.",
+)
+def _heldout(result: ColorCalibration) -> Figure:
     """Capture, render and error of held-out presses, one a column."""
     from matplotlib.patches import Circle
 
-    items = _chosen(result)
+    order = sorted(result.heldout, key=lambda item: item.score.crop_psnr_db)
+    places = np.linspace(0, len(order) - 1, min(SHOWN, len(order))).round().astype(int)
+    items = [order[i] for i in np.unique(places)]
     figure, axes = new_figure(1.9 * len(items) + 1.2, 6.4, 3, len(items), squeeze=False)
     shown = None
-    for column, (item, score) in enumerate(items):
+    for column, item in enumerate(items):
         rows, columns = crop_slices(item.circle, result.captures.grid)
         render = item.shown
         error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
@@ -193,8 +179,9 @@ def draw_heldout(result: ColorCalibration) -> Figure:
             )
             axis.set_xticks([])
             axis.set_yticks([])
+        name = item.name if len(item.name) <= 18 else "..." + item.name[-15:]
         axes[0, column].set_title(
-            f"{_short(item.name)}\n{score.crop_psnr_db:.1f} dB, L1 {score.disc_l1:.1f}", fontsize=9
+            f"{name}\n{item.score.crop_psnr_db:.1f} dB, L1 {item.score.disc_l1:.1f}", fontsize=9
         )
     for axis, label in zip(axes[:, 0], ("capture", "render", "error"), strict=True):
         axis.set_ylabel(label)
@@ -203,19 +190,11 @@ def draw_heldout(result: ColorCalibration) -> Figure:
     return figure
 
 
-def _chosen(result: ColorCalibration) -> list[tuple[HeldoutPress, ImageScore]]:
-    pairs = [(item, item.score) for item in result.heldout]
-    pairs.sort(key=lambda pair: pair[1].crop_psnr_db)
-    places = np.unique(np.linspace(0, len(pairs) - 1, min(SHOWN, len(pairs))).round().astype(int))
-    return [pairs[i] for i in places]
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 18 else "..." + name[-15:]
-
-
-@in_report_style
-def draw_coverage(result: ColorCalibration) -> Figure:
+@picture(
+    "coverage",
+    "Contacts on the background, by their error: colours are only known where balls were.",
+)
+def _coverage(result: ColorCalibration) -> Figure:
     """All contacts on the background, those with figures by their error."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

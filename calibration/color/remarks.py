@@ -7,16 +7,15 @@ import numpy as np
 
 from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.remarks import warning
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.shared_remarks import (
     HELDOUT_ERROR,
-    HELDOUT_FAILED,
-    LABELS_REJECTED,
     NOTHING_HELD_OUT,
     TOO_FEW,
+    left_out_remarks,
 )
-from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.report.remark import Remark
 
 LEAST_PRESSES = 4
 """With fewer presses a model knows a few places and depths, and nothing tells of the others."""
@@ -27,9 +26,8 @@ OUTLIER_FACTOR = 2.5
 OUTLIER_LEVELS = 3.0
 """And by these levels at least."""
 
-OUTLIERS = RemarkKind(
+OUTLIERS = warning(
     "outliers",
-    Severity.WARNING,
     "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
     "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
     "not a clean ball press",
@@ -38,20 +36,19 @@ OUTLIERS = RemarkKind(
 
 def color_remarks(result: ColorCalibration) -> list[Remark]:
     """Remarks on a fit and its figures."""
+    found, count = [], len(result.train_names)
+    if count < LEAST_PRESSES:
+        wanted = (
+            "the model holds at their places and depths at best. Give 30 to 50, all over the gel"
+        )
+        found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=True))
+    failures = {item.name: item.reason for item in in_figures(result.failures)}
     return [
-        *_few(result),
+        *found,
         *_against_background(result),
-        *_failures(result),
+        *left_out_remarks(failures, result.rejected, "dB"),
         *_outliers(result),
     ]
-
-
-def _few(result: ColorCalibration) -> list[Remark]:
-    count = len(result.train_names)
-    if count >= LEAST_PRESSES:
-        return []
-    wanted = "the model holds at their places and depths at best. Give 30 to 50, all over the gel"
-    return [TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=True)]
 
 
 def _against_background(result: ColorCalibration) -> list[Remark]:
@@ -66,20 +63,6 @@ def _against_background(result: ColorCalibration) -> list[Remark]:
         "circles, scale, ball or background are wrong, or the gel was not pressed where these are"
     )
     return [HELDOUT_ERROR(what="colours", error=error, advice=advice, grave=True)]
-
-
-def _failures(result: ColorCalibration) -> list[Remark]:
-    found = []
-    if failures := in_figures(result.failures):
-        named = "; ".join(f"{item.name}: {item.reason}" for item in failures)
-        found.append(HELDOUT_FAILED(count=len(failures), reasons=named))
-    if result.rejected:
-        names = [
-            name + (" (not found)" if psnr is None else f" ({psnr:.1f} dB)")
-            for name, psnr in result.rejected.items()
-        ]
-        found.append(LABELS_REJECTED(count=len(names), names=", ".join(names)))
-    return found
 
 
 def _outliers(result: ColorCalibration) -> list[Remark]:

@@ -12,7 +12,6 @@ from taccel_lab.calibration.ball_presses import Untouched
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
@@ -23,12 +22,10 @@ from taccel_lab.calibration.color.heldout import (
     mean_heldout,
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.result import ScoredFit, in_figures, mean_figures
-from taccel_lab.calibration.thickness.fit import GelThickness
+from taccel_lab.calibration.result import ScoredFit, calibrated, in_figures, mean_figures
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class PressScore:
     score: ImageScore
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class ColorCalibration(ScoredFit[ColorFit]):
     """Result of ``calibrate_color``."""
 
@@ -48,8 +45,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
     failures: list[HeldoutFailure]
     """Presses that were held out and could not: they count as the bare background, but those whose
     labels their images reject."""
-    split: PressSplit | None
-    """How the held-out presses were chosen; None where there are none."""
     label_shift: LabelPlacement
     noise_floor_l1: float
     """Mean difference of captures from the background in their light beside the contacts [levels];
@@ -58,20 +53,12 @@ class ColorCalibration(ScoredFit[ColorFit]):
     """The training presses."""
     surface_provider: str
     """What made the surfaces."""
-    valid_region: dict[str, tuple[float, float]]
-    """Range of contact positions, tilts and displacements in the presses of the last fit."""
     circles: tuple[ContactCircle, ...]
     """Circles that the surfaces belong to, of the training presses in order."""
-    untouched: Untouched | None = None
-    """What it was fitted against; that of ``captures`` when None."""
     table: TaximTable | None = None
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
     """Held-out presses rendered by the table."""
-    gel: GelThickness | None = None
-    """What the presses say of the gel's thickness; None where it is known and they agree."""
-    remarks: tuple[Remark, ...] = ()
-    """What a person has to know before the model is used."""
 
     @property
     def train_names(self) -> list[str]:
@@ -112,22 +99,23 @@ class ColorCalibration(ScoredFit[ColorFit]):
         """L1 in the disc of each held-out press, as quoted [levels]."""
         return {item.name: item.score.disc_l1 for item in self.heldout}
 
+    def table_means(self) -> dict[str, float]:
+        """Mean figures of the held-out presses rendered by Taxim's table; empty without any."""
+        scores = [item.score for item in self.table_scores]
+        return mean_figures(scores) if scores else {}
+
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst crop PSNR first."""
-        common = self._common_figures()
-        if not self.has_scores:
-            return {"heldout": None, "background_only": None, "presses": [], **common}
-        worst_first = sorted(self.heldout, key=lambda item: item.score.crop_psnr_db)
-        return {
-            "heldout": self.heldout_means(),
-            "heldout_placed_by": self.placement,
-            "background_only": mean_bare(self.heldout, self.failures),
-            "presses": [{"name": item.name, **vars(item.score)} for item in worst_first],
-            **common,
-        }
-
-    def _common_figures(self) -> dict[str, Any]:
-        found: dict[str, Any] = {
+        found: dict[str, Any] = {"heldout": None, "background_only": None, "presses": []}
+        if self.has_scores:
+            worst_first = sorted(self.heldout, key=lambda item: item.score.crop_psnr_db)
+            found = {
+                "heldout": self.heldout_means(),
+                "heldout_placed_by": self.placement,
+                "background_only": mean_bare(self.heldout, self.failures),
+                "presses": [{"name": item.name, **vars(item.score)} for item in worst_first],
+            }
+        found |= {
             "failures": {item.name: item.reason for item in self.failures},
             "heldout_failed": len(in_figures(self.failures)),
             "rejected_labels": self.rejected,
@@ -149,7 +137,7 @@ class ColorCalibration(ScoredFit[ColorFit]):
                 "presses": self.label_shift.count,
             }
         if self.table_scores:
-            found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
+            found["taxim_table"] = self.table_means()
         found["circles"] = {
             name: asdict(circle)
             for name, circle in zip(self.train_names, self.circles, strict=True)
@@ -164,14 +152,11 @@ class ColorCalibration(ScoredFit[ColorFit]):
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
         fit = self.last
-        block = BackgroundBlock(provenance=self._background_provenance())
-        untouched = self.untouched or Untouched(block, fit.background)
-        return untouched.onto(profile).with_block(
-            ColorBlock(
-                architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
-            ),
-            fit.model.weights,
+        untouched = self.untouched or Untouched(self._captured_background(), fit.background)
+        block = ColorBlock(
+            architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
         )
+        return untouched.onto(profile).with_block(block, fit.model.weights)
 
     def _inputs(self, fit: ColorFit) -> dict[str, str]:
         return {"background": self.captures.background_sha256} | fit.inputs
@@ -179,11 +164,11 @@ class ColorCalibration(ScoredFit[ColorFit]):
     def _source(self) -> str:
         return source_of(self.captures.provenance, self.captures.source)
 
-    def _background_provenance(self) -> Provenance:
+    def _captured_background(self) -> BackgroundBlock:
         residuals = {}
         if np.isfinite(self.noise_floor_l1):
             residuals["far_field_l1_levels"] = self.noise_floor_l1
-        return Provenance(
+        provenance = Provenance(
             kind="calibrated",
             method="captured background",
             source=self._source(),
@@ -191,28 +176,26 @@ class ColorCalibration(ScoredFit[ColorFit]):
             residuals=residuals,
             valid_region={"level": (0.0, 255.0)},
         )
+        return BackgroundBlock(provenance=provenance)
 
     def _color_provenance(self) -> Provenance:
         train = list(self.fit.disc_l1_train.values())
         residuals = {"train_disc_l1_levels": float(np.mean(train))}
         spread = {"train_disc_l1_levels": float(np.std(train))}
         if self.has_scores:
-            for key, value in self.heldout_means().items():
-                residuals[f"heldout_{key}"] = value
+            residuals |= {f"heldout_{key}": value for key, value in self.heldout_means().items()}
             if self.heldout:
                 spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
             residuals["heldout_failures"] = float(len(in_figures(self.failures)))
             residuals["heldout_labels_rejected"] = float(len(self.rejected))
-        return Provenance(
-            kind="calibrated",
+        return calibrated(
+            self.remarks,
             method=self._method(),
             source=self._source(),
             inputs=self._inputs(self.last),
             residuals=residuals,
             spread=spread,
             valid_region=self.valid_region,
-            verdict=judge(self.remarks).value,
-            remarks=tuple(str(remark) for remark in self.remarks),
         )
 
     def _method(self) -> str:
@@ -222,9 +205,9 @@ class ColorCalibration(ScoredFit[ColorFit]):
             + f" and {options.position_bands} bands of position" * (options.position_bands > 0)
             + f"; {options.steps} steps of Muon and Adam with "
             f"{options.batch_pixels} pixels, Huber loss, seed "
-            f"{options.seed}; surfaces: {self.surface_provider}"
+            f"{options.seed}; surfaces: {self.surface_provider}",
+            "light of each frame taken off",
         ]
-        parts.append("light of each frame taken off")
         if self.split is not None and self.has_scores:
             parts.append(
                 f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "

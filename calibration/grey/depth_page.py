@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.calibration.grey.result import DepthCalibration
-from taccel_lab.report.page import Page, Picture, Table
-from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,67 +19,40 @@ SHOWN_PIXELS = 3000
 
 def depth_page(result: DepthCalibration) -> Page:
     """Curve, residuals and presses of one calibration."""
-    return Page(
-        title="Depth of a grey sensor",
-        summary=(
-            f"Depth from the drop of the {result.response.channel} level, fitted to "
-            f"{len(result.presses)} ball press{'es' if len(result.presses) > 1 else ''} up to "
-            f"{result.response.depth_mm[-1]:.2f} mm deep: {result.headline()}. Zero: {result.zero}."
-        ),
-        remarks=result.remarks,
-        tables=[_presses(result)],
-        pictures=[
-            Picture(
-                "curve",
-                partial(draw_curve, result),
-                "Pixels of the contacts and the curve through them; the band is two standard "
-                "deviations of the curve, found by resampling eighths of the contacts.",
-            ),
-            Picture(
-                "depths",
-                partial(draw_depths, result),
-                "Depth read from the worst press, its difference from the ball inside the contact, "
-                "and both along the row through the centre.",
-            ),
-        ],
-        figures=result.figures(),
-    )
-
-
-def _presses(result: DepthCalibration) -> Table:
-    rows = [
-        [
-            p.name,
-            p.mae_mm,
-            p.bias_mm,
-            p.plane_mm,
-            p.radius_px,
-            p.radius_sigma_px,
-            "given" if p.given else "found",
-            p.depth_mm,
-        ]
-        for p in sorted(result.presses, key=lambda p: -p.mae_mm)
-    ]
-    return Table(
+    presses = Table.of(
         "Presses, worst first",
-        [
-            "press",
-            "error [mm]",
-            "bias [mm]",
-            "tilt across [mm]",
-            "rim [px]",
-            "± [px]",
-            "circle",
-            "depth [mm]",
-        ],
-        rows,
+        sorted(result.presses, key=lambda p: -p.mae_mm),
+        {
+            "press": "name",
+            "error [mm]": "mae_mm",
+            "bias [mm]": "bias_mm",
+            "tilt across [mm]": "plane_mm",
+            "rim [px]": "radius_px",
+            "± [px]": "radius_sigma_px",
+            "circle": lambda p: "given" if p.given else "found",
+            "depth [mm]": "depth_mm",
+        },
         f"Depth zero: {result.zero}. Left-out pixels (a {result.left_out} at a time) are off by "
         f"{result.left_out_mm.mean():.4f} mm.",
     )
+    return Page(
+        "Depth of a grey sensor",
+        f"Depth from the drop of the {result.response.channel} level, fitted to "
+        f"{len(result.presses)} ball press{'es' if len(result.presses) > 1 else ''} up to "
+        f"{result.response.depth_mm[-1]:.2f} mm deep: {result.headline()}. Zero: {result.zero}.",
+        result.remarks,
+        [presses],
+        [_curve(result), _depths(result)],
+        result.figures(),
+    )
 
 
-@in_report_style
-def draw_curve(result: DepthCalibration) -> Figure:
+@picture(
+    "curve",
+    "Pixels of the contacts and the curve through them; the band is two standard deviations of the "
+    "curve, found by resampling eighths of the contacts.",
+)
+def _curve(result: DepthCalibration) -> Figure:
     """Depth over drop, and the residuals."""
     figure, axes = new_figure(8.6, 3.6, 1, 2)
     drop = np.concatenate([p.drop_levels for p in result.parts])
@@ -88,28 +60,24 @@ def draw_curve(result: DepthCalibration) -> Figure:
     every = max(1, len(drop) // SHOWN_PIXELS)
     axes[0].plot(drop[::every], depth[::every], ".", ms=2, color=LIGHT, label="pixels", zorder=1)
     level, curve = result.response.drop_levels, result.response.depth_mm
-    axes[0].fill_between(
-        level,
-        curve - 2 * result.spread_mm,
-        curve + 2 * result.spread_mm,
-        color=BLUE,
-        alpha=0.2,
-        lw=0,
-    )
+    band = 2 * result.spread_mm
+    axes[0].fill_between(level, curve - band, curve + band, color=BLUE, alpha=0.2, lw=0)
     axes[0].plot(level, curve, color=BLUE, label="curve")
-    axes[0].set_xlabel("grey drop [levels]")
-    axes[0].set_ylabel("depth [mm]")
+    axes[0].set(xlabel="grey drop [levels]", ylabel="depth [mm]")
     axes[0].legend(loc="lower right")
     left = result.response.depth_of(drop) - depth
     axes[1].plot(depth[::every], left[::every], ".", ms=2, color=GREY)
     axes[1].axhline(0, color=LIGHT, lw=0.8)
-    axes[1].set_xlabel("depth of the ball [mm]")
-    axes[1].set_ylabel("curve minus ball [mm]")
+    axes[1].set(xlabel="depth of the ball [mm]", ylabel="curve minus ball [mm]")
     return figure
 
 
-@in_report_style
-def draw_depths(result: DepthCalibration) -> Figure:
+@picture(
+    "depths",
+    "Depth read from the worst press, its difference from the ball inside the contact, and both "
+    "along the row through the centre.",
+)
+def _depths(result: DepthCalibration) -> Figure:
     """The worst press: depth map, error map, and a section."""
     worst = max(range(len(result.presses)), key=lambda i: result.presses[i].mae_mm)
     captures = result.captures
@@ -117,8 +85,7 @@ def draw_depths(result: DepthCalibration) -> Figure:
     found = result.response.read(
         captures.presses[worst].image(), captures.background, captures.mask
     )
-    error = np.full(found.depth_mm.shape, np.nan)
-    truth = np.full(found.depth_mm.shape, np.nan)
+    error, truth = np.full((2, *found.depth_mm.shape), np.nan)
     at = (part.v_px.astype(int), part.u_px.astype(int))
     truth[at] = part.depth_mm
     error[at] = found.depth_mm[at] - part.depth_mm
@@ -130,15 +97,13 @@ def draw_depths(result: DepthCalibration) -> Figure:
     top = float(np.nanpercentile(np.abs(error), 99))
     shown = axes[1].imshow(error, extent=extent, cmap="RdBu_r", vmin=-top, vmax=top)
     figure.colorbar(shown, ax=axes[1], shrink=0.8).set_label("read minus ball [mm]")
-    for ax in axes[:2]:
-        ax.set_xlabel("x [mm]")
-    axes[0].set_ylabel("y [mm]")
+    axes[0].set(xlabel="x [mm]", ylabel="y [mm]")
+    axes[1].set_xlabel("x [mm]")
     row = int(np.clip(round(press.v_px), 0, grid.height_px - 1))
     x = (np.arange(grid.width_px) - press.u_px) * grid.mm_per_px_x
     axes[2].plot(x, found.depth_mm[row], color=BLUE, label="read")
     axes[2].plot(x, truth[row], color=ORANGE, ls="--", label="ball")
     axes[2].invert_yaxis()
-    axes[2].set_xlabel("x from the centre [mm]")
-    axes[2].set_ylabel("depth [mm]")
+    axes[2].set(xlabel="x from the centre [mm]", ylabel="depth [mm]")
     axes[2].legend(loc="lower right")
     return figure

@@ -10,14 +10,14 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, widest_gap_px
 from taccel_lab.calibration.grey.result import DepthCalibration
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.remarks import warning
 from taccel_lab.calibration.shared_remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,
     LABELS_OFF,
     TOO_FEW,
 )
-from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.report.remark import Remark
 
 LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
 """A label is off when its centre lies this part of its radius, and this far, from the dark patch:
@@ -32,9 +32,8 @@ COLOR_LEVELS = 8.0
 """Channels that differ by more inside the contacts, beside a quarter of the drop: colours."""
 
 
-ZERO_UNSURE = RemarkKind(
+ZERO_UNSURE = warning(
     "zero_unsure",
-    Severity.WARNING,
     "depths are counted from {start}; all of them may be off alike by {zero:.2f} mm, and by what "
     "the rim itself has sunk. depth_mm of a press settles it",
 )

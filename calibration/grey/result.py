@@ -14,8 +14,8 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.grey.curve import ContactPixels
-from taccel_lab.calibration.result import ResultSummary
-from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
+from taccel_lab.calibration.result import BlockResult, calibrated
+from taccel_lab.profile import DepthResponseBlock, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.depth_response import DepthResponse
 
@@ -42,7 +42,7 @@ class PressFigures:
 
 
 @dataclass(frozen=True, repr=False)
-class DepthCalibration(ResultSummary):
+class DepthCalibration(BlockResult):
     """Result of ``calibrate_depth``."""
 
     response: DepthResponse
@@ -116,17 +116,15 @@ class DepthCalibration(ResultSummary):
         return profile.with_block(
             DepthResponseBlock(
                 channel=response.channel,
-                drop_levels=tuple(float(x) for x in response.drop_levels),
-                depth_mm=tuple(float(x) for x in response.depth_mm),
+                drop_levels=tuple(response.drop_levels.tolist()),
+                depth_mm=tuple(response.depth_mm.tolist()),
                 reading_sigma_mm=response.reading_sigma_mm,
                 zero_sigma_mm=response.zero_sigma_mm,
                 depth_share=response.depth_share,
-                provenance=Provenance(
-                    kind="calibrated",
-                    method=(
-                        f"isotonic regression of depth on grey drop inside {len(self.presses)} "
-                        f"ball contacts; depth zero: {self.zero}"
-                    ),
+                provenance=calibrated(
+                    self.remarks,
+                    method=f"isotonic regression of depth on grey drop inside {len(self.presses)} "
+                    f"ball contacts; depth zero: {self.zero}",
                     source=source,
                     inputs=inputs,
                     residuals={
@@ -139,14 +137,9 @@ class DepthCalibration(ResultSummary):
                         "zero_mm": self.zero_sigma_mm,
                     },
                     valid_region={
-                        "drop_levels": (
-                            float(response.drop_levels[1]),
-                            float(response.drop_levels[-1]),
-                        ),
-                        "depth_mm": (float(response.depth_mm[1]), float(response.depth_mm[-1])),
+                        "drop_levels": tuple(response.drop_levels[[1, -1]].tolist()),
+                        "depth_mm": tuple(response.depth_mm[[1, -1]].tolist()),
                     },
-                    verdict=judge(self.remarks).value,
-                    remarks=tuple(str(remark) for remark in self.remarks),
                 ),
             )
         )

@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.report.remark import Severity
+from taccel_lab.calibration.remarks import warning
 
-LIGHT_DRIFTS = RemarkKind(
+LIGHT_DRIFTS = warning(
     "light_drifts",
-    Severity.WARNING,
     "over {frame_count} frames the untouched gel changes by {changes} levels (standard deviation), "
     "at most {largest:.0f}. {cause}",
 )

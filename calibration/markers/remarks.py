@@ -3,48 +3,39 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.remarks import warning
 from taccel_lab.report.remark import Severity
 
 # The picture at rest.
-REST_AMBIGUOUS = RemarkKind(
+REST_AMBIGUOUS = warning(
     "rest_ambiguous",
-    Severity.WARNING,
     "{name} stands still over frames {first} to {last} as well, with its dots {way_px:.2f} px from "
     "those taken for rest: state the picture at rest as markers.rest",
 )
-REST_DISAGREES = RemarkKind(
+REST_DISAGREES = warning(
     "rest_disagrees",
-    Severity.WARNING,
     "{rest} is stated to be at rest, but where {name} stands still (frames {first} to {last}) the "
     "dots lie {way_px:.2f} px away at the median: one of them is pressed, or the gel has slipped "
     "between them",
 )
-WEAK_CONTRAST = RemarkKind(
+WEAK_CONTRAST = warning(
     "weak_contrast",
-    Severity.WARNING,
     "the dots take {percent:.0f} % of the light; more light or sharper focus would place them "
     "better",
 )
-GRID_BENT = RemarkKind(
+GRID_BENT = warning(
     "grid_bent",
-    Severity.WARNING,
     "dots lie {residual_mm:.3f} mm ({percent:.0f} % of the pitch) off a regular grid: lens "
     "distortion (calibrate the camera first), a stretched gel, or dots painted by hand",
 )
 
-# What the millimetres rest on.
-
 # Videos.
-VIDEO_CUT_SHORT = RemarkKind("video_cut_short", Severity.WARNING, "a video ends early: {reason}")
-FAST_MOTION = RemarkKind(
+VIDEO_CUT_SHORT = warning("video_cut_short", "a video ends early: {reason}")
+FAST_MOTION = warning(
     "fast_motion",
-    Severity.WARNING,
     "{name}: dots move by {pitches:.2f} pitches between two frames; beyond 0.4 they may be taken "
     "for their neighbours, and beyond 0.5 a lattice looks as if it moved back. Record slower "
     "motion or more frames a second",
     graver=Severity.ERROR,
 )
-MARKERS_LOST = RemarkKind(
-    "markers_lost", Severity.WARNING, "{name}: {percent:.0f} % of markers and frames are lost"
-)
+MARKERS_LOST = warning("markers_lost", "{name}: {percent:.0f} % of markers and frames are lost")

@@ -22,9 +22,9 @@ from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.gel_view import PixelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.markers.tracks import MarkerFlow, MarkerTracks, marker_flow_mm
-from taccel_lab.calibration.result import Estimate, ResultSummary
-from taccel_lab.profile import MarkersBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
+from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
+from taccel_lab.profile import MarkersBlock, SensorProfile
+from taccel_lab.report.remark import Remark
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class TrackedVideo:
 
 
 @dataclass(frozen=True, repr=False)
-class MarkerCalibration(ResultSummary):
+class MarkerCalibration(BlockResult):
     """Dots at rest, their layout on the gel, and their motion."""
 
     source: str
@@ -85,20 +85,17 @@ class MarkerCalibration(ResultSummary):
             "dot_sigma_px": float(np.median(dots.sigma_px)),
             "grid_rms_px": self.picture.layout_px.residual_rms,
         }
-        jitters = [v.figures.jitter_px for v in self.videos if v.figures.jitter_px is not None]
-        returns = [
-            v.figures.return_median_px
-            for v in self.videos
-            if v.figures.return_median_px is not None
-        ]
-        if jitters:
-            left["rest_jitter_px"] = max(jitters)
-        if returns:
-            left["return_error_px"] = max(returns)
+        worst = {
+            "rest_jitter_px": [video.figures.jitter_px for video in self.videos],
+            "return_error_px": [video.figures.return_median_px for video in self.videos],
+        }
+        for name, values in worst.items():
+            if known := [value for value in values if value is not None]:
+                left[name] = max(known)
         return left
 
-    def block(self) -> MarkersBlock:
-        """The profile's block."""
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the ``markers`` block."""
         layout, uv = self.layout_mm, self.picture.dots.uv_px[self.picture.lattice.numbered]
         estimates = self.estimates()
         valid = {
@@ -108,10 +105,9 @@ class MarkerCalibration(ResultSummary):
         moved = [v.figures.largest_px for v in self.videos]
         if moved:
             valid["displacement_px"] = (0.0, max(moved))
-        correlation = float(
-            layout.covariance[PITCH_X, PITCH_Y] / (layout.sigma(PITCH_X) * layout.sigma(PITCH_Y))
-        ) if layout.sigma(PITCH_X) * layout.sigma(PITCH_Y) > 0 else 0.0  # fmt: skip
-        return MarkersBlock(
+        sigmas = layout.sigma(PITCH_X) * layout.sigma(PITCH_Y)
+        correlation = float(layout.covariance[PITCH_X, PITCH_Y] / sigmas) if sigmas > 0 else 0.0
+        block = MarkersBlock(
             rows=layout.rows,
             columns=layout.columns,
             pitch_x_mm=layout.pitch[0],
@@ -121,8 +117,8 @@ class MarkerCalibration(ResultSummary):
             rotation_deg=layout.rotation_deg,
             stagger=layout.stagger,
             missing=layout.missing,
-            provenance=Provenance(
-                kind="calibrated",
+            provenance=calibrated(
+                self.remarks,
                 method="ellipses fitted to the dots of a picture at rest, numbered by lattice "
                 f"growth, a grid fitted to them on the gel; millimetres from "
                 f"{self.view.description}; only dots in view are described",
@@ -132,14 +128,9 @@ class MarkerCalibration(ResultSummary):
                 spread={name: estimate.sigma for name, estimate in estimates.items()},
                 correlation={"pitch_x_mm*pitch_y_mm": correlation},
                 valid_region=valid,
-                verdict=judge(self.remarks).value,
-                remarks=tuple(str(remark) for remark in self.remarks),
             ),
         )
-
-    def apply_to(self, profile: SensorProfile) -> SensorProfile:
-        """``profile`` with the ``markers`` block."""
-        return profile.with_block(self.block())
+        return profile.with_block(block)
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""

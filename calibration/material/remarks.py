@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.report.remark import Severity
+from taccel_lab.calibration.remarks import info, warning
 
 _SECOND_TOOL = (
     "records of two tools in the same folder, a ball with a radius of at most half of the gel's "
@@ -14,44 +13,38 @@ _SECOND_TOOL = (
 """What separates E and nu (docs/calibration_material.md)."""
 
 # Indentation records.
-UNUSUAL_MODULUS = RemarkKind(
+UNUSUAL_MODULUS = warning(
     "unusual_modulus",
-    Severity.WARNING,
     "{name}: about {modulus_pa:.3g} Pa is unusual for a gel of a tactile sensor ({low_pa:g} to "
     "{high_pa:g} Pa); check units and tool. {guess}",
 )
 
 # The fit to indentations.
-TOUCH_SHIFT = RemarkKind(
+TOUCH_SHIFT = warning(
     "touch_shift",
-    Severity.WARNING,
     "{name}: first touch lies {touch_mm:+.2f} mm from where the record counts its depth; the fit "
     "allows for it, but look at how touch was detected",
 )
-RECORDS_DISAGREE = RemarkKind(
+RECORDS_DISAGREE = warning(
     "records_disagree",
-    Severity.WARNING,
     "{name} alone gives {own_pa:.4g} Pa, the records together {young_pa:.4g} Pa; check the radius "
     "of {tool}, its units and its touch point",
 )
-YOUNG_GIVEN_NU = RemarkKind(
+YOUNG_GIVEN_NU = info(
     "young_given_nu",
-    Severity.INFO,
     "Young's modulus holds for nu = {nu:g}: it is {low_pa:.4g} Pa for {low_nu:g} and "
     "{high_pa:.4g} Pa for {high_nu:g}; its interval is over nu from {least_nu:g} to {most_nu:g}. "
     + _SECOND_TOOL[0].upper()
     + _SECOND_TOOL[1:]
     + " determine nu",
 )
-YOUNG_UNCERTAIN = RemarkKind(
+YOUNG_UNCERTAIN = warning(
     "young_uncertain",
-    Severity.WARNING,
     "Young's modulus is only known to {half:.0%} ({low_pa:.3g} to {high_pa:.3g} Pa); record more "
     "depths, and deeper ones, or a second tool",
 )
-FRICTION_ASSUMED = RemarkKind(
+FRICTION_ASSUMED = warning(
     "friction_assumed",
-    Severity.WARNING,
     "friction is not measured: the presses fit best with a coefficient of {friction:g}, which is "
     "what the profile now says and what presses of it take; {others}. Give it with --fix friction=",
 )

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.calibration.material.stiffness import Stiffness
-from taccel_lab.calibration.result import Estimate, ResultSummary
+from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses.physics import PressPhysics
-from taccel_lab.profile import FittedWith, Provenance, SensorProfile
+from taccel_lab.profile import FittedWith, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True, repr=False)
-class MaterialCalibration(ResultSummary):
+class MaterialCalibration(BlockResult):
     """Parameters that the captures determine; the others stay as they were."""
 
     source: str
@@ -85,19 +85,22 @@ class MaterialCalibration(ResultSummary):
             )
         old = profile.material
         values = {name: item.value for name, item in self.estimates.items()}
-        changes: dict[str, Any] = {"model": self.model, **values}
-        changes.update(self.held())
-        changes["fitted_with"] = self.fitted_with()
-        if self.model != "mooney_rivlin":
-            changes["mooney_ratio"] = 0.0
         scale = values.get("young_modulus_pa", old.young_modulus_pa) / old.young_modulus_pa
-        changes["layers"] = tuple(
-            layer.replace(young_modulus_pa=layer.young_modulus_pa * scale) for layer in old.layers
-        )
+        changes: dict[str, Any] = {
+            "model": self.model,
+            "mooney_ratio": 0.0,
+            **values,
+            **self.held(),
+            "fitted_with": self.fitted_with(),
+            "layers": tuple(
+                layer.replace(young_modulus_pa=layer.young_modulus_pa * scale)
+                for layer in old.layers
+            ),
+        }
         found = ", ".join(self.estimates)
         held = ", ".join(f"{name} = {value:g}" for name, value in self.held().items())
-        provenance = Provenance(
-            kind="calibrated",
+        provenance = calibrated(
+            self.remarks,
             method=f"maximum likelihood around simulated presses: {found}"
             + (f"; held: {held}" if held else "")
             + "; density, and whatever is not named here, as before",
@@ -109,8 +112,6 @@ class MaterialCalibration(ResultSummary):
             | self._touch_intervals(),
             correlation=self.stiffness.correlation(),
             valid_region=self.stiffness.valid_region(),
-            verdict=judge(self.remarks).value,
-            remarks=tuple(remark.message for remark in self.remarks),
         )
         return profile.with_block(old.replace(**changes, provenance=provenance))
 

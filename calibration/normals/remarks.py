@@ -12,10 +12,9 @@ from taccel_lab.calibration.normals.samples import CaptureScene, InverseFrame
 from taccel_lab.calibration.shared_remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,
-    HELDOUT_FAILED,
-    LABELS_REJECTED,
     NOTHING_HELD_OUT,
     TOO_FEW,
+    left_out_remarks,
 )
 from taccel_lab.report.remark import Remark
 
@@ -47,15 +46,7 @@ def remarks_of(
             error = f"{scores['mean_deg']:.1f} degrees, {share:.0%} of what a flat guess is off"
             advice = "check the circles, the ball's radius and the scale, or give more presses"
             found.append(HELDOUT_ERROR(what="normals", error=error, advice=advice, grave=grave))
-    if result.failed:
-        reasons = "; ".join(f"{name}: {why}" for name, why in result.failed.items())
-        found.append(HELDOUT_FAILED(count=len(result.failed), reasons=reasons))
-    if result.rejected:
-        names = [
-            name + (" (not found)" if deg is None else f" ({deg:.1f} degrees)")
-            for name, deg in result.rejected_deg().items()
-        ]
-        found.append(LABELS_REJECTED(count=len(names), names=", ".join(names)))
+    found += left_out_remarks(result.failed, result.rejected_deg(), "degrees")
     change = np.mean([_grey_share(frame, scene) for frame in training])
     if change < GREY_LEVELS:
         alike = f"grey (channels change alike, to {change:.1f} levels)"

@@ -8,20 +8,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import Untouched, with_captured_background
+from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import SyntheticScore
 from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
-from taccel_lab.calibration.result import ScoredFit, in_figures, mean_figures
-from taccel_lab.calibration.thickness.fit import GelThickness
+from taccel_lab.calibration.result import ScoredFit, calibrated, in_figures, mean_figures
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
+from taccel_lab.report.remark import judge
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class NormalCalibration(ScoredFit[InverseFit]):
     """Result of ``calibrate_normals``."""
 
@@ -34,13 +32,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
     rejected: frozenset[str]
     """Held-out presses whose labels their images reject: they are read where they are found, and
     stand beside the mean figures."""
-    split: PressSplit | None
-    """How the held-out presses were chosen; None where there are none."""
     reliability: Reliability | None
     synthetic: SyntheticScore | None
     """Heights of synthetic presses that the networks never saw; None without any."""
-    gel: GelThickness | None
-    """What the presses say of the gel's thickness; None where it is known and they agree."""
     frozen_radius95_sigmas: float
     """What the model expected before the held-out presses widened it; ``reliability`` and the depth
     figures are of that."""
@@ -56,11 +50,6 @@ class NormalCalibration(ScoredFit[InverseFit]):
     """How the circles were chosen."""
     surfaces: str
     """What gave the normals of the sink-in."""
-    valid_region: dict[str, tuple[float, float]]
-    """Of the presses of the last fit."""
-    untouched: Untouched | None = None
-    """What it was fitted against; that of the captures when None."""
-    remarks: tuple[Remark, ...] = ()
 
     @property
     def train_names(self) -> tuple[str, ...]:
@@ -91,10 +80,8 @@ class NormalCalibration(ScoredFit[InverseFit]):
     def absolute_means(self) -> dict[str, float] | None:
         """Mean absolute depth figures of the held-out presses that were read; None without a pad or
         such presses."""
-        depths = [asdict(i.depth) for i in in_figures(self.heldout) if i.depth is not None]
-        if not depths:
-            return None
-        return {key: float(np.mean([depth[key] for depth in depths])) for key in depths[0]}
+        depths = [item.depth for item in in_figures(self.heldout) if item.depth is not None]
+        return mean_figures(depths) if depths else None
 
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst first."""
@@ -107,7 +94,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
             }
             for item in sorted(self.heldout, key=lambda item: -item.used.mean_deg)
         ]
-        held: dict[str, Any] | None = None
+        held, config = None, self.fit.model.config
         if self.has_scores:
             held = {
                 "absolute_depth": self.absolute_means(),
@@ -125,7 +112,10 @@ class NormalCalibration(ScoredFit[InverseFit]):
             "synthetic_presses": None if self.synthetic is None else asdict(self.synthetic),
             "gel_thickness": None if self.gel is None else self.gel.figures(),
             "presses": rows,
-            "widened_by_heldout": self._widened(),
+            "widened_by_heldout": {
+                "radius95_sigmas": [self.frozen_radius95_sigmas, config.radius95_sigmas],
+                "along_factor": [self.frozen_along_factor, config.along_factor],
+            },
             "left_out_deg": self.fit.left_out_deg,
             "flat_noise_levels": self.flat_noise_levels,
             "circles": self.circles,
@@ -134,14 +124,6 @@ class NormalCalibration(ScoredFit[InverseFit]):
             "stopped_at": self.fit.stopped_at,
             "fit_seconds": self.fit.seconds,
             "profile_presses": len(self.last.inputs),
-        }
-
-    def _widened(self) -> dict[str, list[float]]:
-        """Factors of the bands before and after the held-out presses."""
-        config = self.fit.model.config
-        return {
-            "radius95_sigmas": [self.frozen_radius95_sigmas, config.radius95_sigmas],
-            "along_factor": [self.frozen_along_factor, config.along_factor],
         }
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
@@ -168,10 +150,9 @@ class NormalCalibration(ScoredFit[InverseFit]):
             residuals["left_out_angle_deg"] = float(np.mean(left_out))
             spread["left_out_angle_deg"] = float(np.std(left_out))
         if self.has_scores:
-            for key, value in self.heldout_means("used").items():
-                residuals[f"heldout_{key}"] = value
-            absolute = self.absolute_means()
-            if absolute is not None:
+            used = self.heldout_means("used")
+            residuals |= {f"heldout_{key}": value for key, value in used.items()}
+            if (absolute := self.absolute_means()) is not None:
                 residuals["heldout_absolute_depth_mae_mm"] = absolute["mae_mm"]
             residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
             residuals["heldout_failures"] = float(len(self.failed))
@@ -185,24 +166,20 @@ class NormalCalibration(ScoredFit[InverseFit]):
         if self.reliability is not None:
             residuals["observed_over_expected"] = self.reliability.ratio()
         config, options = self.fit.model.config, self.fit.options
-        return Provenance(
-            kind="calibrated",
-            method=(
-                f"{config.members} networks {list(config.hidden)} on colour change over windows "
-                f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
-                + f" in {config.position_bands} bands"
-                * (config.position_bands > 0)
-                + f"; {options.steps} steps of Muon and Adam, stopped on left-out presses; "
-                f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
-                f"{self.circles}; sink-in: {self.surfaces}; light of each frame taken off"
-                + f"; {self.then_fitted}"
-                * (self.final is not None)
-            ),
+        return calibrated(
+            self.remarks,
+            method=f"{config.members} networks {list(config.hidden)} on colour change over windows "
+            f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
+            + f" in {config.position_bands} bands"
+            * (config.position_bands > 0)
+            + f"; {options.steps} steps of Muon and Adam, stopped on left-out presses; "
+            f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
+            f"{self.circles}; sink-in: {self.surfaces}; light of each frame taken off"
+            + f"; {self.then_fitted}"
+            * (self.final is not None),
             source=self.source,
             inputs={"background": self.background_sha256} | self.last.inputs,
             residuals=residuals,
             spread=spread,
             valid_region=self.valid_region,
-            verdict=judge(self.remarks).value,
-            remarks=tuple(str(remark) for remark in self.remarks),
         )

@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.pressure.figures import draw_reading
-from taccel_lab.calibration.pressure.touch import TouchReading
+from taccel_lab.calibration.pressure.touch import TouchReading, draw_reading
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.images import read_grey
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.style import (
-    save_figure,
-)
+from taccel_lab.report.style import save_figure
 
 ARRAYS = (
     "height_m",
@@ -66,8 +63,7 @@ def write_reading(
     if found.press is not None:
         stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
     write_by(folder / f"{stem}.npz", partial(np.savez_compressed, **stored))
-    picture = draw_reading(image, found, found.press, found.grid, stem)
-    save_figure(picture, folder / f"{stem}.png")
+    save_figure(draw_reading(found, image, stem), folder / f"{stem}.png")
     figures = {"image": str(source), **found.figures()}
     write_json(folder / f"{stem}.json", figures)
     return figures

@@ -12,9 +12,14 @@ from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceRe
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.style import BLUE, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+LEAST_KPA = 0.1
+"""Top of the scale of pressures of a gel that nothing touches."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -79,9 +84,7 @@ class TouchReading(SurfaceReading):
 
     def plot(self) -> Figure:
         """Depth, pressure and a section, with their units."""
-        from taccel_lab.calibration.pressure.figures import draw_reading
-
-        return draw_reading(None, self, self.press, self.grid, self.summary()[0])
+        return draw_reading(self, None, self.summary()[0])
 
 
 class TouchReader:
@@ -110,3 +113,47 @@ class TouchReader:
         return TouchReading(
             **vars(found), grid=self.surface.grid, press=press, no_press=self.no_press
         )
+
+
+@in_report_style
+def draw_reading(found: TouchReading, image: np.ndarray | None, title: str) -> Figure:
+    """Image, depth and pressure maps, and the section through the deepest pixel; no image when
+    None, no pressure where there is none."""
+    depth_mm, press, grid = -1e3 * found.rise_m, found.press, found.grid
+    extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
+    maps = [("depth [mm]", depth_mm, "viridis")]
+    if press is not None:
+        maps.append(("pressure [kPa]", 1e-3 * press.pressure_pa, "magma"))
+    pictures = len(maps) + (image is not None)
+    figure, axes = new_figure(3.7 * (pictures + 1), 3.3, 1, pictures + 1)
+    axes[0].set_title(title, fontsize="medium")
+    if image is not None:
+        axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
+    for ax, (label, values, colors) in zip(axes[pictures - len(maps) :], maps, strict=False):
+        most = max(float(values.max()), LEAST_KPA) if colors == "magma" else None
+        low = None if most is None else 0.0
+        shown = ax.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=most)
+        figure.colorbar(shown, ax=ax, shrink=0.8).set_label(label)
+    if press is not None:
+        axes[pictures - 1].set_title(press.force_words, fontsize="medium")
+    for ax in axes[:pictures]:
+        ax.set_xlabel("x [mm]")
+    axes[0].set_ylabel("y [mm]")
+    row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
+    x = np.arange(grid.width_px) * grid.mm_per_px_x
+    y = np.arange(grid.height_px) * grid.mm_per_px_y
+    axes[-1].axhline(0, color=LIGHT, lw=0.8)
+    sections = (
+        ("along x", BLUE, x - x[column], np.s_[row, :]),
+        ("along y", ORANGE, y - y[row], np.s_[:, column]),
+    )
+    for label, color, away, section in sections:
+        axes[-1].plot(away, depth_mm[section], color=color, label=label)
+        if found.height_sigma_m is not None:
+            depth = depth_mm[section]
+            band = BAND_SIGMAS * 1e3 * found.height_sigma_m[section]
+            axes[-1].fill_between(away, depth - band, depth + band, color=color, alpha=0.2, lw=0)
+    axes[-1].invert_yaxis()
+    axes[-1].set(xlabel="from the deepest point [mm]", ylabel="depth [mm]")
+    axes[-1].legend(loc="lower right")
+    return figure

@@ -10,8 +10,8 @@ import numpy as np
 
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.page import Page, Picture, Table
-from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
+from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.style import BLUE, GREY, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,84 +20,62 @@ if TYPE_CHECKING:
 def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
     """The page of ``taccel-lab calibrate refit``."""
     change, sigma = result.fit.change, result.fit.sigma
-    light = [
-        (
-            name,
-            float(change.response[c]),
-            float(sigma.response[c]),
-            float(change.light.gain[c]),
-            float(sigma.light.gain[c]),
-            float(change.light.offset[c]),
-            float(change.light.gradient[c, 0]),
-            float(change.light.gradient[c, 1]),
-        )
-        for c, name in enumerate(CHANNELS)
-    ]
-    frames = _rows(result.errors)
-    heldout = _rows(result.heldout)
-    columns = ("frame", "kind", "before", "after", "whole before", "whole after")
-    return Page(
-        title="Refit to the light of today",
-        summary=(
-            f"{len(result.errors)} new frames, each left out of the fit in turn: mean error "
-            f"{result.mean('before'):.2f} levels before and {result.mean('after'):.2f} after "
-            "(contact disc of presses, untouched frames whole), "
-            f"{result.mean('whole_before'):.2f} and {result.mean('whole_after'):.2f} over the "
-            f"whole frames. Surfaces: {result.surface_provider}."
-        ),
-        remarks=result.remarks,
-        tables=(
-            Table(
-                "What changed",
-                ("channel", "response", "sigma", "gain", "sigma", "offset", "to the right",
-                 "down"),
-                light,
-                caption="Response: factor of the colour change; gain: of the background. Offset "
-                "and gradient (middle to border) in levels of 255. Sigma by leaving one frame out.",
-            ),
-            Table(
-                "Frames left out of the fit",
-                columns,
-                frames,
-                caption="Mean absolute error [levels of 255], worst first.",
-            ),
-            *(
-                [
-                    Table(
-                        "Held-out presses",
-                        columns,
-                        heldout,
-                        caption="Presses without any part in the refit, by their labels or, "
-                        "without one, where their own images show them.",
-                    )
-                ]
-                if heldout
-                else []
-            ),
-        ),
-        pictures=(
-            Picture("errors", lambda: _draw_errors(result), "Error of each left-out frame."),
-            Picture(
-                "backgrounds",
-                lambda: _draw_backgrounds(result, old),
-                "Background before and after, and their difference.",
-            ),
-        ),
-        figures=result.figures(),
+    rows = zip(
+        CHANNELS, change.response, sigma.response, change.light.gain, sigma.light.gain,
+        change.light.offset, *change.light.gradient.T, strict=True,
     )  # fmt: skip
+    tables = [
+        Table(
+            "What changed",
+            ("channel", "response", "sigma", "gain", "sigma", "offset", "to the right", "down"),
+            list(rows),
+            "Response: factor of the colour change; gain: of the background. Offset and gradient "
+            "(middle to border) in levels of 255. Sigma by leaving one frame out.",
+        ),
+        _errors_of(
+            "Frames left out of the fit",
+            result.errors,
+            "Mean absolute error [levels of 255], worst first.",
+        ),
+    ]
+    if result.heldout:
+        tables.append(
+            _errors_of(
+                "Held-out presses",
+                result.heldout,
+                "Presses without any part in the refit, by their labels or, without one, where "
+                "their own images show them.",
+            )
+        )
+    return Page(
+        "Refit to the light of today",
+        f"{len(result.errors)} new frames, each left out of the fit in turn: mean error "
+        f"{result.mean('before'):.2f} levels before and {result.mean('after'):.2f} after "
+        "(contact disc of presses, untouched frames whole), "
+        f"{result.mean('whole_before'):.2f} and {result.mean('whole_after'):.2f} over the "
+        f"whole frames. Surfaces: {result.surface_provider}.",
+        result.remarks,
+        tables,
+        [_errors(result), _backgrounds(result, old)],
+        result.figures(),
+    )
 
 
-def _rows(errors: Sequence[FrameError]) -> list[tuple[str | float, ...]]:
+def _errors_of(title: str, errors: Sequence[FrameError], caption: str) -> Table:
     """Worst first."""
-    return [
-        (e.name, "press" if e.pressed else "untouched", e.before, e.after, e.whole_before,
-         e.whole_after)
-        for e in sorted(errors, key=lambda e: -e.after)
-    ]  # fmt: skip
+    columns = {
+        "frame": "name",
+        "kind": lambda e: "press" if e.pressed else "untouched",
+        "before": "before",
+        "after": "after",
+        "whole before": "whole_before",
+        "whole after": "whole_after",
+    }
+    return Table.of(title, sorted(errors, key=lambda e: -e.after), columns, caption)
 
 
-@in_report_style
-def _draw_errors(result: RefitCalibration) -> Figure:
+@picture("errors", "Error of each left-out frame.")
+def _errors(result: RefitCalibration) -> Figure:
     figure, axis = new_figure(9, 3.4)
     place = np.arange(len(result.errors))
     axis.bar(place - 0.2, [e.before for e in result.errors], 0.4, color=GREY, label="before")
@@ -108,8 +86,8 @@ def _draw_errors(result: RefitCalibration) -> Figure:
     return figure
 
 
-@in_report_style
-def _draw_backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
+@picture("backgrounds", "Background before and after, and their difference.")
+def _backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
     before = np.asarray(old.background_rgb, dtype=np.float64)
     height, width = before.shape[:2]
     figure, axes = new_figure(11, 0.8 + 3.4 * height / width, 1, 3)
@@ -121,7 +99,5 @@ def _draw_backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
         strict=True,
     ):
         axis.imshow(np.clip(image / 255, 0, 1))
-        axis.set_title(title)
-        axis.set_xlabel("u [px]")
-        axis.set_ylabel("v [px]")
+        axis.set(title=title, xlabel="u [px]", ylabel="v [px]")
     return figure

@@ -3,24 +3,20 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.report.remark import Severity
+from taccel_lab.calibration.remarks import warning
 
-ROUGH_RESPONSE = RemarkKind(
+ROUGH_RESPONSE = warning(
     "rough_response",
-    Severity.WARNING,
     "the frames disagree by {percent:.0f} % on the response of {channel}: more presses, in "
     "steadier light, would tell it better",
 )
-SOME_WORSE = RemarkKind(
+SOME_WORSE = warning(
     "some_worse",
-    Severity.WARNING,
     "{names} fits worse than before when it is left out: the light changes between the new frames, "
     "or a press is off",
 )
-LIGHT_UNSTEADY = RemarkKind(
+LIGHT_UNSTEADY = warning(
     "light_unsteady",
-    Severity.WARNING,
     "the light of the new frames differs by {levels:.1f} levels among themselves: one correction "
     "cannot follow. Fix exposure and white balance",
 )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.refit.light_change import LightChangeFit
+from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
@@ -31,8 +32,8 @@ class FrameError:
     whole_after: float
 
 
-@dataclass(frozen=True)
-class RefitCalibration:
+@dataclass(frozen=True, repr=False)
+class RefitCalibration(BlockResult):
     """The correction with what it gains."""
 
     fit: LightChangeFit
@@ -96,13 +97,14 @@ class RefitCalibration:
         )
 
     def _provenance(self, block: Block | None, method: str) -> Provenance:
-        old = {} if block is None else dict(block.provenance.inputs)
-        region = {} if block is None else dict(block.provenance.valid_region)
+        old, region = {}, {}
+        if block is not None:
+            old, region = block.provenance.inputs, block.provenance.valid_region
         sigma = self.fit.sigma
         spread = {f"response_{n}": float(x) for n, x in zip(CHANNELS, sigma.response, strict=True)}
         spread |= {f"gain_{n}": float(x) for n, x in zip(CHANNELS, sigma.light.gain, strict=True)}
-        return Provenance(
-            kind="calibrated",
+        return calibrated(
+            self.remarks,
             method=method,
             source=self.source,
             inputs={**old, **{f"refit_{name}": sha for name, sha in self.inputs.items()}},
@@ -113,8 +115,6 @@ class RefitCalibration:
             },
             spread=spread,
             valid_region=region or {"level": (0.0, 255.0)},
-            verdict=judge(self.remarks).value,
-            remarks=tuple(remark.message for remark in self.remarks),
         )
 
 

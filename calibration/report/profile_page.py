@@ -4,35 +4,41 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from taccel_lab.calibration.report import remarks
 from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
-from taccel_lab.calibration.report.profile_figures import (
-    draw_depth_response,
-    draw_perturbed,
-)
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
 from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
-from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table, picture
 from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.report.style import BLUE, ORANGE, new_figure
+from taccel_lab.signals.perturbation import draw_perturbation
+from taccel_lab.signals.perturbed_sensors import PerturbedSensors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CORE = ("gel", "material", "camera", "background", "color")
 """Blocks without which a sensor cannot be simulated with pictures."""
+DRAWS = 6
+"""Sensors that are drawn from the spread."""
 
 
 def profile_page(profile: SensorProfile) -> Page:
     """The profile's report: verdict from the blocks' own, a table a block, and pictures."""
     blocks = profile.blocks()
     return Page(
-        title=f"Sensor profile {profile.sensor.name}",
-        summary=f"A {profile.sensor.family}: {len(blocks)} blocks, "
+        f"Sensor profile {profile.sensor.name}",
+        f"A {profile.sensor.family}: {len(blocks)} blocks, "
         f"{sum(b.provenance.kind == 'calibrated' for b in blocks.values())} of them calibrated "
         "to captures.",
-        remarks=tuple(_remarks(profile)),
-        tables=(
+        _remarks(profile),
+        (
             _overview(blocks),
             *_recordings(profile),
             *(
@@ -42,8 +48,8 @@ def profile_page(profile: SensorProfile) -> Page:
                 if table is not None
             ),
         ),
-        pictures=tuple(_pictures(profile)),
-        figures={key: block.model_dump(mode="json") for key, block in blocks.items()},
+        _pictures(profile),
+        {key: block.model_dump(mode="json") for key, block in blocks.items()},
     )
 
 
@@ -57,16 +63,11 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
         elif where.verdict == "usable":
             found.append(remarks.BLOCK_STATE(block=key, what="with reservations"))
         elif where.kind == "assumed" and key in CORE:
-            what = f"assumed, not measured; {_how_to_measure(key)}"
-            found.append(remarks.BLOCK(block=key, what=what))
-    found += _block_remarks(blocks)
-    return found
-
-
-def _how_to_measure(key: str) -> str:
-    if key == "gel":
-        return "state what you measured on it under [design] of captures.toml"
-    return f"taccel-lab calibrate {key} measures it"
+            how = f"taccel-lab calibrate {key} measures it"
+            if key == "gel":
+                how = "state what you measured on it under [design] of captures.toml"
+            found.append(remarks.BLOCK(block=key, what=f"assumed, not measured; {how}"))
+    return found + _block_remarks(blocks)
 
 
 def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
@@ -87,18 +88,10 @@ def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
 
 def _overview(blocks: dict[str, Block]) -> Table:
     rows = [
-        (
-            key,
-            block.provenance.kind,
-            block.provenance.verdict or "–",
-            block.provenance.method,
-            block.provenance.source,
-            len(block.provenance.inputs) or None,
-        )
-        for key, block in blocks.items()
+        (key, of.kind, of.verdict or "–", of.method, of.source, len(of.inputs) or None)
+        for key, of in ((key, block.provenance) for key, block in blocks.items())
     ]
-    columns = ("block", "kind", "verdict", "method", "source", "inputs")
-    return Table("Blocks", columns, rows)
+    return Table("Blocks", ("block", "kind", "verdict", "method", "source", "inputs"), rows)
 
 
 def _recordings(profile: SensorProfile) -> list[Table]:
@@ -196,19 +189,43 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
             )
         )
     if profile.depth_response is not None:
-        pictures.append(
-            Picture(
-                "depth_response",
-                lambda: draw_depth_response(profile),
-                "Indentation from how far a pixel darkens.",
-            )
-        )
+        pictures.append(_depth_response(profile))
     if profile.perturbation is not None and profile.background_rgb is not None:
-        pictures.append(
-            Picture(
-                "perturbed",
-                lambda: draw_perturbed(profile),
-                "The image at rest of six sensors drawn from the measured spread.",
-            )
-        )
+        pictures.append(_perturbed(profile))
     return pictures
+
+
+@picture("depth_response", "Indentation from how far a pixel darkens.")
+def _depth_response(profile: SensorProfile) -> Figure:
+    """Drop of the grey level against indentation, with the stated spread as a band."""
+    block = profile.depth_response
+    assert block is not None
+    drop, depth = np.array(block.drop_levels), np.array(block.depth_mm)
+    figure, axes = new_figure(6.4, 3.6)
+    axes.grid(True)
+    axes.plot(drop, depth, color=BLUE)
+    sigma = block.provenance.spread.get("depth_mm")
+    if sigma is not None:
+        axes.fill_between(
+            drop, depth - sigma, depth + sigma, color=ORANGE, alpha=0.25, linewidth=0,
+            label="± 1 standard deviation",
+        )  # fmt: skip
+        axes.legend()
+    axes.set(xlabel=f"background minus image, {block.channel} [levels]", ylabel="indentation [mm]")
+    return figure
+
+
+@picture("perturbed", "The image at rest of six sensors drawn from the measured spread.")
+def _perturbed(profile: SensorProfile) -> Figure:
+    """The image at rest of a few drawn sensors."""
+    image, block = profile.background_rgb, profile.perturbation
+    assert image is not None and block is not None
+    rng = np.random.default_rng(0)
+    sensors = PerturbedSensors(draw_perturbation(block, DRAWS, rng))
+    images = sensors.apply(np.repeat(image[None].astype(np.float32), DRAWS, axis=0), rng)
+    ratio = image.shape[0] / image.shape[1]
+    figure, axes = new_figure(9.0, 6.0 * ratio + 0.4, 2, 3)
+    for panel, drawn in zip(axes.ravel(), images, strict=True):
+        panel.imshow(drawn.astype(np.uint8))
+        panel.set_axis_off()
+    return figure

@@ -8,19 +8,19 @@ from typing import Any
 
 from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.result import ResultSummary
+from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.calibration.scale.estimate import CombinedAxis, ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
+from taccel_lab.profile import CameraBlock, SensorProfile
+from taccel_lab.report.remark import Remark
 
 STATED = "stated"
 """Method of a scale that is not measured: the captures say it."""
 
 
 @dataclass(frozen=True, repr=False)
-class ScaleCalibration(ResultSummary):
+class ScaleCalibration(BlockResult):
     """Scales by method, and what they give together."""
 
     source: str
@@ -78,10 +78,7 @@ class ScaleCalibration(ResultSummary):
         grid = PixelGrid(*size, *scale)
         if (camera.width_px, camera.height_px) == size:
             grid = replace(grid, center_u_px=camera.center_u_px, center_v_px=camera.center_v_px)
-        spread, interval = {}, {}
-        for axis, found in self.axes.items():
-            spread[f"mm_per_px_{axis}"] = found.estimate.sigma
-            interval[f"mm_per_px_{axis}"] = found.estimate.interval95
+        means = {f"mm_per_px_{axis}": found.estimate for axis, found in self.axes.items()}
         methods = [estimate.method for estimate in self.estimates if estimate.x or estimate.y]
         residuals = {
             f"{estimate.method}_minus_mean_{axis}_mm_per_px": one.value - found.estimate.value
@@ -92,21 +89,20 @@ class ScaleCalibration(ResultSummary):
         x_mm, y_mm = grid.x_mm(), grid.y_mm()
         block = CameraBlock.from_grid(
             grid,
-            Provenance(
+            calibrated(
+                self.remarks,
                 kind="stated" if STATED in methods else "calibrated",
                 method=f"mm/px from {', '.join(methods)}, weighed by inverse variance; the gel "
                 "frame's origin as before, else in the middle of the image",
                 source=source_of(self.provenance, self.source),
                 inputs=self.inputs(),
                 residuals=residuals,
-                spread=spread,
-                interval=interval,
+                spread={name: mean.sigma for name, mean in means.items()},
+                interval={name: mean.interval95 for name, mean in means.items()},
                 valid_region={
                     "x_mm": (float(x_mm[0]), float(x_mm[-1])),
                     "y_mm": (float(y_mm[0]), float(y_mm[-1])),
                 },
-                verdict=judge(self.remarks).value,
-                remarks=tuple(remark.message for remark in self.remarks),
             ),
             self.rectified,
         )

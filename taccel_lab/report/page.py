@@ -8,24 +8,27 @@ mailed as one file.
 
 from __future__ import annotations
 
+import functools
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.report.html import data_url, image_suffix, report_environment
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
-from taccel_lab.report.style import save_figure_to
+from taccel_lab.report.style import in_report_style, save_figure_to
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taccel_lab.report.mesh_view import MeshView
 
+P = ParamSpec("P")
 MOST_TO_DO = 3
 VERDICT_CODES = ("block_state",)
 """Codes of remarks that only repeat a block's verdict."""
@@ -41,6 +44,19 @@ class Table:
     caption: str = ""
     folded: bool = False
     """Whether it comes after the pictures, under its title until somebody opens it."""
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        items: Iterable[Any],
+        columns: Mapping[str, str | Callable[[Any], Any]],
+        caption: str = "",
+    ) -> Table:
+        """A row an item; the cells of a column are an attribute of the items, by its dotted name,
+        or what a function makes of each item."""
+        cells = [attrgetter(cell) if isinstance(cell, str) else cell for cell in columns.values()]
+        return cls(title, tuple(columns), [[cell(i) for cell in cells] for i in items], caption)
 
     def shown(self) -> Table:
         """Drops columns that hold nothing."""
@@ -63,6 +79,25 @@ class Picture:
     caption: str
     view: MeshView | None = None
     """What the reader can turn in its place; print and pages without scripts show the picture."""
+
+
+def picture(name: str, caption: str) -> Callable[[Callable[P, Figure]], Callable[P, Picture]]:
+    """Declare a picture by the function that draws its figure.
+
+    The function then gives the ``Picture``, whose figure is drawn in the report's style when the
+    page is written.
+    """
+
+    def declared(draw: Callable[P, Figure]) -> Callable[P, Picture]:
+        styled = in_report_style(draw)
+
+        @functools.wraps(draw)
+        def of(*args: P.args, **kwargs: P.kwargs) -> Picture:
+            return Picture(name, functools.partial(styled, *args, **kwargs), caption)
+
+        return of
+
+    return declared
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,17 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import taccel_lab.calibration.calibrate as whole
 from taccel_lab.calibration.block_outcome import BlockState
 from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.calibrate import calibrate
@@ -28,7 +30,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.support.small_captures import write_captures
+from tests.support.small_captures import fit_colors_as_backgrounds, write_captures
 
 
 @pytest.fixture
@@ -56,19 +58,28 @@ def refuse(*_: object) -> None:
 
 @pytest.fixture
 def quick_color(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The block of colours fits what that of the background does."""
-    quick = replace(block_named("background"), name="color")
-    blocks = tuple(quick if b.name == "color" else b for b in BLOCKS)
-    monkeypatch.setattr(whole, "BLOCKS", blocks)
+    fit_colors_as_backgrounds(monkeypatch)
 
 
 def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
-    blocks = tuple(replace(b, verb=fit) if b.name == name else b for b in whole.BLOCKS)
-    monkeypatch.setattr(whole, "BLOCKS", blocks)
+    monkeypatch.setattr(import_module(block_named(name).verb.__module__), f"calibrate_{name}", fit)
 
 
 def test_every_block_is_checked_for() -> None:
     assert tuple(block.name for block in BLOCKS) == COMMANDS
+
+
+def test_a_block_loads_no_other() -> None:
+    """Nor torch, where it fits no network."""
+    script = (
+        "import sys; from taccel_lab.calibration.blocks import block_named; "
+        "block_named('scale').verb; print('torch' in sys.modules, *sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    torch, *modules = done.stdout.split()
+    assert torch == "False" and "taccel_lab.calibration.scale.fit" in modules
+    others = {block.fitted_in for block in BLOCKS} - {"scale.fit"}
+    assert not {f"taccel_lab.calibration.{name}" for name in others} & set(modules)
 
 
 def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:

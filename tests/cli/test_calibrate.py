@@ -6,14 +6,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.blocks import BLOCKS, block_named
+from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
@@ -27,7 +26,12 @@ from tests.calibration.drawn.boards import chess_pattern, dot_pattern, pose_over
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_agreement import write_folder
 from tests.cli.conftest import Cli
-from tests.support.small_captures import everything_below, write_captures, write_profile
+from tests.support.small_captures import (
+    everything_below,
+    fit_colors_as_backgrounds,
+    write_captures,
+    write_profile,
+)
 from tests.support.synthetic_presses import without_check
 
 
@@ -67,13 +71,9 @@ def test_a_block_that_refuses_ends_with_1(
     def refuse(*_: object) -> None:
         raise InputError("the light is off")
 
-    background = block_named("background")
-    changed = {
-        "background": replace(background, verb=refuse),
-        "color": replace(background, name="color"),
-    }
-    blocks = tuple(changed.get(block.name, block) for block in BLOCKS)
-    monkeypatch.setattr("taccel_lab.calibration.calibrate.BLOCKS", blocks)
+    fit_colors_as_backgrounds(monkeypatch)
+    fit = "taccel_lab.calibration.background.fit.calibrate_background"
+    monkeypatch.setattr(fit, refuse)
     # The report may be the folder one is in.
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")

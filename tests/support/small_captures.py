@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import cv2
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.background import fit as background_fit
+from taccel_lab.calibration.background.background_page import background_page
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
@@ -21,8 +24,10 @@ from taccel_lab.profile import (
     CameraBlock,
     ColorBlock,
     Provenance,
+    SensorProfile,
     save_profile,
 )
+from taccel_lab.progress import Progress
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.analytic_surface import analytic_surface
 
@@ -138,3 +143,14 @@ def refuse(
             assert re.search(word, message), f"{word!r} is not in {message!r}"
         assert captured.out == ""
         assert everything_below(here) == before
+
+
+def fit_colors_as_backgrounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the block of colours fit, in no time, what that of the background does."""
+    fit = background_fit.calibrate_background
+
+    def quick(folder: CaptureFolder, base: SensorProfile, _: Any, progress: Progress) -> Any:
+        return fit(folder, base, background_fit.BackgroundOptions(), progress)
+
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.calibrate_color", quick)
+    monkeypatch.setattr("taccel_lab.calibration.color.color_page.color_page", background_page)

@@ -17,7 +17,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.result import CalibrationResult
+    from taccel_lab.calibration.result import BlockResult
     from taccel_lab.profile import SensorProfile
     from taccel_lab.report.page import Page
 
@@ -129,7 +129,7 @@ class Sayings:
 
 
 def write_results(
-    result: CalibrationResult,
+    result: BlockResult,
     page: Page,
     profile: SensorProfile,
     out: Path,

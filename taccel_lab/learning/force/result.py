@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples, Split
 from taccel_lab.learning.force.score import Errors, Imposters, as_json
@@ -15,12 +16,12 @@ from taccel_lab.learning.force.train import COMPARED, Predictions, TrainedForces
 from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
-from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
+from taccel_lab.profile import ForceBlock, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
-@dataclass(frozen=True)
-class ForceCalibration:
+@dataclass(frozen=True, repr=False)
+class ForceCalibration(BlockResult):
     """Result of ``calibrate_force``."""
 
     trained: TrainedForces
@@ -116,13 +117,11 @@ class ForceCalibration:
         shear = np.hypot(truth[:, 0], truth[:, 1])
         block = ForceBlock(
             architecture=self.config.to_dict(),
-            provenance=Provenance(
-                kind="calibrated",
-                method=(
-                    f"convolutional network of {self.parameter_count} numbers, trained on "
-                    f"{self.counts['training']} images of simulated touches, seed "
-                    f"{self.options.seed}; {self.split.rule}"
-                ),
+            provenance=calibrated(
+                self.remarks,
+                method=f"convolutional network of {self.parameter_count} numbers, trained on "
+                f"{self.counts['training']} images of simulated touches, seed "
+                f"{self.options.seed}; {self.split.rule}",
                 source=self.source,
                 inputs=self.inputs,
                 residuals={
@@ -143,8 +142,6 @@ class ForceCalibration:
                     "tested_fz_n": (0.0, float(truth[:, 2].max())),
                     "tested_shear_n": (0.0, float(shear.max())),
                 },
-                verdict=judge(self.remarks).value,
-                remarks=tuple(str(remark) for remark in self.remarks),
             ),
         )
         return profile.with_block(block, self.trained.weights)
