@@ -29,7 +29,8 @@ STIFFNESS_UNKNOWN = warning(
 NO_LIGHT = warning(
     "force_one_light",
     "trained in the background's own light: the profile has no block perturbation, or --light is "
-    "0. A lamp that drifts then reads as a touch. Measure the drift (taccel-lab calibrate background)",
+    "0. A lamp that drifts then reads as a touch. Measure the drift (taccel-lab calibrate "
+    "background)",
 )
 FEW_IMAGES = warning(
     "force_few_images",
