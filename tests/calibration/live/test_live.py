@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-from taccel_lab.calibration.grey.captures import CaptureSet
 from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
 from taccel_lab.calibration.live.pictures import BEYOND, pictures
 from taccel_lab.calibration.live.reader import LiveReader
