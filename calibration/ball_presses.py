@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,11 +25,17 @@ from taccel_lab.calibration.check.block_findings import (
     rejected_labels,
 )
 from taccel_lab.calibration.check.findings import name_some
-from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import (
+    BallSurface,
+    ball_surface,
+    layer_of,
+    layer_surfaces,
+)
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
@@ -86,9 +93,12 @@ class BallPresses:
         return None if block is None or image is None else Untouched(block, image)
 
     @property
-    def heldout(self) -> CaptureSet | None:
-        """Those that only the figures see; None where none is held out."""
-        return self.captures.only(self.split.heldout) if self.split.heldout else None
+    def heldout(self) -> HeldoutSet:
+        """Those that only the figures see, on the profile's gel."""
+        grid = self.captures.grid
+        layer, rest = layer_of(self.profile), rest_surface(self.profile.mesh, grid)
+        on_gel = partial(ball_surface, grid=grid, layer=layer, rest=rest)
+        return HeldoutSet.of(self.captures, self.split, on_gel)
 
 
 def ball_presses(

@@ -2,47 +2,37 @@
 """Captures and the surfaces of their presses to the profile blocks ``background`` and ``color``.
 
 All that is chosen rests on the training presses; then the model is frozen, and the held-out
-presses are read, placed and scored (``taccel_lab.calibration.color.heldout``). Last, the same fit
+presses are read, placed and scored (``taccel_lab.calibration.color.score``). Last, the same fit
 is made to all presses: profiles get that one, with the scores of the first.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import fields, replace
 
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.color.evaluate import ImageScore, score_image
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.color.heldout import (
-    HeldoutFailure,
-    HeldoutPress,
-    HeldoutSet,
-    score_heldout,
-)
-from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
-from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
+from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions, ColorTraining
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
+from taccel_lab.calibration.color.score import HeldoutPress, in_light_of, score_heldout
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.color.untouched_light import light_beside, noise_floor_l1
+from taccel_lab.calibration.response.evaluate import score_image
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame, place_region
+from taccel_lab.calibration.response.heldout import HeldoutFailure, HeldoutSet
+from taccel_lab.calibration.response.untouched_light import noise_floor_l1
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.networks.color_settings import STEEPEST
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
-from taccel_lab.report.remark import Remark
-from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.progress import Progress, counted, silent
 
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
@@ -71,24 +61,19 @@ def calibrate_color(
     )
     presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
-    surfaces = partial(
-        layer_surfaces,
-        layer=layer_of(presses.profile),
-        rest=rest_surface(presses.profile.mesh, presses.captures.grid),
-    )
     found = fit_color(
         presses.training,
         presses.circles,
         presses.surfaces,
-        HeldoutSet.of(presses.captures, presses.split, surfaces),
+        presses.heldout,
         options=settings,
         background=presses.profile.background_rgb,
         labels=presses.labels,
         table=options.table,
-        remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
     )
-    return replace(found, gel=presses.gel, untouched=presses.untouched)
+    remarks = (*presses.lost, *findings, *presses.remarks, *found.remarks)
+    return replace(found, gel=presses.gel, untouched=presses.untouched, remarks=remarks)
 
 
 def fit_color(
@@ -101,7 +86,6 @@ def fit_color(
     background: np.ndarray | None = None,
     labels: LabelPlacement | None = None,
     table: bool = False,
-    remarks: Sequence[Remark] = (),
     progress: Progress = silent,
 ) -> ColorCalibration:
     """Fit the colour model to ``captures`` and score it on ``heldout``.
@@ -115,7 +99,6 @@ def fit_color(
         background: Untouched sensor to fit and render on, levels; that of ``captures`` when None.
         labels: Where labels put held-out presses; by ``circles`` when None.
         table: Fit Taxim's table too, as a baseline and for export.
-        remarks: What is known of the captures already.
         progress: Told what is done.
 
     Raises:
@@ -130,130 +113,60 @@ def fit_color(
         both = {p.name for p in captures.presses} & {p.name for p in heldout.captures.presses}
         if both:
             raise InputError(f"{', '.join(sorted(both))}: held out and fitted at once")
+    scene = CaptureScene.of(captures, background)
     frames = [
-        ColorFrame(press.name, press.image(), circle, surface, press.sha256)
+        PressFrame(press.name, press.image(), circle, surface, press.sha256)
         for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
     ]
-    untouched = captures.background if background is None else background
-    found = _Fitting(captures, frames, untouched, options, progress, labels, table)
-    result = found.run(surfaces, heldout)
-    return replace(result, remarks=(*remarks, *color_remarks(result)))
+    fit = fit_color_model(frames, scene, options, progress)
+    taxim = fit_taxim_table(frames, scene, fit.drifts) if table else None
+    labels = labels or LabelPlacement.of(captures.presses, circles)
+    held: list[HeldoutPress] = []
+    failures: list[HeldoutFailure] = []
+    joining: list[PressFrame] = []
+    if heldout is not None:
+        for found in counted(heldout.placed(labels), progress, SCORING, heldout.count):
+            if isinstance(found, HeldoutFailure):
+                failures.append(found)
+                continue
+            press, frame = found
+            item = score_heldout(press, frame, fit, scene, captures.background)
+            held.append(item)
+            # One that is rendered no better than the bare background shows something else.
+            if item.score.crop_psnr_db > item.background_only.crop_psnr_db:
+                joining.append(frame)
+    every = [*frames, *joining]
+    final = fit_color_model(every, scene, options, progress) if joining else None
+    floors = [noise_floor_l1(frame, scene) for frame in frames]
+    last = (final or fit).model
+    displacements = [frame.surface.displacement_mm() for frame in every]
+    result = ColorCalibration(
+        fit=fit,
+        final=final,
+        heldout=held,
+        failures=failures,
+        split=None if heldout is None else heldout.split,
+        label_shift=labels,
+        noise_floor_l1=float(np.nanmean(floors)) if np.isfinite(floors).any() else float("nan"),
+        captures=captures,
+        surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
+        valid_region={
+            **place_region(every),
+            STEEPEST: (0.0, last.cone_deg),
+            "displacement_mm": (
+                min(float(mm.min()) for mm in displacements),
+                max(float(mm.max()) for mm in displacements),
+            ),
+        },
+        circles=tuple(circles),
+        table=taxim,
+        table_scores=[] if taxim is None else [_by_table(taxim, item, scene) for item in held],
+    )
+    return replace(result, remarks=tuple(color_remarks(result)))
 
 
-@dataclass
-class _Fitting:
-    """One fit on its way."""
-
-    captures: CaptureSet
-    frames: list[ColorFrame]
-    background: np.ndarray
-    options: ColorFitOptions
-    progress: Progress
-    labels: LabelPlacement | None
-    table: bool
-
-    def run(
-        self,
-        surfaces: Sequence[BallSurface],
-        heldout: HeldoutSet | None,
-    ) -> ColorCalibration:
-        captures, grid, mask = self.captures, self.captures.grid, self.captures.mask
-        circles = tuple(frame.circle for frame in self.frames)
-        fit = fit_color_model(
-            self.frames, self.background, grid, self.options, mask=mask, progress=self.progress
-        )
-        table = None
-        if self.table:
-            table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
-        shift = self.labels or LabelPlacement.of(captures.presses, circles)
-        held: list[HeldoutPress] = []
-        failures: list[HeldoutFailure] = []
-        if heldout is not None:
-            self.progress(SCORING, 0, 1)
-            held, failures = score_heldout(heldout, fit, shift)
-            self.progress(SCORING, 1, 1)
-        every = list(self.frames)
-        if heldout is not None:
-            every += _joining(heldout, held)
-        final = None
-        if len(every) > len(self.frames):
-            final = fit_color_model(
-                every, self.background, grid, self.options, mask=mask, progress=self.progress
-            )
-        return ColorCalibration(
-            fit=fit,
-            final=final,
-            heldout=held,
-            failures=failures,
-            split=None if heldout is None else heldout.split,
-            label_shift=shift,
-            noise_floor_l1=self._noise_floor(),
-            captures=captures,
-            surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
-            valid_region=_valid_region(every, (final or fit).model),
-            circles=circles,
-            table=table,
-            table_scores=[] if table is None else self._table_scores(table, fit, held),
-        )
-
-    def _table_scores(
-        self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
-    ) -> list[PressScore]:
-        """Held-out presses by Taxim's table, placed as the model's quoted figures have them."""
-        return [
-            PressScore(
-                item.name,
-                self._in_its_light(
-                    render_taxim_table(table, item.surface, fit.background),
-                    item.captured,
-                    item.circle,
-                ),
-            )
-            for item in held
-        ]
-
-    def _in_its_light(
-        self,
-        rendered: np.ndarray,
-        captured: np.ndarray,
-        circle: ContactCircle,
-    ) -> ImageScore:
-        """Figures of a render in the light of the capture."""
-        grid = self.captures.grid
-        light = light_beside(captured, rendered, circle, grid, self.captures.mask)
-        return score_image(np.clip(light.apply(rendered), 0.0, 255.0), captured, circle, grid)
-
-    def _noise_floor(self) -> float:
-        grid, mask = self.captures.grid, self.captures.mask
-        floors = [
-            noise_floor_l1(frame.image, self.background, frame.circle, grid, mask)
-            for frame in self.frames
-        ]
-        return float(np.nanmean(floors)) if np.isfinite(floors).any() else math.nan
-
-
-def _joining(heldout: HeldoutSet, held: Sequence[HeldoutPress]) -> list[ColorFrame]:
-    """Held-out presses as the last fit takes them. One that is rendered no better than the bare
-    background shows something else."""
-    hashes = {press.name: press.sha256 for press in heldout.captures.presses}
-    return [
-        ColorFrame(press.name, press.captured, press.placed, press.surface, hashes[press.name])
-        for press in held
-        if press.score.crop_psnr_db > press.background_only.crop_psnr_db
-    ]
-
-
-def _valid_region(
-    frames: Sequence[ColorFrame], model: ColorModel
-) -> dict[str, tuple[float, float]]:
-    """Where the training presses lie: positions of the contacts, slopes and displacements."""
-    u = [frame.circle.u_px for frame in frames]
-    v = [frame.circle.v_px for frame in frames]
-    low = min(float(f.surface.displacement_mm().min()) for f in frames)
-    high = max(float(f.surface.displacement_mm().max()) for f in frames)
-    return {
-        "contact_u_px": (min(u), max(u)),
-        "contact_v_px": (min(v), max(v)),
-        STEEPEST: (0.0, model.cone_deg),
-        "displacement_mm": (low, high),
-    }
+def _by_table(table: TaximTable, item: HeldoutPress, scene: CaptureScene) -> PressScore:
+    """A held-out press by Taxim's table, placed as the model's quoted figures have it."""
+    rendered = render_taxim_table(table, item.surface, scene.background)
+    shown = in_light_of(item.captured, rendered, item.circle, scene)
+    return PressScore(item.name, score_image(shown, item.captured, item.circle, scene.grid))

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.color.score import mean_bare
 from taccel_lab.calibration.remarks import warning
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.calibration.shared_remarks import (

@@ -13,15 +13,10 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.color.evaluate import ImageScore
-from taccel_lab.calibration.color.heldout import (
-    HeldoutFailure,
-    HeldoutPress,
-    Placement,
-    mean_bare,
-    mean_heldout,
-)
 from taccel_lab.calibration.color.network_fit import ColorFit
+from taccel_lab.calibration.color.score import HeldoutPress, Placement, mean_bare, mean_heldout
+from taccel_lab.calibration.response.evaluate import ImageScore
+from taccel_lab.calibration.response.heldout import HeldoutFailure
 from taccel_lab.calibration.result import ScoredFit, calibrated, in_figures, mean_figures
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
@@ -67,9 +62,8 @@ class ColorCalibration(ScoredFit[ColorFit]):
 
     @property
     def has_scores(self) -> bool:
-        """Whether there are figures of held-out presses, be they of failures."""
-        failures = in_figures(self.failures)
-        return bool(in_figures(self.heldout)) or any(item.background_only for item in failures)
+        """Whether there are figures of held-out presses."""
+        return bool(in_figures(self.heldout))
 
     @property
     def rejected(self) -> dict[str, float | None]:

@@ -20,11 +20,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normals import normals_from_slopes
 
 BINS = 125
@@ -41,12 +40,10 @@ _CONSTANT_RIDGE = 1e-9
 
 
 def fit_taxim_table(
-    frames: Sequence[ColorFrame],
-    background: np.ndarray,
+    frames: Sequence[PressFrame],
+    scene: CaptureScene,
     drifts: Mapping[str, LightDrift],
-    grid: PixelGrid,
     *,
-    mask: np.ndarray | None = None,
     bins: int = BINS,
     reach_radii: float = REACH_RADII,
     ridge: float = RIDGE,
@@ -55,10 +52,8 @@ def fit_taxim_table(
 
     Args:
         frames: Presses that the table is fitted to.
-        background: What the changes count from, RGB levels, shape [height_px, width_px, 3].
-        drifts: Drift of each frame's light against it, by the frame's name.
-        grid: Pixel grid of the images.
-        mask: Pixels that may be used, bool, shape [height_px, width_px].
+        scene: What the changes count from, and the pixels that may be used.
+        drifts: Drift of each frame's light against the background, by the frame's name.
         bins: Bins of tilt and of direction.
         reach_radii: Contact radii around each contact's middle within which pixels are taken; 1
             fits the discs alone, as Taxim does.
@@ -70,12 +65,12 @@ def fit_taxim_table(
     """
     gram = np.zeros((bins * bins, TERMS, TERMS))
     moment = np.zeros((bins * bins, TERMS, 3))
+    grid, background = scene.grid, scene.background
     # Terms over -1..1 keep the normal equations well conditioned; rescaled at the end.
     half = np.array([(grid.width_px - 1) / 2, (grid.height_px - 1) / 2])
     for frame in frames:
-        near = frame.circle.distance_px(grid) <= reach_radii * frame.circle.radius_px
-        if mask is not None:
-            near &= mask
+        radii = frame.circle.distance_px(grid) / frame.circle.radius_px
+        near = scene.usable & (radii <= reach_radii)
         v, u = np.nonzero(near)
         light = drifts[frame.name].at(np.flatnonzero(near), grid.height_px, grid.width_px)
         image = light.remove(frame.image[near].astype(np.float64))

@@ -17,34 +17,30 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from taccel_lab.calibration.normals.options import NormalTraining
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
+from taccel_lab.calibration.normals.options import RIM_RADII, InverseFitOptions
 from taccel_lab.calibration.normals.samples import (
-    CaptureScene,
-    InverseFrame,
+    KnownPress,
     NormalSamples,
-    SampleOptions,
     circle_angle_rad,
     draw_samples,
-    join,
 )
-from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress, synthetic_samples
+from taccel_lab.calibration.normals.synthetic_presses import synthetic_samples
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.calibration.response.training import (
     arrays_of,
     descend,
-    going_on,
     initial_weights,
     one_thread,
     trainable,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.files.seed import require_seed
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.networks.position_encoding import require_bands
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
@@ -65,43 +61,12 @@ STEEPEST_SLOPE = 6.0
 BETA = 0.5
 """How far large expected errors keep their weight in the loss; 0 is the likelihood itself, which
 gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
-MOST_SYNTHETIC = 10_000
-"""Synthetic presses; each takes a tenth of a second."""
+AGAIN_STEPS = 30
+"""Steps of a fit that goes on from another, of a hundred of the first."""
+AGAIN_RATE = 0.5
+"""Its learning rate against the first one's."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InverseFitOptions(NormalTraining):
-    """Settings of the networks and their fit."""
-
-    samples: SampleOptions = field(default_factory=SampleOptions)
-    scales_px: tuple[float, ...] | None = None
-    """Windows of the features [px]; from the mean contact radius when None."""
-    slopes: bool = True
-    """Whether the variation of the change across the two wider windows is a feature."""
-    members: int = 4
-    hidden: tuple[int, ...] = (64, 64, 64)
-    batch_pixels: int = 1024
-    """Pixels a member sees in a step."""
-    learning_rate: float = 3e-2
-    synthetic_pixels: int = 4000
-    """Pixels drawn of each synthetic press."""
-    synthetic_share: float = 0.6
-    """Share of synthetic presses in each batch."""
-
-    def __post_init__(self) -> None:
-        for name in ("members", "steps", "batch_pixels"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.synthetic_presses <= MOST_SYNTHETIC:
-            raise InputError(
-                f"synthetic_presses must lie in 0..{MOST_SYNTHETIC}, got {self.synthetic_presses}"
-            )
-        require_bands("normal model", self.position_bands)
-        require_seed(self.seed)
-        if not 0 < self.learning_rate < 1:
-            raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")
 
 
 @dataclass(frozen=True)
@@ -122,7 +87,7 @@ class InverseFit:
     """SHA-256 of the presses' images by name."""
 
 
-def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, ...]:
+def default_scales_px(frames: Sequence[PressFrame]) -> tuple[float, ...]:
     """The pixel itself, and windows of a fortieth to a fifth of the mean contact radius [px].
 
     Edges need the smallest; the widest is well inside a contact, so that a window at the rim does
@@ -138,87 +103,50 @@ def fold_of(index: int, members: int, frame_count: int) -> int | None:
     return index % members if frame_count > members > 1 else None
 
 
-def fit_normal_model(
-    frames: Sequence[InverseFrame],
-    scene: CaptureScene,
-    options: InverseFitOptions = InverseFitOptions(),
-    *,
-    synthetic_presses: Iterable[SyntheticPress] = (),
-    progress: Progress = silent,
-) -> tuple[InverseFit, InverseTraining]:
-    """Fit the ensemble to ``frames``, and to presses of other tools where there are any; with the
-    training, which can go on.
+class InverseTraining:
+    """Pixels of presses and the networks that are fitted to them; begins with random ones.
 
     Deterministic for a seed on one thread.
     """
-    started = time.perf_counter()
-    if not frames:
-        raise InputError("the fit of the inverse model needs at least one press")
-    training = InverseTraining(frames, scene, options, synthetic_presses)
-    return training.run(progress, started), training
-
-
-def _unscaled(
-    frames: Sequence[InverseFrame], scene: CaptureScene, options: InverseFitOptions
-) -> NormalModelConfig:
-    scales = options.scales_px or default_scales_px(frames)
-    return NormalModelConfig(
-        scene.grid.width_px,
-        scene.grid.height_px,
-        scales_px=scales,
-        slope_scales_px=scales[1:] if options.slopes else (),
-        members=options.members,
-        hidden=options.hidden,
-        position_bands=options.position_bands,
-    )
-
-
-def _scaled(config: NormalModelConfig, features: np.ndarray) -> NormalModelConfig:
-    scale = np.maximum(features.std(axis=0, dtype=np.float64), 1e-3)
-    return replace(
-        config,
-        input_mean=tuple(float(x) for x in features.mean(axis=0)),
-        input_scale=tuple(float(x) for x in scale),
-    )
-
-
-def _check_samples(
-    frame: InverseFrame,
-    scene: CaptureScene,
-    config: NormalModelConfig,
-    options: InverseFitOptions,
-    rng: np.random.Generator,
-) -> NormalSamples:
-    """Pixels inside the contact at the picture's own zoom."""
-    drawn = replace(options.samples, disc_pixels=CHECK_PIXELS, flat_pixels=1, zooms=1)
-    found = draw_samples(replace(frame, surface=None), scene, config, drawn, rng)
-    return NormalSamples(found.features[:-1], found.normals[:-1])
-
-
-class InverseTraining:
-    """Pixels of presses and the networks that are fitted to them; begins with random ones."""
 
     def __init__(
         self,
-        frames: Sequence[InverseFrame],
+        frames: Sequence[PressFrame],
         scene: CaptureScene,
         options: InverseFitOptions,
-        synthetic_presses: Iterable[SyntheticPress] = (),
+        synthetic_presses: Iterable[KnownPress] = (),
     ) -> None:
-        self.scene, self.options = scene, options
-        self.frames: list[InverseFrame] = []
+        if not frames:
+            raise InputError("the fit of the inverse model needs at least one press")
+        self.started = time.perf_counter()
+        self.scene, self.options, self.known = scene, options, len(frames)
+        self.frames: list[PressFrame] = []
         self.checks: list[NormalSamples] = []
         self.circles_rad: list[np.ndarray] = []
         self.pixels: list[np.ndarray] = []
-        config = _unscaled(frames, scene, options)
+        scales = default_scales_px(frames)
+        config = NormalModelConfig(
+            scene.grid.width_px,
+            scene.grid.height_px,
+            scales_px=scales,
+            slope_scales_px=scales[1:],
+            members=options.members,
+            hidden=options.hidden,
+            position_bands=options.position_bands,
+        )
         rng = np.random.default_rng(options.seed)
-        samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]
+        samples = self._drawn(frames, config, rng)
         synthetic = [
             synthetic_samples(press, scene, config, options.synthetic_pixels, rng)
             for press in synthetic_presses
         ]
-        whole = join([*samples, *synthetic])
-        self.config = config = _scaled(config, whole.features)
+        whole = NormalSamples.join([*samples, *synthetic])
+        scale = np.maximum(whole.features.std(axis=0, dtype=np.float64), 1e-3)
+        self.config = config = replace(
+            config,
+            input_mean=tuple(float(x) for x in whole.features.mean(axis=0)),
+            input_scale=tuple(float(x) for x in scale),
+        )
         self.synthetic = range(sum(len(part.features) for part in samples), len(whole.features))
         self.inputs = torch.from_numpy(config.normalise(whole.features))
         self.normals = torch.from_numpy(whole.normals)
@@ -230,9 +158,15 @@ class InverseTraining:
         weights = initial_weights(self.shapes, self.generator)
         self.layers = trainable(layer_tensors(config, weights))
 
+    def _drawn(
+        self, frames: Sequence[PressFrame], config: NormalModelConfig, rng: np.random.Generator
+    ) -> list[NormalSamples]:
+        rings, zooms = self.options.rings, self.options.zooms
+        return [draw_samples(frame, self.scene, config, rings, rng, zooms) for frame in frames]
+
     def _take(
         self,
-        frames: Sequence[InverseFrame],
+        frames: Sequence[PressFrame],
         samples: Sequence[NormalSamples],
         first: int,
         rng: np.random.Generator,
@@ -241,14 +175,16 @@ class InverseTraining:
         ends = first + np.cumsum([0, *(len(part.features) for part in samples)])
         self.pixels += [np.arange(*ends[i : i + 2]) for i in range(len(samples))]
         for frame in frames:
-            check = _check_samples(frame, self.scene, self.config, self.options, rng)
+            # Inside the contact at the picture's own zoom, and a pixel of the far field.
+            rings = [(0.0, RIM_RADII, CHECK_PIXELS), (UNTOUCHED_RADII, math.inf, 1)]
+            found = draw_samples(frame, self.scene, self.config, rings, rng)
+            check = NormalSamples(found.features[:-1], found.normals[:-1])
             self.checks.append(check)
             self.circles_rad.append(circle_angle_rad(frame, self.scene, check.normals))
         self.frames += frames
         members, count = self.options.members, len(self.frames)
         # As with the first presses alone: a member that had seen all of them leaves none out.
-        known = len(frames) if first == 0 else sum(part[0] < first for part in self.pixels)
-        self.folds = [fold_of(i, members, known) for i in range(count)]
+        self.folds = [fold_of(i, members, self.known) for i in range(count)]
         self.pools = [
             torch.from_numpy(
                 np.concatenate([self.pixels[i] for i in range(count) if self.folds[i] != k])
@@ -256,27 +192,28 @@ class InverseTraining:
             for k in range(members)
         ]
 
-    def go_on(self, frames: Sequence[InverseFrame], progress: Progress = silent) -> InverseFit:
+    def go_on(self, frames: Sequence[PressFrame], progress: Progress = silent) -> InverseFit:
         """A shorter fit from the best weights so far, to more presses besides those before.
 
         Presses that a member left out stay left out of it: what it says of them stays true.
         """
-        started = time.perf_counter()
+        self.started = time.perf_counter()
         rng = np.random.default_rng(self.options.seed)
-        more = [
-            draw_samples(frame, self.scene, self.config, self.options.samples, rng)
-            for frame in frames
-        ]
-        new, first = join(more), len(self.inputs)
+        more = self._drawn(frames, self.config, rng)
+        new, first = NormalSamples.join(more), len(self.inputs)
         inputs = torch.from_numpy(self.config.normalise(new.features))
         self.inputs = torch.cat([self.inputs, inputs])
         self.normals = torch.cat([self.normals, torch.from_numpy(new.normals)])
         self._take(frames, more, first, rng)
-        self.options = going_on(self.options)
-        return self.run(progress, started, TASK_AGAIN)
+        self.options = replace(
+            self.options,
+            steps=max(1, self.options.steps * AGAIN_STEPS // 100),
+            learning_rate=AGAIN_RATE * self.options.learning_rate,
+        )
+        return self.run(progress, TASK_AGAIN)
 
-    def run(self, progress: Progress, started: float, task: str = TASK) -> InverseFit:
-        """Train as ``options`` say; ``started`` is when the work began."""
+    def run(self, progress: Progress = silent, task: str = TASK) -> InverseFit:
+        """Train as ``options`` say."""
         with one_thread():
             self._descend(progress, task)
             model, left_out = self._finish()
@@ -286,7 +223,7 @@ class InverseTraining:
             curve=self.curve,
             stopped_at=tuple(int(step) for step in self.best_step),
             options=self.options,
-            seconds=time.perf_counter() - started,
+            seconds=time.perf_counter() - self.started,
             inputs={frame.name: frame.sha256 for frame in self.frames},
         )
 

@@ -1,11 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be chosen of a calibration of normals."""
+"""What can be chosen of a calibration of normals, and the settings of its networks' fit."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.errors import InputError
+from taccel_lab.files.seed import require_seed
+from taccel_lab.networks.position_encoding import require_bands
+
+MOST_SYNTHETIC = 10_000
+"""Synthetic presses; each takes a tenth of a second."""
+RIM_RADII = 0.98
+"""Within this many contact radii a pixel lies in the contact, as well as circles are known."""
+SINK_IN_RADII = 1.03
+"""Beyond this many it surely lies outside."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +39,48 @@ class NormalTraining:
 @dataclass(frozen=True, kw_only=True)
 class NormalOptions(NormalTraining, BallPressOptions):
     """Settings of ``calibrate_normals``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseFitOptions(NormalTraining):
+    """Settings of the networks and their fit."""
+
+    members: int = 4
+    hidden: tuple[int, ...] = (64, 64, 64)
+    batch_pixels: int = 1024
+    """Pixels a member sees in a step."""
+    learning_rate: float = 3e-2
+    disc_pixels: int = 3000
+    """Pixels drawn of each press within the contact."""
+    sink_in_pixels: int = 1500
+    """Between the contact and the resting face."""
+    flat_pixels: int = 700
+    """Where the gel is at rest."""
+    zooms: int = 3
+    """Zooms at which each press is seen; the first is 1."""
+    synthetic_pixels: int = 4000
+    """Pixels drawn of each synthetic press."""
+    synthetic_share: float = 0.6
+    """Share of synthetic presses in each batch."""
+
+    def __post_init__(self) -> None:
+        for name in ("members", "steps", "batch_pixels", "disc_pixels", "flat_pixels", "zooms"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.synthetic_presses <= MOST_SYNTHETIC:
+            raise InputError(
+                f"synthetic_presses must lie in 0..{MOST_SYNTHETIC}, got {self.synthetic_presses}"
+            )
+        require_bands("normal model", self.position_bands)
+        require_seed(self.seed)
+        if not 0 < self.learning_rate < 1:
+            raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")
+
+    @property
+    def rings(self) -> tuple[tuple[float, float, int], ...]:
+        """Contact radii between which pixels of a press are drawn, and how many."""
+        return (
+            (0.0, RIM_RADII, self.disc_pixels),
+            (SINK_IN_RADII, UNTOUCHED_RADII, self.sink_in_pixels),
+            (UNTOUCHED_RADII, math.inf, self.flat_pixels),
+        )

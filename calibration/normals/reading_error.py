@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
-from taccel_lab.calibration.normals.samples import CaptureScene
+from taccel_lab.calibration.normals.samples import KnownPress
 from taccel_lab.calibration.normals.score import angle_between_deg
-from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress
+from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
@@ -35,8 +35,6 @@ EVERY_PX = 2
 as long; on FOTS they change factors by up to 2.5 %, errors of heights by 0.5 %."""
 SHARE = 0.95
 LEAST_M = 1e-9
-DENT_MM = 0.02
-"""Heights below this belong to the dent."""
 
 
 @dataclass(frozen=True)
@@ -58,32 +56,6 @@ class SyntheticScore:
 
 
 @dataclass(frozen=True)
-class KnownPress:
-    """A press whose surface is known, and who may read it."""
-
-    image: np.ndarray
-    """RGB levels under the background's light, shape [height_px, width_px, 3]."""
-    normals: np.ndarray
-    """Outward unit normals relative to rest, shape [height_px, width_px, 3]."""
-    rise_m: np.ndarray | None
-    """Rise over rest [m], shape [height_px, width_px]; None where only normals are known."""
-    compared: np.ndarray
-    """Pixels that are compared, bool, same shape."""
-    left_out: int | None = None
-    """The network that reads it, since the others saw it; all read it when None."""
-    normals_sigma_deg: np.ndarray | None = None
-    """Standard deviation of each component of the known normals [degrees], shape [h, w]; exact when
-    None."""
-    rise_sigma_m: float = 0.0
-    """Standard deviation of the known rise [m]."""
-
-    @classmethod
-    def of_synthetic(cls, press: SyntheticPress) -> KnownPress:
-        """A press that no network saw, compared in its dent."""
-        return cls(press.image, press.normals, press.rise_m, press.rise_m < -1e-3 * DENT_MM)
-
-
-@dataclass(frozen=True)
 class ReadingErrors:
     """Of some pixels of a press that was read, shape [n] each."""
 
@@ -91,13 +63,13 @@ class ReadingErrors:
     """Angles over the expected standard deviation, what the ball's centre may be off by taken
     off."""
     height_m: np.ndarray
-    """Of heights; empty where none are known."""
+    """Of heights."""
     spreads_m: Sequence[np.ndarray]
     """Of heights before any factor, for each of ``LENGTHS_PX``."""
     along_m: np.ndarray
     """Height that is off where all slopes are too steep by what is expected of them."""
-    deepest_m: float = 0.0
-    """How deep the press is; 0 where no heights are known."""
+    deepest_m: float
+    """How deep the press is."""
 
 
 def with_reading_errors(
@@ -126,15 +98,14 @@ def with_reading_errors(
     config = replace(model.config, radius95_sigmas=radius)
     if not drawn:
         return NormalModel(config, model.weights), None
-    best: tuple[float, int, float] | None = None
-    for k in range(len(LENGTHS_PX)):
+
+    def band(k: int) -> tuple[float, int, float]:
+        """Mean width, the length, and the factor that holds the share."""
         over = [e.height_m / e.spreads_m[k] for e in drawn]
         factor = radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
-        width = factor * float(np.mean([e.spreads_m[k].mean() for e in drawn]))
-        if best is None or width < best[0]:
-            best = (width, k, factor)
-    assert best is not None
-    _, k, factor = best
+        return factor * float(np.mean([e.spreads_m[k].mean() for e in drawn])), k, factor
+
+    _, k, factor = min(map(band, range(len(LENGTHS_PX))))
     config = replace(
         config, error_length_px=LENGTHS_PX[k], height_factor=factor, depth_share=depth_share,
         along_factor=_along_factor(captured, k, factor),
@@ -162,7 +133,7 @@ def widened(model: NormalModel, found: Sequence[ReadingErrors]) -> NormalModel:
     config = model.config
     radius = radius_factor([e.angle_sigmas for e in found], SHARE, RAYLEIGH_95)
     along = config.along_factor
-    if config.height_factor > 0 and any(len(e.height_m) for e in found):
+    if config.height_factor > 0:
         k = LENGTHS_PX.index(config.error_length_px)
         along = max(along, _along_factor(found, k, config.height_factor))
     config = replace(
@@ -174,11 +145,7 @@ def widened(model: NormalModel, found: Sequence[ReadingErrors]) -> NormalModel:
 def _along_factor(balls: Sequence[ReadingErrors], k: int, factor: float) -> float:
     """Of the expected errors of slopes, what has to lie along them for the heights of balls; all of
     it where too few balls tell."""
-    over = [
-        _beyond(e.height_m, BAND_SIGMAS * factor * e.spreads_m[k]) / e.along_m
-        for e in balls
-        if len(e.height_m)
-    ]
+    over = [_beyond(e.height_m, BAND_SIGMAS * factor * e.spreads_m[k]) / e.along_m for e in balls]
     return radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
 
 
@@ -209,8 +176,6 @@ def errors_of(
     if press.normals_sigma_deg is not None:
         angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[part][kept])
     sigmas = angle / found.sigma_deg[kept]
-    if press.rise_m is None:
-        return ReadingErrors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX), np.empty(0))
     grid = scene.grid.thinned(every)
     trials = [HeightUncertainty(grid, length / every) for length in LENGTHS_PX]
     weights = None if scene.mask is None else scene.mask[part].astype(float)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import CaptureScene, InverseFrame
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.calibration.shared_remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,
@@ -27,7 +27,7 @@ GREY_LEVELS = 1.5
 
 
 def remarks_of(
-    result: NormalCalibration, training: Sequence[InverseFrame], scene: CaptureScene
+    result: NormalCalibration, training: Sequence[PressFrame], scene: CaptureScene
 ) -> tuple[Remark, ...]:
     """Remarks on the data and on how well the held-out presses are read."""
     found: list[Remark] = []
@@ -54,7 +54,7 @@ def remarks_of(
     return tuple(found)
 
 
-def _grey_share(frame: InverseFrame, scene: CaptureScene) -> float:
+def _grey_share(frame: PressFrame, scene: CaptureScene) -> float:
     """How far the channels' changes differ inside the contact [levels]."""
     inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
     change = (frame.image - scene.background)[inside]

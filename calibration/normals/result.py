@@ -12,8 +12,8 @@ from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import SyntheticScore
-from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
+from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import ScoredFit, calibrated, in_figures, mean_figures
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import judge
@@ -36,8 +36,8 @@ class NormalCalibration(ScoredFit[InverseFit]):
     synthetic: SyntheticScore | None
     """Heights of synthetic presses that the networks never saw; None without any."""
     frozen_radius95_sigmas: float
-    """What the model expected before the held-out presses widened it; ``reliability`` and the depth
-    figures are of that."""
+    """What the model expected before the held-out presses widened it; figures are of the widened
+    one, which is passed on."""
     frozen_along_factor: float
     flat_noise_levels: float
     """Mean difference of frames from the background in their light, beside the contacts [levels];

@@ -9,14 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.normals.ball_normals import ball_normals
-from taccel_lab.calibration.normals.samples import (
-    CaptureScene,
-    InverseFrame,
-    circle_angle_rad,
-    true_normals,
-    usable_pixels,
-)
+from taccel_lab.calibration.normals.samples import ball_normals, circle_angle_rad, true_normals
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap
@@ -71,12 +65,12 @@ class HeldoutNormals:
     """A press that the fit never saw."""
 
     name: str
-    frame: InverseFrame
+    frame: PressFrame
     predicted: NormalMap
     height_m: np.ndarray
     """Integrated, zero where the gel is at rest, shape [height_px, width_px]."""
-    depth: AbsoluteDepth | None
-    """Against the same press of the ball in the sensor's pad; None without a pad."""
+    depth: AbsoluteDepth
+    """Against the same press of the ball in the sensor's pad."""
     error_deg: np.ndarray
     """Angle to the ball's normal in the circle that was trained with, NaN outside, [h, w]."""
     given: AngleScore
@@ -115,40 +109,37 @@ def angle_between_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def score_heldout(
     found: ReadHeights,
-    frame: InverseFrame,
+    frame: PressFrame,
     given: ContactCircle | None,
     scene: CaptureScene,
-    wanted_mm: np.ndarray | None = None,
     *,
     rejected: bool = False,
 ) -> HeldoutNormals:
     """Compare a press, read as ``depth`` does, with its ball, and absolute heights with the rise of
-    the face under it, ``wanted_mm``, shape [height_px, width_px]."""
+    the face under it."""
     predicted, height = found.normals, found.rise_m
-    inside = inside_of(frame.circle, scene)
-    truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
+    inside = scene.inside(frame.circle)
+    truth = ball_normals(frame.circle, scene)
     error = np.where(inside, angle_between_deg(predicted.normals, truth), np.nan)
-    depth = None
-    if wanted_mm is not None:
-        off_mm = np.abs(1e3 * height - wanted_mm)[inside]
-        deepest = float(wanted_mm[inside].min())
-        within = [float("nan")] * 2
-        if found.sigma_m is not None:
-            sigma_mm = 1e3 * found.sigma_m[inside]
-            within = [float((off_mm <= k * sigma_mm).mean()) for k in (1.0, BAND_SIGMAS)]
-        depth = AbsoluteDepth(
-            mae_mm=float(off_mm.mean()),
-            deepest_mm=deepest - float(1e3 * height[inside].min()),
-            wanted_mm=-deepest,
-            within_68=within[0],
-            within_95=within[1],
-        )
+    wanted_mm = frame.surface.displacement_mm()
+    off_mm = np.abs(1e3 * height - wanted_mm)[inside]
+    deepest = float(wanted_mm[inside].min())
+    within = [float("nan")] * 2
+    if found.sigma_m is not None:
+        sigma_mm = 1e3 * found.sigma_m[inside]
+        within = [float((off_mm <= k * sigma_mm).mean()) for k in (1.0, BAND_SIGMAS)]
     return HeldoutNormals(
         name=frame.name,
         frame=frame,
         predicted=predicted,
         height_m=height,
-        depth=depth,
+        depth=AbsoluteDepth(
+            mae_mm=float(off_mm.mean()),
+            deepest_mm=deepest - float(1e3 * height[inside].min()),
+            wanted_mm=-deepest,
+            within_68=within[0],
+            within_95=within[1],
+        ),
         error_deg=error,
         given=score_circle(predicted, height, given or frame.circle, scene),
         used=score_circle(predicted, height, frame.circle, scene),
@@ -156,24 +147,19 @@ def score_heldout(
     )
 
 
-def inside_of(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
-    """Usable pixels inside a contact, bool, shape [height_px, width_px]."""
-    return (circle.distance_px(scene.grid) <= circle.radius_px) & usable_pixels(scene)
-
-
 def score_circle(
     predicted: NormalMap, height_m: np.ndarray, circle: ContactCircle, scene: CaptureScene
 ) -> AngleScore:
     """Errors inside ``circle``; ``height_m`` is the rise over rest."""
-    inside = inside_of(circle, scene)
-    truth = ball_normals(circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
+    inside = scene.inside(circle)
+    truth = ball_normals(circle, scene)
     error = angle_between_deg(predicted.normals, truth)[inside]
     rest = np.array([0.0, 0.0, 1.0]) if scene.rest_normals is None else scene.rest_normals
     flat = angle_between_deg(np.broadcast_to(rest, truth.shape), truth)[inside]
     wanted_mm = ball_depth_mm(circle, scene)
     found_mm = -height_m * 1e3
     band = np.abs(circle.distance_px(scene.grid) / circle.radius_px - 1) <= RIM_BAND
-    band &= usable_pixels(scene)
+    band &= scene.usable
     if band.any():
         found_mm = found_mm - found_mm[band].mean() + wanted_mm[band].mean()
     return AngleScore(

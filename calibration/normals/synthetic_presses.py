@@ -20,12 +20,8 @@ from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
 from taccel_lab.calibration.circles.ball_surface import slope_of
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer, press_in_view
 from taccel_lab.calibration.normals.random_tools import draw_tool
-from taccel_lab.calibration.normals.samples import (
-    CaptureScene,
-    InverseFrame,
-    NormalSamples,
-    usable_pixels,
-)
+from taccel_lab.calibration.normals.samples import KnownPress, NormalSamples
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
@@ -55,6 +51,8 @@ MAX_BLUR_PX = 1.0
 """Images are blurred by up to this much, since no two lenses are focused alike."""
 SMOOTH_NOISE_PX = 8.0
 """Noise is white up to here, beyond it is uneven light."""
+DENT_MM = 0.02
+"""Heights below this belong to the dent."""
 PRESSED_RAD = np.radians(4.0)
 BESIDE_PX = 8
 PRESSED_SHARE = 0.75
@@ -76,12 +74,12 @@ class ImageNoise:
 
     @classmethod
     def of(
-        cls, frames: Sequence[InverseFrame], scene: CaptureScene, colors: ColorModel
+        cls, frames: Sequence[PressFrame], scene: CaptureScene, colors: ColorModel
     ) -> ImageNoise:
         """From the presses that are fitted; ``colors`` was fitted to them too."""
         white, uneven, left, change = [], [], [], []
         for frame in frames:
-            untouched = frame.circle.far(scene.grid, UNTOUCHED_RADII, usable_pixels(scene))
+            untouched = frame.circle.far(scene.grid, UNTOUCHED_RADII, scene.usable)
             if untouched.any():
                 off = np.where(untouched[..., None], frame.image - scene.background, 0.0)
                 cover = gaussian_filter(untouched.astype(float), SMOOTH_NOISE_PX)
@@ -89,26 +87,22 @@ class ImageNoise:
                 smooth /= np.maximum(cover, 1e-3)[..., None]
                 uneven.append(np.mean(smooth[untouched] ** 2))
                 white.append(np.mean((off - smooth)[untouched] ** 2))
-            if frame.surface is not None:
-                inside = usable_pixels(scene) & (
-                    frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
-                )
-                surface = frame.surface
-                drawn = colors.predict_pixels(
-                    np.flatnonzero(inside),
-                    surface.normals[inside],
-                    surface.displacement_mm()[inside],
-                    surface.rest_normals[inside],
-                )
-                seen = (frame.image - scene.background)[inside]
-                left.append(np.mean((seen - drawn) ** 2))
-                change.append(np.mean(drawn**2))
+            inside, surface = scene.inside(frame.circle), frame.surface
+            drawn = colors.predict_pixels(
+                np.flatnonzero(inside),
+                surface.normals[inside],
+                surface.displacement_mm()[inside],
+                surface.rest_normals[inside],
+            )
+            seen = (frame.image - scene.background)[inside]
+            left.append(np.mean((seen - drawn) ** 2))
+            change.append(np.mean(drawn**2))
         flat = float(np.mean(white) + np.mean(uneven)) if white else 0.0
-        more = max(float(np.mean(left)) - flat, 0.0) if left else 0.0
+        more = max(float(np.mean(left)) - flat, 0.0)
         return cls(
             float(np.sqrt(np.mean(white))) if white else 1.0,
             float(np.sqrt(np.mean(uneven))) if uneven else 0.0,
-            float(np.sqrt(more / max(float(np.mean(change)), 1e-9))) if change else 0.0,
+            float(np.sqrt(more / max(float(np.mean(change)), 1e-9))),
         )
 
     def spoil(
@@ -126,18 +120,6 @@ class ImageNoise:
 
 
 @dataclass(frozen=True)
-class SyntheticPress:
-    """A press of known shape and what the camera would see."""
-
-    image: np.ndarray
-    """RGB levels, float32, shape [height_px, width_px, 3]."""
-    normals: np.ndarray
-    """Outward unit normals relative to rest as the camera sees them, shape [h, w, 3]."""
-    rise_m: np.ndarray
-    """Rise over rest [m], shape [h, w]."""
-
-
-@dataclass(frozen=True)
 class SyntheticPresses:
     """Draws presses one after the other, each another one."""
 
@@ -152,7 +134,7 @@ class SyntheticPresses:
     rng: np.random.Generator
     """Draws tools, places, depths and noise."""
 
-    def presses(self, count: int, progress: Progress = silent) -> Iterator[SyntheticPress]:
+    def presses(self, count: int, progress: Progress = silent) -> Iterator[KnownPress]:
         """The next ``count`` presses."""
         return counted((self._press() for _ in range(count)), progress, TASK, count)
 
@@ -168,7 +150,7 @@ class SyntheticPresses:
         still = self.colors.network_levels(pixels, rest.reshape(-1, 3), np.zeros(len(pixels)))
         return rest, slope_of(rest), still
 
-    def _press(self) -> SyntheticPress:
+    def _press(self) -> KnownPress:
         grid, rng = self.scene.grid, self.rng
         step = (grid.mm_per_px_x, grid.mm_per_px_y)
         low, high = (share * self.deepest_mm for share in DEPTHS)
@@ -187,10 +169,12 @@ class SyntheticPresses:
         change[moved] = pressed - still[pixels]
         smooth_m = blurred(1e-3 * rise_mm, SEEN_PX)
         seen = normals_from_slopes(lean + slopes_from_height(smooth_m, grid))
-        return SyntheticPress(
+        rise_m = 1e-3 * rise_mm
+        return KnownPress(
             image=self.noise.spoil(change, self.scene.background, rng),
             normals=rotate_to_z(seen, rest).astype(np.float32),
-            rise_m=1e-3 * rise_mm,
+            rise_m=rise_m,
+            compared=rise_m < -1e-3 * DENT_MM,
         )
 
 
@@ -204,7 +188,7 @@ def _uneven(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def synthetic_samples(
-    press: SyntheticPress,
+    press: KnownPress,
     scene: CaptureScene,
     config: NormalModelConfig,
     count: int,
@@ -216,7 +200,7 @@ def synthetic_samples(
     walls wherever they cannot tell.
     """
     change = color_change(press.image, scene.background, scene.mask)
-    usable = usable_pixels(scene)
+    usable = scene.usable
     leaning = press.normals[..., 2] < np.cos(PRESSED_RAD)
     pressed = np.asarray(binary_dilation(leaning, iterations=BESIDE_PX), dtype=bool)
     most = round(PRESSED_SHARE * count)

@@ -64,6 +64,6 @@ def test_a_held_out_press_keeps_its_place_without_its_label(tmp_path: Path) -> N
     # No contact of the ball is as wide: that alone had ended the calibration.
     maker.labels[wrong] = replace(maker.labels[wrong], radius_px=24.0)
     found = presses_of(maker, tmp_path / "spoilt")
-    assert found.heldout is not None and found.heldout.rejected == {f"p{wrong:02d}"}
+    assert found.heldout.captures.rejected == {f"p{wrong:02d}"}
     assert found.split.heldout == split.heldout
     assert "labels_unused" not in codes(found)

@@ -119,7 +119,7 @@ def test_an_interrupted_calibration_leaves_the_earlier_profile(
     out = write_profile(tmp_path / "unit")
     before = everything_below(tmp_path)
     without_check(monkeypatch)
-    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_surfaces", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.fit_color_model", interrupt)
     cli("calibrate color", captures, "--out", out, "--steps", "5", code=130)
     assert everything_below(tmp_path) == before
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile, validate_profile
@@ -126,7 +126,7 @@ def test_interrupted_in_the_middle(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_surfaces", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.fit_color_model", interrupt)
     before = everything_below(out)
     for folder in (tmp_path / "new" / "demo", out):
         assert run("demo", "--captures", captures, "--out", folder) == 130

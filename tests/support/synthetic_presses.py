@@ -16,8 +16,8 @@ import pytest
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
-from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
@@ -144,12 +144,9 @@ def write_captures(path: Path, captures: CaptureSet, unlabelled: Container[str] 
     return write_folder(path, captures.background, images, circles, captures.ball_radius_mm)
 
 
-def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[BallSurface]:
-    """The surfaces that presses in these circles have."""
-    return [
-        analytic_surface(circle, captures.grid, captures.ball_radius_mm, decay_mm=1.0)
-        for circle in circles
-    ]
+def true_surface(circle: ContactCircle, ball_mm: float) -> BallSurface:
+    """The surface that a press in this circle has."""
+    return analytic_surface(circle, GRID, ball_mm, decay_mm=1.0)
 
 
 def calibrated(
@@ -169,7 +166,7 @@ def calibrated(
         training,
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],
-        HeldoutSet.of(captures, split, true_surfaces),
+        HeldoutSet.of(captures, split, true_surface),
         **more,
     )
 

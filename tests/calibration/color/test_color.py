@@ -9,27 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.color.fit import fit_color
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import ColorFrame, ColorSamples
-from taccel_lab.calibration.color.heldout import HeldoutSet
-from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.training import train
-from taccel_lab.calibration.color.untouched_light import (
-    beside_pixels,
-    light_beside,
-    noise_floor_l1,
-)
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.color.network_fit import ColorSamples, fit_color_model, train
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.profiles import Profiles
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.calibration.unfinished import UnfinishedCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -38,7 +27,6 @@ from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 from tests.calibration.drawn.faults import poison, quantise
-from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import (
     GRID,
     calibrated,
@@ -46,7 +34,7 @@ from tests.support.synthetic_presses import (
     known_change,
     synthetic_captures,
     tiny_profile,
-    true_surfaces,
+    true_surface,
     with_images,
 )
 
@@ -61,9 +49,9 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def frames_of(captures: CaptureSet, surfaces: list[BallSurface]) -> list[ColorFrame]:
+def frames_of(captures: CaptureSet, surfaces: list[BallSurface]) -> list[PressFrame]:
     return [
-        ColorFrame(press.name, press.image(), press.circle, surface, press.sha256)
+        PressFrame(press.name, press.image(), press.circle, surface, press.sha256)
         for press, surface in zip(captures.presses, surfaces, strict=True)
         if press.circle is not None
     ]
@@ -97,14 +85,16 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     rng = np.random.default_rng(0)
     spoilt = [dataclasses.replace(f, image=quantise(poison(f.image, mask, rng))) for f in frames]
     options = dataclasses.replace(QUICK, steps=40)
-    clean = fit_color_model(frames, captures.background, GRID, options, mask=mask)
-    dirty = fit_color_model(spoilt, captures.background, GRID, options, mask=mask)
+    whole = CaptureScene.of(captures, None)
+    masked = dataclasses.replace(whole, mask=mask)
+    clean = fit_color_model(frames, masked, options)
+    dirty = fit_color_model(spoilt, masked, options)
     for name, weight in clean.model.weights.items():
         assert np.array_equal(weight, dirty.model.weights[name])
     assert np.array_equal(clean.background, dirty.background)
     assert clean.disc_l1_train == dirty.disc_l1_train
-    unmasked = fit_color_model(spoilt, captures.background, GRID, options)
-    other = fit_color_model(frames, captures.background, GRID, dataclasses.replace(options, seed=1))
+    unmasked = fit_color_model(spoilt, whole, options)
+    other = fit_color_model(frames, whole, dataclasses.replace(options, seed=1))
     for fit in (unmasked, other):
         assert not np.array_equal(
             fit.model.weights["layer0.weight"], clean.model.weights["layer0.weight"]
@@ -114,7 +104,7 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
 def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
     captures, surfaces = synthetic_captures(8)
     options = dataclasses.replace(QUICK, steps=9)
-    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, options)
+    fit = fit_color_model(frames_of(captures, surfaces), CaptureScene.of(captures, None), options)
     steepest = max(np.arccos(surface.normals[..., 2].min()) for surface in surfaces)
     assert fit.model.cone_deg == pytest.approx(np.degrees(steepest), abs=2.0)
     assert fit.model.cone_deg <= np.degrees(steepest) + 1e-9
@@ -124,14 +114,14 @@ def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
 def test_a_few_steps_can_be_asked_for(steps: int) -> None:
     captures, surfaces = synthetic_captures(2)
     options = dataclasses.replace(QUICK, steps=steps)
-    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, options)
+    fit = fit_color_model(frames_of(captures, surfaces), CaptureScene.of(captures, None), options)
     assert fit.loss_curve[-1][0] == steps
 
 
 def test_bad_fits_are_refused() -> None:
     captures, surfaces = synthetic_captures(3)
     with pytest.raises(InputError, match="at least one press"):
-        fit_color_model([], captures.background, GRID)
+        fit_color_model([], CaptureScene.of(captures, None))
     with pytest.raises(InputError, match="steps must be at least 1"):
         ColorFitOptions(steps=0)
     with pytest.raises(InputError, match="learning_rate must be positive"):
@@ -139,14 +129,13 @@ def test_bad_fits_are_refused() -> None:
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
         fit_color(captures, [], surfaces)
     circles = [press.circle for press in captures.presses if press.circle is not None]
-    held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(2))
+    held = HeldoutSet(captures.only([1]), captures.split(2), true_surface)
     with pytest.raises(InputError, match="p1: held out and fitted at once"):
         fit_color(captures, circles, surfaces, held)
     everything = np.zeros((GRID.height_px, GRID.width_px), dtype=bool)
+    masked = CaptureScene.of(dataclasses.replace(captures, mask=everything), None)
     with pytest.raises(InputError, match="masked"):
-        fit_color_model(
-            frames_of(captures, surfaces), captures.background, GRID, QUICK, mask=everything
-        )
+        fit_color_model(frames_of(captures, surfaces), masked, QUICK)
 
 
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
@@ -158,7 +147,7 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     assert loaded.color is not None and loaded.color_weights is not None
     model = ColorModel(ColorModelConfig.from_dict(loaded.color.architecture), loaded.color_weights)
     item = result.heldout[0]
-    (surface,) = true_surfaces(captures, [item.placed])
+    surface = true_surface(item.placed, captures.ball_radius_mm)
     assert loaded.background_rgb is not None
     rendered = tactile_image(model, loaded.background_rgb, surface)
     assert np.array_equal(rendered, item.rendered)
@@ -232,7 +221,7 @@ def test_light_that_changes_within_the_image_asks_for_bands() -> None:
     error = {}
     for bands in (0, 4):
         fit = fit_color_model(
-            frames[5:], captures.background, GRID,
+            frames[5:], CaptureScene.of(captures, None),
             dataclasses.replace(QUICK, position_bands=bands),
         )  # fmt: skip
         off = []
@@ -271,9 +260,9 @@ def test_the_width_says_how_far_pixels_that_are_far_off_draw(width: float) -> No
         steps=400, batch_pixels=1024, hidden=(8,), learning_rate=0.02, huber_levels=width
     )
     samples = pixels()
-    trained = train(samples, PixelGrid(40, 30, 0.1, 0.1), options)
+    model, curve = train(samples, PixelGrid(40, 30, 0.1, 0.1), options)
     index = np.arange(len(samples.uv)) % (40 * 30)
-    found = trained.model.predict_pixels(
+    found = model.predict_pixels(
         index, samples.normals, samples.displacement_mm, samples.rest_normals
     )
     share = np.mean(samples.change[:, 0] > LEVELS)
@@ -281,128 +270,5 @@ def test_the_width_says_how_far_pixels_that_are_far_off_draw(width: float) -> No
     assert np.median(found) - LEVELS == pytest.approx(drawn, rel=0.25)
     # Slope 1 beyond the width: a mean absolute error [levels].
     near, far = drawn**2 / 2, width * (FAR - drawn - width / 2)
-    loss = np.mean([loss for step, loss in trained.curve if step > 300])
+    loss = np.mean([loss for step, loss in curve if step > 300])
     assert loss == pytest.approx(((1 - share) * near + share * far) / width, rel=0.1)
-
-
-@given(
-    height=st.integers(11, 40), width=st.integers(11, 40), seed=st.integers(0, 99),
-    noise=st.floats(0.5, 60),
-)  # fmt: skip
-def test_ssim_and_psnr_agree_with_scikit_image(
-    height: int, width: int, seed: int, noise: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    a = rng.uniform(0, 255, (height, width, 3))
-    b = np.clip(a + rng.normal(0, noise, a.shape), 0, 255)
-    reference = structural_similarity(
-        a, b, channel_axis=2, data_range=255, gaussian_weights=True, sigma=1.5,
-        use_sample_covariance=False,
-    )  # fmt: skip
-    assert ssim(a, b) == pytest.approx(reference, abs=1e-9)
-    assert psnr_db(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255))
-    assert ssim(a, a) == pytest.approx(1.0) and psnr_db(a, a) == float("inf")
-
-
-def test_score_separates_disc_crop_and_image() -> None:
-    grid = PixelGrid(200, 150, 0.1, 0.1)
-    circle = ContactCircle(100.0, 70.0, 20.0)
-    captured = np.full((150, 200, 3), 100.0)
-    rendered = captured.copy()
-    disc = circle.distance_px(grid) <= 20.0
-    rendered[disc] += 6.0
-    rendered[0, 0] += 30.0  # outside the crop
-    score = score_image(rendered, captured, circle, grid)
-    crop = crop_slices(circle, grid)
-    assert (crop[0].start, crop[0].stop) == (38, 103)
-    assert (crop[1].start, crop[1].stop) == (68, 133)
-    assert score.disc_l1 == pytest.approx(6.0)
-    assert score.crop_l1 == pytest.approx(6.0 * disc.sum() / 65**2)
-    assert score.full_l1 == pytest.approx((6.0 * disc.sum() + 30.0) / disc.size)
-    assert score.crop_psnr_db == pytest.approx(10 * np.log10(255**2 / (36.0 * disc.sum() / 65**2)))
-
-
-def test_crop_of_oblong_pixels_is_square_in_millimetres() -> None:
-    grid = PixelGrid(200, 200, 0.1, 0.05)
-    rows, columns = crop_slices(ContactCircle(100.0, 100.0, 20.0), grid)
-    assert columns.stop - columns.start == 65
-    assert rows.stop - rows.start == 129
-
-
-def test_shapes_are_checked() -> None:
-    grid = PixelGrid(60, 50, 0.1, 0.1)
-    with pytest.raises(InputError, match="differ in shape"):
-        score_image(np.zeros((50, 60, 3)), np.zeros((50, 61, 3)), ContactCircle(30, 25, 10), grid)
-    with pytest.raises(InputError, match="at least 11x11"):
-        ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
-
-
-DRIFT = LightDrift(np.array([1.25, 0.8, 1.0]), np.array([2.0, -3.0, 5.0]))
-CONTACTS = [
-    ContactCircle(70.0, 60.0, 13.0),
-    ContactCircle(80.0, 59.5, 30.0),
-    ContactCircle(70.0, 66.0, 40.0),
-]
-"""A tenth, a quarter and a third of the picture's height."""
-
-
-def background() -> np.ndarray:
-    """With a gradient wide enough to tell gain from offset."""
-    return flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
-
-
-def pressed(circle: ContactCircle) -> np.ndarray:
-    """A press of a ball of 1.25 times the contact's radius, before any noise and drift."""
-    ball_mm = 1.25 * circle.radius_px * GRID.mm_per_px_x
-    decay_mm = 0.5 * circle.radius_px * GRID.mm_per_px_x
-    return background() + known_change(analytic_surface(circle, GRID, ball_mm, decay_mm=decay_mm))
-
-
-@pytest.mark.parametrize(("circle", "left"), list(zip(CONTACTS, (0.05, 0.1, 0.25), strict=True)))
-def test_drift_is_recovered_beside_a_contact(circle: ContactCircle, left: float) -> None:
-    rng = np.random.default_rng(0)
-    still = background()
-    frame = DRIFT.apply(pressed(circle)) + rng.normal(0, 0.5, still.shape)
-    found = light_beside(frame, still, circle, GRID).apply(still)
-    wanted = DRIFT.apply(still)
-    # The gel sinks as far as two radii, which a large contact leaves little beyond.
-    assert np.abs(found - wanted).mean() < left * np.abs(wanted - still).mean()
-    assert DRIFT.remove(DRIFT.apply(frame)) == pytest.approx(frame)
-
-
-@pytest.mark.parametrize("size", [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)])
-@pytest.mark.parametrize("share", [0.1, 0.25, 0.33])
-def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], share: float) -> None:
-    grid = PixelGrid(*size, 16.0 / size[0], 16.0 / size[0])
-    circle = ContactCircle(0.45 * size[0], 0.52 * size[1], share * size[1])
-    still = np.full((size[1], size[0], 3), 100.0)
-    found = light_beside(still + 5.0, still, circle, grid)
-    assert found.apply(still) == pytest.approx(still + 5.0, abs=0.1)
-
-
-def test_no_crop_is_reached() -> None:
-    for circle in CONTACTS:
-        far = beside_pixels(circle, GRID)
-        v, u = np.nonzero(far)
-        beside = np.maximum(np.abs(u - circle.u_px), np.abs(v - circle.v_px))
-        assert beside.min() > 1.6 * circle.radius_px
-        assert circle.distance_px(GRID)[far].min() > 2 * circle.radius_px
-
-
-def test_a_contact_that_fills_the_picture_leaves_its_light_unknown() -> None:
-    circle = ContactCircle(80.0, 59.5, 55.0)
-    frame = background()
-    found = light_beside(frame + 9.0, frame, circle, GRID)
-    assert found.apply(frame) == pytest.approx(frame)
-    assert np.sqrt(found.covariance[:, 1, 1]).min() > 9.0
-    assert np.isnan(noise_floor_l1(frame, frame, circle, GRID))
-
-
-def test_noise_floor_ignores_the_contact() -> None:
-    grid = PixelGrid(200, 150, 0.1, 0.1)
-    circle = ContactCircle(100.0, 70.0, 20.0)
-    still = np.full((150, 200, 3), 100, dtype=np.uint8)
-    captured = still + np.uint8(2)
-    captured[circle.distance_px(grid) < 36] = 255
-    captured[::2] += np.uint8(2) * (captured[::2] < 200)
-    assert noise_floor_l1(captured, still, circle, grid) == pytest.approx(1.0, abs=0.05)

@@ -23,10 +23,9 @@ from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color, fit_color
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.heldout import HeldoutSet
-from taccel_lab.calibration.color.options import ColorOptions
+from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions
 from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Severity, Verdict, judge
@@ -37,7 +36,7 @@ from tests.support.synthetic_presses import (
     calibrated,
     flat_profile,
     synthetic_captures,
-    true_surfaces,
+    true_surface,
     with_circles,
     with_images,
     without_check,
@@ -151,17 +150,19 @@ def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
     split = captures.split(4)
     bad = split.heldout_names[2]
 
-    def stubborn(some: CaptureSet, circles: Any) -> list[BallSurface]:
-        if bad in {press.name for press in some.presses}:
+    label = captures.presses[split.heldout[2]].circle
+
+    def stubborn(circle: ContactCircle, ball_mm: float) -> BallSurface:
+        if circle == label:
             raise InputError("larger than the ball")
-        return true_surfaces(some, circles)
+        return true_surface(circle, ball_mm)
 
     training = captures.only(split.train)
     result = fit_color(
         training,
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],
-        HeldoutSet(captures.only(split.heldout), stubborn, split),
+        HeldoutSet.of(captures, split, stubborn),
         options=BRIEF,
     )
     assert [failure.name for failure in result.failures] == [bad]

@@ -13,18 +13,24 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface, ball_surface, layer_surfaces
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.normals.network_fit import InverseFitOptions
+from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import SampleOptions
+from taccel_lab.calibration.response.heldout import HeldoutSet, SurfaceOf
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.support.synthetic_presses import GRID, flat_background, known_change, synthetic_captures
+from tests.support.synthetic_presses import (
+    GRID,
+    flat_background,
+    known_change,
+    synthetic_captures,
+    true_surface,
+)
 
 QUICK = InverseFitOptions(
-    samples=SampleOptions(disc_pixels=600, sink_in_pixels=600, flat_pixels=200, zooms=2),
+    disc_pixels=600, sink_in_pixels=600, flat_pixels=200, zooms=2,
     members=3, hidden=(24, 24), steps=350, batch_pixels=384,
 )  # fmt: skip
 SHORT_FIT = ColorFitOptions(
@@ -32,6 +38,7 @@ SHORT_FIT = ColorFitOptions(
     far_pixels=200, learning_rate=2e-2,
 )  # fmt: skip
 PAD = BondedLayer(4.0, 0.48)
+ON_PAD = partial(ball_surface, grid=GRID, layer=PAD, rest=flat_rest(GRID))
 Clean = tuple[CaptureSet, list[BallSurface], NormalCalibration]
 
 
@@ -64,7 +71,10 @@ def circles_of(captures: CaptureSet) -> list[ContactCircle]:
 
 
 def calibrated(
-    captures: CaptureSet, surfaces: list[BallSurface] | None, **changes: object
+    captures: CaptureSet,
+    surfaces: list[BallSurface],
+    surface_of: SurfaceOf = true_surface,
+    **changes: object,
 ) -> NormalCalibration:
     settings = {"options": QUICK} | changes
     split = captures.split(4)
@@ -73,9 +83,8 @@ def calibrated(
         return fit_normals(
             training,
             circles_of(training),
-            None if surfaces is None else [surfaces[i] for i in split.train],
-            captures.only(split.heldout),
-            split=split,
+            [surfaces[i] for i in split.train],
+            HeldoutSet.of(captures, split, surface_of),
             **settings,  # type: ignore[arg-type]
         )
 
@@ -120,4 +129,4 @@ def synthetic(stages: dict[str, tuple[int, int]]) -> NormalCalibration:
     def progress(task: str, done: int, total: int) -> None:
         stages[task] = done, total
 
-    return calibrated(captures, surfaces, options=options, pad=PAD, progress=progress)
+    return calibrated(captures, surfaces, ON_PAD, options=options, pad=PAD, progress=progress)

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.normals.network_fit import fit_normal_model
-from taccel_lab.calibration.normals.samples import CaptureScene, InverseFrame
+from taccel_lab.calibration.normals.network_fit import InverseTraining
 from taccel_lab.calibration.profiles import Profiles
+from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from tests.calibration.normals.conftest import QUICK, Clean, calibrated, circles_of, with_images
-from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, flat_profile, synthetic_captures
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -87,14 +87,15 @@ def test_a_last_fit_leaves_out_what_its_networks_left_out() -> None:
     """A press that a network has seen would say of it that it errs little."""
     captures, surfaces = synthetic_captures(8)
     frames = [
-        InverseFrame(press.name, press.image().astype(np.float32), circle, "", surface)
+        PressFrame(press.name, press.image().astype(np.float32), circle, surface)
         for press, circle, surface in zip(
             captures.presses, circles_of(captures), surfaces, strict=True
         )
     ]
-    scene = CaptureScene(captures.background.astype(np.float32), GRID, BALL_RADIUS_MM)
+    scene = CaptureScene.of(captures, None)
     for first, folds in ((5, [0, 1, 2, 0, 1, 2, 0, 1]), (3, [None] * 8)):
-        _, training = fit_normal_model(frames[:first], scene, replace(QUICK, steps=10))
+        training = InverseTraining(frames[:first], scene, replace(QUICK, steps=10))
+        training.run()
         seen = [set(pool.tolist()) for pool in training.pools]
         last = training.go_on(frames[first:])
         assert training.folds == folds and len(last.inputs) == 8

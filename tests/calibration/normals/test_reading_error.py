@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -18,23 +18,21 @@ from taccel_lab.calibration.circles.ball_surface import (
     layer_surfaces,
 )
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
-from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.normals.heldout import read_heldout
 from taccel_lab.calibration.normals.reading_error import (
-    KnownPress,
     all_errors,
     widened,
     with_reading_errors,
 )
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import (
-    CaptureScene,
-    InverseFrame,
-    circle_angle_rad,
-    true_normals,
-)
+from taccel_lab.calibration.normals.samples import KnownPress, circle_angle_rad, true_normals
+from taccel_lab.calibration.normals.score import reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
+from taccel_lab.calibration.response.frame import EXACT, CaptureScene, PressFrame
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig
@@ -44,6 +42,7 @@ from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.normals.conftest import (
+    ON_PAD,
     PAD,
     QUICK,
     calibrated,
@@ -115,7 +114,7 @@ def presses(label_px: float, stated_px: float) -> Iterator[KnownPress]:
         label = ContactCircle(true.u_px + off[0], true.v_px + off[1], true.radius_px + off[2])
         image, _ = drawn(1e-3 * ball(true).displacement_mm(), rng)
         known = ball(label)
-        frame = InverseFrame("p", image, label, "", known, (stated_px, stated_px))
+        frame = PressFrame("p", image, label, known, circle_sigma_px=(stated_px, stated_px))
         normals = true_normals(frame, SCENE)
         yield KnownPress(
             image,
@@ -171,6 +170,35 @@ def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -
     assert widened(model, all_errors(model, off[:3], SCENE)).config == before
 
 
+def test_figures_of_held_out_presses_are_of_the_bands_that_are_passed_on(
+    synthetic: NormalCalibration,
+) -> None:
+    captures, scene = sunk_captures()[0], synthetic.scene
+    split = captures.split(4)
+    training = captures.only(split.train)
+    config = replace(
+        synthetic.fit.model.config, along_factor=0.0, depth_share=0.0, radius95_sigmas=0.1
+    )
+    narrow = NormalModel(config, synthetic.fit.model.weights)
+    found = read_heldout(
+        narrow, HeldoutSet.of(captures, split, ON_PAD),
+        LabelPlacement.of(training.presses, circles_of(training)), scene, EXACT,
+    )  # fmt: skip
+    assert found.model.config.along_factor > 0 and found.model.config.radius95_sigmas > 0.1
+    shares = []
+    for item in found.items:
+        wanted_m = 1e-3 * item.frame.surface.displacement_mm()
+        for model in (narrow, found.model):
+            read = read_heights(model, item.frame.image, scene.background, GRID)
+            assert read.sigma_m is not None
+            held = np.abs(read.rise_m - wanted_m) <= BAND_SIGMAS * read.sigma_m
+            shares.append(held[scene.inside(item.frame.circle)].mean())
+        assert item.depth.within_95 == pytest.approx(shares[-1])
+    assert np.mean(shares[1::2]) > np.mean(shares[::2])
+    reliability = reliability_of(found.items, scene)
+    assert reliability.within_95 > 0.9
+
+
 def test_the_network_that_reads_a_left_out_press_does_not_tell_itself_that_it_errs() -> None:
     """On a new press nothing does: a member's distance from the others is known only where these
     saw the press."""
@@ -200,17 +228,13 @@ def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None
     """No pixel lies beyond 2.5 radii of any of these; a level of noise was made up for them."""
     captures, surfaces = synthetic_captures(6, noise=3.0, radii_px=(44.0, 48.0), ball_mm=6.0)
     frames = [
-        InverseFrame(p.name, p.image().astype(np.float32), p.circle, p.sha256, surface)
+        PressFrame(p.name, p.image().astype(np.float32), p.circle, surface, p.sha256)
         for p, surface in zip(captures.presses, surfaces, strict=True)
         if p.circle is not None and not p.circle.untouched(captures.grid).any()
     ]
     assert len(frames) > 1
-    scene = CaptureScene(captures.background.astype(np.float32), captures.grid, 6.0, None, None)
-    shown = [
-        ColorFrame(f.name, f.image, f.circle, f.surface, f.sha256) for f in frames if f.surface
-    ]
-    options = ColorFitOptions(steps=5)
-    colors = fit_color_model(shown, scene.background, scene.grid, options).model
+    scene = CaptureScene.of(captures, None)
+    colors = fit_color_model(frames, scene, ColorFitOptions(steps=5)).model
     noise = ImageNoise.of(frames, scene, colors)
     assert noise.white_levels == pytest.approx(3.0, rel=0.15)
 
@@ -231,8 +255,9 @@ def told(known: Known, radius_px: float, scale_share: float) -> NormalCalibratio
     captures = replace(captures, presses=presses)
     surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(captures.grid))
     count = len(captures.split(4).train)
+    on_pad = partial(ball_surface, grid=captures.grid, layer=PAD, rest=flat_rest(captures.grid))
     return calibrated(
-        captures, surfaces, options=replace(QUICK, synthetic_presses=24), pad=PAD,
+        captures, surfaces, on_pad, options=replace(QUICK, synthetic_presses=24), pad=PAD,
         circle_sigmas_px=[(0.0, radius_px)] * count, scale_share=scale_share,
     )  # fmt: skip
 

@@ -8,13 +8,16 @@ held-out presses is 1.2 px too large, as the image tells, and a pixel is 0.055 m
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.circles.ball_surface import layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_surfaces
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
+from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.real_data import labelled_presses
 
@@ -34,8 +37,10 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     usable = usable_circles(training, cache=False)
     surfaces = layer_surfaces(usable.captures, usable.circles, PAD, flat_rest(training.grid))
     result = fit_normals(
-        usable.captures, usable.circles, surfaces, captures.only(split.heldout),
-        split=split, circle_source="fused", circle_sigmas_px=usable.sigmas_px,
+        usable.captures, usable.circles, surfaces,
+        HeldoutSet.of(captures, split, partial(ball_surface, grid=training.grid, layer=PAD,
+                                               rest=flat_rest(training.grid))),
+        circle_sigmas_px=usable.sigmas_px,
         pad=PAD,
     )  # fmt: skip
     assert result.reliability is not None

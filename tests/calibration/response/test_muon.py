@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from taccel_lab.calibration.response.muon import MOMENTUM, Muon, nearly_orthogonal
+from taccel_lab.calibration.response.training import MOMENTUM, Muon, nearly_orthogonal
 
 
 def gradients(*shape: int) -> torch.Tensor:
