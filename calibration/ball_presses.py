@@ -84,7 +84,7 @@ class BallPresses:
     remarks: tuple[Remark, ...]
     """Presses left out, and how far the circles found lie from labels."""
     surfaces: tuple[BallSurface, ...]
-    """Of the training presses in their circles, in order."""
+    """Surfaces of the training presses in their circles, in order."""
 
     @property
     def untouched(self) -> Untouched | None:

@@ -45,7 +45,7 @@ AROUND_THE_GEL = ("optics", "window", "coating", "lights", "housing")
 DESIGNED = ("assumed", "published", "designed")
 """Kinds of blocks that no capture of this unit has told."""
 TURN_ASPECT = 1.1
-"""From this ratio of its sides on, an image or a pad is upright or lies down."""
+"""Ratio of its sides from which on an image or a pad is upright or lies down."""
 EDGE_MM = 0.5
 """Gel along the pad's edge that is not used: no camera of the catalogue shows any of it."""
 LATTICE = 81
@@ -106,8 +106,8 @@ def fitted_parameters(
 
 
 def past_largest_pad(sensor: str, grid: PixelGrid, overrides: Mapping[str, Any]) -> list[Remark]:
-    """That images show more than any pad made to measure can have, by the bounds of its design:
-    their scale is wrong."""
+    """Error of images that show more than any pad made to measure can have, by the bounds of its
+    design: their scale is wrong."""
     if sensor != FLAT_PAD:
         return []
     most = sensor_family(FLAT_PAD).parameters_type.parameters()

@@ -29,9 +29,9 @@ RADIUS_TOLERANCE = 0.003
 """Share of the radius."""
 MAX_TRIES = 12
 POINTS_PER_RADIUS = 16
-"""Of the grid that a contact is solved on."""
+"""Points of the grid that a contact is solved on."""
 LAYER_SHARE = 0.03
-"""To what share of the depth a ball's contact tells it: finite elements with friction 1 and without
+"""Share of a depth to which a ball's contact tells it. Finite elements with friction 1 and without
 any go 5 % deeper and 2 to 4 % less deep than a layer where they touch as widely, from depths of a
 quarter of the thickness on."""
 RIM_STEPS = 0.15

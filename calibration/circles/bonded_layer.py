@@ -121,7 +121,7 @@ def press_in_view(
     layer: BondedLayer,
     tolerance: float,
 ) -> LayerPress:
-    """As ``press_layer``, in less than half the time where the tool reaches a part of the grid.
+    """``press_layer`` in less than half the time, where the tool reaches a part of the grid.
 
     The grid around the contact is solved first. Its padding ends sooner, which moves the whole
     contact one way by up to the tolerance.

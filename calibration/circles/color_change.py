@@ -48,7 +48,7 @@ class ColorChange:
 
     @property
     def grid(self) -> PixelGrid:
-        """Of its square pixels, each as wide as 1."""
+        """The grid of its square pixels, each as wide as 1."""
         rows, columns = self.change.shape[:2]
         return PixelGrid(columns, rows, 1.0, 1.0)
 
@@ -103,7 +103,7 @@ class WorkingSize:
     """How pictures of one grid are shrunk, and circles brought back."""
 
     whole: PixelGrid
-    """Of the camera's pixels."""
+    """The grid of the camera's pixels."""
 
     @cached_property
     def factor(self) -> int:
@@ -112,8 +112,8 @@ class WorkingSize:
 
     @cached_property
     def grid(self) -> PixelGrid:
-        """Of the pixels that are worked with: their number and proportions. Its scale stays that
-        of the camera's pixels. What fills no block at the right and lower border is left out."""
+        """The pixels that are worked with: their number and proportions. Its scale stays that of
+        the camera's pixels. What fills no block at the right and lower border is left out."""
         return PixelGrid(
             self.whole.width_px // self.factor,
             self.whole.height_px // self.factor,

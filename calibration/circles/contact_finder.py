@@ -243,7 +243,7 @@ class _Scene:
 
     @cached_property
     def key(self) -> str:
-        """Of all that the start of a search depends on besides the image."""
+        """Digest of all that the start of a search depends on besides the image."""
         mask = None if self.mask is None or self.mask.all() else self.mask
         recipe = {"background": self.background, "mask": mask, "ratio": round(self.ratio, 9)}
         return content_key(recipe)
@@ -294,7 +294,7 @@ class _Start:
 
     @classmethod
     def of(cls, read: Callable[[], np.ndarray], scene: _Scene, name: str, once: Once) -> _Start:
-        """That of a press, found once; InputError when there is nothing to start from."""
+        """Start of a press, found once; InputError when there is nothing to start from."""
         key = ("start", scene.key)
         return cls(name, scene, read, once.of(key, lambda: _first(read, scene, name)))
 
@@ -308,9 +308,9 @@ class FittedTogether:
     """Presses that one map explains, in order, in pixels of the working size."""
 
     starts: dict[int, _Start]
-    """By the index of the press."""
+    """Presses in which the search has begun, by their index."""
     refusals: dict[int, InputError]
-    """Of the others."""
+    """Errors of the others."""
     ball_px: list[float]
     """Radius of the ball of each press [px]."""
     fit: PhotometricFit | None

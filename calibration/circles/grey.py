@@ -25,7 +25,7 @@ from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_PX = 2.0
 PROFILE_SMOOTHING_PX = 1.0
-"""Of the mean slope over all rays."""
+"""Smoothing of the mean slope over all rays."""
 MIN_DROP_LEVELS = 6.0
 MIN_DROP_OVER_NOISE = 8.0
 MIN_ROUND = 0.6

@@ -129,7 +129,7 @@ class FittedContact:
 
     circle: ContactCircle
     covariance: np.ndarray
-    """Of u, v and radius [px^2], shape [3, 3]."""
+    """Covariance of u, v and radius [px^2], shape [3, 3]."""
     explained: float
     """Share of the colour change's energy that the map explains, at most 1."""
 
@@ -169,13 +169,13 @@ class _State:
     own: np.ndarray
     """u, v and radius [px], an offset [levels] and a gain of each colour, shape [9]."""
     weight: np.ndarray
-    """Of each sample, those that the map leaves too much of having less, shape [n]."""
+    """Weight of each sample, less where the map leaves too much, shape [n]."""
     step: np.ndarray = field(default_factory=lambda: np.zeros(OWN))
     """The last one, of circle, offsets and gains, shape [9]."""
     damping: float = 0.0
-    """Of steps, after K. Levenberg and D. Marquardt."""
+    """Damping of steps, after K. Levenberg and D. Marquardt."""
     seen: _Seen | None = None
-    """In the last round."""
+    """The last round's."""
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest step of u, v, radius, offsets and gains, shape [9] each."""
@@ -215,7 +215,7 @@ class PhotometricFit:
     map: np.ndarray
     """Its coefficients, shape [3, terms.count]."""
     gains: np.ndarray
-    """Of each colour of each press, shape [press_count, 3]; so are the offsets [levels]."""
+    """Gain of each colour of each press, shape [press_count, 3]; so are the offsets [levels]."""
     offsets: np.ndarray
 
 

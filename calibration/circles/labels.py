@@ -41,7 +41,7 @@ from taccel_lab.errors import InputError
 SLOPE_PRIOR = 2.0
 """Presses that the line of the radii counts a slope of one as."""
 MIN_PRESSES = 8
-"""Below this many presses their scatter and covariance say nothing."""
+"""Fewer presses say nothing by their scatter and covariance."""
 LABEL_SHIFT_PX = 3.0
 """Standard deviation of a shift that all labels of a set share, along an axis and in radius."""
 LABEL_SIGMA_PX = 1.0
@@ -63,7 +63,7 @@ class LabelPlacement:
     mean_px: np.ndarray
     """Mean of placed minus label: u, v, radius [px], shape [3]."""
     radius_slope: float
-    """Of placed over label radius, drawn to one by ``SLOPE_PRIOR`` presses."""
+    """Slope of placed over label radius, drawn to one by ``SLOPE_PRIOR`` presses."""
     mean_radius_px: float
     """Mean radius of the labels, about which the line turns."""
     deviation_px: np.ndarray
@@ -77,7 +77,7 @@ class LabelPlacement:
         placed: Sequence[ContactCircle],
         found: Sequence[ContactCircle] | None = None,
     ) -> LabelPlacement:
-        """From the training presses and where they were placed, those with labels.
+        """Fit to the training presses with labels, and where they were placed.
 
         ``found`` are their circles by the images alone, where they were placed with the help of
         labels: errors that both sides of a regression share would make its slope too steep.

@@ -33,7 +33,7 @@ class MapTerms:
 
     @classmethod
     def for_presses(cls, count: int) -> MapTerms:
-        """As many terms as so many presses can tell apart."""
+        """The terms that so many presses can tell apart."""
         if count < 4:
             return cls(3, 0, False)
         return cls(4, 1, False) if count < 12 else cls(4, 2, True)
@@ -75,7 +75,7 @@ class MapTerms:
 
     @cached_property
     def _powers(self) -> list[tuple[int, ...]]:
-        """Of the factors in each row; lower ones first."""
+        """Powers of the factors in each row; lower ones first."""
         return [(0, 0, 0, 1, 0), (0, 0, 0, 0, 1), (0, 0, 0, 0, 0), *self._terms()]
 
     def _terms(self) -> Iterator[tuple[int, ...]]:

@@ -37,7 +37,7 @@ from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import Channel
 
 LEAST_PRESSES = 6
-"""With so many left, presses without a contact do not stop the others."""
+"""Presses that are left: with so many, those without a contact do not stop the others."""
 MAX_LOST_SHARE = 0.5
 """Part of the presses that may be lost; beyond, something is wrong with the whole set."""
 
@@ -132,7 +132,7 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 
 @cache
 def _code_sha256() -> str:
-    """Of the modules that search, so that contacts of another version are never taken."""
+    """Digest of the modules that search, so that contacts of another version are never taken."""
     packages = (taccel_lab.calibration.circles, taccel_lab.calibration.light)
     folders = [Path(str(package.__file__)).parent for package in packages]
     files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
@@ -177,14 +177,14 @@ class UsableCircles:
 
     captures: CaptureSet
     contacts: list[DetectedContact]
-    """As found in the images."""
+    """Contacts that the images show."""
     circles: list[ContactCircle]
     """Those that a fit starts from."""
     sigmas_px: list[tuple[float, float]]
     """What these may be off by: standard deviations of the centre along an axis and of the radius.
     Fused circles are at least as certain as found ones."""
     remarks: list[Remark]
-    """On presses left out."""
+    """Remarks on presses left out."""
 
     @property
     def labels(self) -> LabelPlacement:

@@ -54,7 +54,7 @@ class BallContact:
     press: CapturedPress
     ball_mm: float
     circle: ContactCircle
-    """As given, else as found."""
+    """The given circle, else the one found."""
     sigma_px: float = MIN_SIGMA_PX
     """Standard deviation of its radius."""
 

@@ -47,11 +47,11 @@ class EdgeLine:
     length_sigma_px: float
     """Standard deviation of the length, apart from ``systematic_px``."""
     systematic_px: float
-    """That by the law of the fall beyond the ends, the same for all edges on one gel."""
+    """Further deviation by the law of the fall beyond the ends, the same for all edges on one gel."""
 
     @property
     def vector_px(self) -> np.ndarray:
-        """From one end to the other, shape [2]."""
+        """Vector from one end to the other, shape [2]."""
         return self.ends_px[1] - self.ends_px[0]
 
     @property

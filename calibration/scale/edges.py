@@ -145,7 +145,7 @@ def _fit(
 def _covariance(
     vectors: np.ndarray, sigmas_px: np.ndarray, scale: np.ndarray, left: np.ndarray
 ) -> np.ndarray:
-    """Of both scales, from the spread of the edges."""
+    """Covariance of both scales, from the spread of the edges."""
     jacobian = vectors**2 * scale / _lengths_mm(vectors, scale)[:, None]
     count, stated = len(vectors), sigmas_px * float(scale.mean())
     excess = 1.0

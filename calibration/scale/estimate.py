@@ -68,7 +68,7 @@ class CombinedAxis:
     chi_square: float
     freedom: int
     probability: float
-    """Of a larger chi-square by chance, if all were right."""
+    """Probability of a larger chi-square by chance, if all were right."""
     pairs: dict[str, float] = field(default_factory=dict)
     """Difference of two methods over its standard deviation, by ``first*second``."""
 
