@@ -47,7 +47,7 @@ class EdgeLine:
     length_sigma_px: float
     """Standard deviation of the length, apart from ``systematic_px``."""
     systematic_px: float
-    """Further deviation by the law of the fall beyond the ends, the same for all edges on one gel."""
+    """Deviation by the law of the fall beyond the ends, the same for all edges on one gel."""
 
     @property
     def vector_px(self) -> np.ndarray:
