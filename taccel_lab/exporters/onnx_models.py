@@ -9,8 +9,8 @@ answers is compared with the profile's model before the graph is written.
 
 from __future__ import annotations
 
-import io
 import math
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -96,12 +96,11 @@ def _graph(
         def forward(self, *tensors: Tensor) -> Any:
             return answer(*tensors)
 
-    file = io.BytesIO()
-    with torch.no_grad(), warnings.catch_warnings():
-        # The exporter that torch prefers needs onnxscript, and this one warns of that. All that
-        # is traced as a constant is one: sizes but that of the batch, settings, weights.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        warnings.simplefilter("ignore", torch.jit.TracerWarning)
+    with tempfile.TemporaryDirectory() as folder, torch.no_grad(), warnings.catch_warnings():
+        # The exporter that torch prefers needs onnxscript, and this one warns of that. It warns of
+        # constants, too, and all are: sizes but that of the batch, settings, weights.
+        warnings.simplefilter("ignore")
+        file = Path(folder) / "graph.onnx"
         torch.onnx.export(
             Traced(),
             tuple(torch.from_numpy(value) for value in feeds.values()),
@@ -112,7 +111,7 @@ def _graph(
             opset_version=OPSET,
             dynamo=False,
         )
-    graph = onnx.load_from_string(file.getvalue())
+        graph = onnx.load(file)
     onnx.checker.check_model(graph, full_check=True)
     return graph
 

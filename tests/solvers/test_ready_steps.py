@@ -132,7 +132,7 @@ def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> tuple[S
     """A driven finger on a hinge at a hand presses a gel; a bolt on a slide at the finger runs
     against its limits, so that joints open and close."""
     gel = soft_block(
-        (3, 3, 2), (6e-3, 6e-3, 3e-3), Material(1e5, 0.4),
+        (3, 3, 2), (6e-3, 6e-3, 3e-3), Material(1e5, 0.4, branches=RELAXING),
         friction_coefficient=0.3,
     )  # fmt: skip
     at = np.array([-2e-3, 0, 1.1e-3, 0, 0, 0, 1.0])
