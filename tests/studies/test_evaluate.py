@@ -16,7 +16,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv
 from taccel_lab.solvers import EnvStatus, StepReport
-from taccel_lab.studies.evaluate import designs as evaluate
+from taccel_lab.studies.evaluate import evaluate
 from taccel_lab.studies.evaluate.evaluate import Unknowns, evaluate_designs
 from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
