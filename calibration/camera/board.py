@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +42,6 @@ class BoardView:
         """Points on the board [mm], z = 0, shape [n, 3]; in units of the pitch without one."""
         pitch = 1.0 if self.pitch_mm is None else self.pitch_mm
         return np.column_stack([self.index * pitch, np.zeros(len(self.index))]).astype(np.float64)
-
-    def take(self, chosen: np.ndarray) -> BoardView:
-        """The view with some of its points: a mask or indices."""
-        others = tuple(other[chosen] for other in self.others_uv_px)
-        index, uv = self.index[chosen], self.uv_px[chosen]
-        return replace(self, index=index, uv_px=uv, others_uv_px=others)
 
 
 def hashes_by_name(images: Sequence[BoardView | Frame]) -> dict[str, str]:

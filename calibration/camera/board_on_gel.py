@@ -12,16 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.gel_frame import GelFrame, gel_frame, scale_range
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
-from taccel_lab.calibration.camera.plane_fit import (
+from taccel_lab.calibration.camera.plane import (
+    CameraPose,
     PlaneFit,
     choose_plane,
     fit_plane,
     fit_planes,
     plane_rotation,
 )
-from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_fit import slopes
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
@@ -35,6 +34,25 @@ DISTORTED = 0.02
 """Change of scale under the board from which on the image counts as distorted."""
 MAX_SHEAR = 0.01
 LARGE_ERROR_PITCHES = 0.05
+
+
+@dataclass(frozen=True)
+class GelFrame:
+    """Where the gel frame lies on the plane, and the scale of the image there."""
+
+    origin_mm: np.ndarray
+    """The gel frame's origin in the first board's coordinates, shape [2]."""
+    angle_rad: float
+    """Turn of the gel's x axis against the board's."""
+    mm_per_px_x: Estimate
+    mm_per_px_y: Estimate
+    correlation: float
+    shear: float
+    """How far the image's axes are from a right angle [rad]."""
+
+    def board_from_gel(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Board coordinates of gel points, [n, 2] -> [n, 2]."""
+        return np.asarray(xy_mm) @ plane_rotation(self.angle_rad).T + self.origin_mm
 
 
 @dataclass(frozen=True)
@@ -137,8 +155,7 @@ def fit_on_gel(
             cameras.append(replace(known, media=media, name="camera pose with refraction"))
     fits = fit_planes(views, [*cameras[::-1], *models])
     chosen, near = choose_plane(fits)
-    frame = gel_frame(chosen, center, half_mm=pitch, near=near)
-    frame = _with_detector_error(frame, chosen, views, center, pitch)
+    frame = _gel_frame(chosen, center, pitch, near, _shaded_fits(views, chosen.model))
     scale = frame.mm_per_px_x.value, frame.mm_per_px_y.value
     if tactile_px is None:
         grid = PixelGrid(*size, *scale, float(center[0]), float(center[1]))
@@ -154,7 +171,7 @@ def fit_on_gel(
     if len(poses) == 2:
         in_air, refracted = poses
         used = in_air if choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit else refracted
-    spread = scale_range(chosen, views, pitch)
+    spread = _scale_range(chosen, views, pitch)
     said = _remarks(chosen, fits, frame, spread, pitch, views, center)
     return OnGel(
         chosen,
@@ -170,34 +187,14 @@ def fit_on_gel(
     )
 
 
-def _with_detector_error(
-    frame: GelFrame,
-    fit: PlaneFit,
-    views: Sequence[BoardView],
-    center: tuple[float, float],
-    pitch: float,
-) -> GelFrame:
-    """The frame with scales as uncertain as other pictures of the same dents say.
+def _shaded_fits(views: Sequence[BoardView], model: CameraPose) -> list[PlaneFit]:
+    """Fits to where other pictures of the same dents, and other filters, show them."""
 
-    Shading moves all dents of a picture in a way that no residual shows: the mean of the colours
-    and their change as a whole differ by up to 0.6 % in scale on the boards at hand, and each by
-    up to 0.3 % with the width of the filter that it is looked at through. The largest difference
-    counts as a standard deviation.
-    """
-    own = np.array([frame.mm_per_px_x.value, frame.mm_per_px_y.value])
-    off = np.zeros(2)
-    for k in range(max(len(view.others_uv_px) for view in views)):
-        others = [
-            replace(view, uv_px=view.others_uv_px[k]) if k < len(view.others_uv_px) else view
-            for view in views
-        ]
-        seen = gel_frame(fit_plane(others, fit.model), center, half_mm=pitch)
-        off = np.maximum(off, np.abs(own - [seen.mm_per_px_x.value, seen.mm_per_px_y.value]))
-    x, y = (
-        Estimate(scale.value, float(np.hypot(scale.sigma, by)), scale.unit)
-        for scale, by in zip((frame.mm_per_px_x, frame.mm_per_px_y), off, strict=True)
-    )
-    return replace(frame, mm_per_px_x=x, mm_per_px_y=y)
+    def other(view: BoardView, k: int) -> BoardView:
+        return replace(view, uv_px=view.others_uv_px[k]) if k < len(view.others_uv_px) else view
+
+    count = max(len(view.others_uv_px) for view in views)
+    return [fit_plane([other(view, k) for view in views], model) for k in range(count)]
 
 
 def _pose(
@@ -207,18 +204,18 @@ def _pose(
     model: CameraPose,
 ) -> PoseInGel:
     """Camera in the gel frame that this fit itself gives."""
-    frame = gel_frame(fit, center, half_mm=pitch)
+    origin, angle, _, _ = _scale_at(fit, np.array(center), fit.theta, pitch)
 
     def position(theta: np.ndarray) -> np.ndarray:
         rotation = cv2.Rodrigues(theta[:3])[0]
-        in_board = -rotation.T @ theta[3:6] - [*frame.origin_mm, 0.0]
-        flat = plane_rotation(frame.angle_rad).T @ in_board[:2]
+        in_board = -rotation.T @ theta[3:6] - [*origin, 0.0]
+        flat = plane_rotation(angle).T @ in_board[:2]
         return np.array([*flat, in_board[2]])
 
     by_theta = slopes(position, fit.theta[:6])
     sigma = np.sqrt(np.diag(by_theta @ fit.covariance[:6, :6] @ by_theta.T))
     camera_from_board = Rotation.from_rotvec(fit.theta[:3])
-    board_from_gel = Rotation.from_rotvec([0.0, 0.0, frame.angle_rad])
+    board_from_gel = Rotation.from_rotvec([0.0, 0.0, angle])
     gel_from_camera = (camera_from_board * board_from_gel).inv()
     axis = gel_from_camera.apply([0.0, 0.0, 1.0])
     x, y, z, w = (float(v) for v in gel_from_camera.as_quat())
@@ -257,3 +254,85 @@ def _remarks(
     if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
         said.append(remarks.OFF_CENTER(u=center[0], v=center[1], width=size[0], height=size[1]))
     return said
+
+
+def _gel_frame(
+    fit: PlaneFit,
+    center_px: tuple[float, float],
+    half_mm: float,
+    near: Sequence[PlaneFit],
+    shaded: Sequence[PlaneFit],
+) -> GelFrame:
+    """Gel frame with its origin at a pixel: x to the right of the image, y down.
+
+    Args:
+        half_mm: The scale is the mean over this distance to both sides of the origin; a pitch of
+            the board. In a distorted image, the scale changes over it.
+        near: Other fits that explain the points as well; how their scales differ is added to the
+            standard deviations.
+        shaded: Fits to other pictures of the same dents: shading moves all dents of a picture in a
+            way that no residual shows. The mean of the colours and their change as a whole differ
+            by up to 0.6 % in scale on the boards at hand, and each by up to 0.3 % with the width of
+            the filter that it is looked at through. The largest difference counts as a standard
+            deviation.
+    """
+    center = np.array(center_px, dtype=np.float64)
+    origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm)
+    covariance = _model_covariance(fit, center, half_mm)
+    own = np.diag(covariance).copy()
+    systematic = np.zeros(2)
+    for other in near:
+        if other.model == fit.model:
+            continue
+        off = _scale_at(other, center, other.theta, half_mm)[2] - scale
+        # A richer model is noisier: only what exceeds that is a difference of models (J. Hausman,
+        # Econometrica 46, 1978: the variance of the difference is that of the variances).
+        noise = np.diag(_model_covariance(other, center, half_mm)) - own
+        systematic += np.maximum(off**2 - np.maximum(noise, 0.0), 0.0)
+    covariance += np.diag(systematic / max(len(near), 1))
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    product = float(deviation[0] * deviation[1])
+    off = [np.abs(scale - _scale_at(other, center, other.theta, half_mm)[2]) for other in shaded]
+    sigma = np.hypot(deviation, np.max(off, axis=0) if off else 0.0)
+    return GelFrame(
+        origin,
+        angle,
+        Estimate(float(scale[0]), float(sigma[0]), "mm/px"),
+        Estimate(float(scale[1]), float(sigma[1]), "mm/px"),
+        float(np.clip(covariance[0, 1] / product, -1, 1)) if product > 0 else 0.0,
+        shear,
+    )
+
+
+def _model_covariance(fit: PlaneFit, center: np.ndarray, half_mm: float) -> np.ndarray:
+    """Covariance of mm/px along x and y by that of the model's parameters, shape [2, 2]."""
+    by_theta = slopes(lambda theta: _scale_at(fit, center, theta, half_mm)[2], fit.theta)
+    return by_theta @ fit.covariance @ by_theta.T
+
+
+def _scale_at(
+    fit: PlaneFit, center: np.ndarray, theta: np.ndarray, half_mm: float
+) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Origin [2], angle, mm/px [2] and shear for given parameters.
+
+    The rotation is the one that makes the derivative of the image by gel coordinates symmetric
+    (polar decomposition): no turn is left between the axes of gel and image.
+    """
+    origin = fit.locate(center, theta)
+    u, s, vt = np.linalg.svd(fit.jacobian(origin, theta, half_mm))
+    stretch = u @ np.diag(s) @ u.T
+    turn = (u @ vt).T
+    angle = float(np.arctan2(turn[1, 0], turn[0, 0]))
+    return origin, angle, 1.0 / np.diag(stretch), float(2 * stretch[0, 1] / np.trace(stretch))
+
+
+def _scale_range(fit: PlaneFit, views: Sequence[BoardView], half_mm: float) -> tuple[float, float]:
+    """Least and largest local scale under the board, relative to the one at its middle."""
+    board = fit.plane_points(views)
+    local = np.array([_mean_scale(fit, xy, half_mm) for xy in board])
+    at_middle = _mean_scale(fit, board.mean(axis=0), half_mm)
+    return float(local.min() / at_middle), float(local.max() / at_middle)
+
+
+def _mean_scale(fit: PlaneFit, xy_mm: np.ndarray, half_mm: float) -> float:
+    return float(1 / np.sqrt(abs(np.linalg.det(fit.jacobian(xy_mm, half_mm=half_mm)))))

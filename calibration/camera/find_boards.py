@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.charuco import detect_charuco
-from taccel_lab.calibration.camera.chessboard import detect_chessboard
+from taccel_lab.calibration.camera.chessboard import detect_charuco, detect_chessboard
 from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry

@@ -12,7 +12,6 @@ from taccel_lab.calibration.camera.intrinsics import (
     calibrate_intrinsics,
     require_choices,
 )
-from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS
 from taccel_lab.calibration.camera.options import CameraOptions
 from taccel_lab.calibration.camera.pixel_grid import (
     origin_px,
@@ -59,9 +58,12 @@ def calibrate_camera(
         laid = detect_views(gel, "finding boards on the gel", progress)
     intrinsics = None
     if air:
-        _require_views(shown)
         intrinsics = calibrate_intrinsics(
-            shown.views, models=options.models, folds=options.folds, progress=progress
+            shown.views,
+            models=options.models,
+            folds=options.folds,
+            refused=shown.refused,
+            progress=progress,
         )
     on_gel = None
     if gel:
@@ -71,7 +73,7 @@ def calibrate_camera(
             center_px=origin_px(base, size),
             tactile_px=tactile_size(base, size),
             intrinsics=intrinsics,
-            media=media_before_gel(base),
+            media=_media_before_gel(base),
         )
     detections = Detections(shown.views + laid.views, shown.refused + laid.refused)
     return CameraCalibration(
@@ -85,18 +87,7 @@ def calibrate_camera(
     )
 
 
-def _require_views(shown: Detections) -> None:
-    """Refuse fewer views than a lens needs, with what was wrong with the others."""
-    if len(shown.views) >= MIN_VIEWS or not shown.refused:
-        return
-    reasons = "\n".join(shown.refused[:5])
-    raise InputError(
-        f"{len(shown.views)} views of the board are left, at least {MIN_VIEWS} are needed, better "
-        f"20, from different sides and tilted by 20 to 45 degrees; not used:\n{reasons}"
-    )
-
-
-def media_before_gel(profile: SensorProfile) -> FlatMedia | None:
+def _media_before_gel(profile: SensorProfile) -> FlatMedia | None:
     """Window and gel before the contact face z = 0, seen from the air; None where they are unknown
     or domed."""
     optics, window = profile.optics, profile.window

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Intrinsics and distortion of a camera from views of a board; the lens is chosen by prediction.
 
-Every lens is fitted to all views, and k times without one part of them, which scores it
-(``heldout``). The simplest lens whose held-out error is within one standard error of the best
-one's, over the views that are no outliers, is chosen.
+Every lens is fitted to all views, and k times without one part of them, which scores it. The
+simplest lens whose held-out error is within one standard error of the best one's, over the views
+that are no outliers, is chosen.
+
+The views are dealt into k parts by their place in the manifest, before any image is read. Without
+one part, everything is done anew from the rest alone: views that do not fit are left out, a start
+is looked for, the lens is fitted. Of a held-out view only the pose of the board is fitted, and
+all of its points count, however far off they are: an outlier among the views that are fitted is
+none among those that are predicted.
 """
 
 from __future__ import annotations
@@ -11,15 +17,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import BundleFit
-from taccel_lab.calibration.camera.heldout import LensScore, score_lenses
-from taccel_lab.calibration.camera.lens import LENSES, Lens
-from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
+from taccel_lab.calibration.camera.bundle import MIN_VIEWS, BundleFit, fit_lenses, initial_pose
+from taccel_lab.calibration.camera.lens import LENSES, Lens, fit_pose
+from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
@@ -34,6 +40,48 @@ MAX_RMS_SHARE = 2e-3
 """Error of reprojection that is still usual, in image widths: 1.3 px of 640."""
 WRONG_RMS = 3.0
 """Errors this many times as large are no lens: the points are not those of the board."""
+_ALIKE = 0.02
+"""Share of the best mean square error by which a simpler lens may be worse: 1 % of the error."""
+_MIN_TRAIN = 2
+"""Views that a lens can be fitted to at all."""
+
+
+@dataclass(frozen=True)
+class LensScore:
+    """How well one lens predicts views that it was not fitted to."""
+
+    lens: Lens
+    fit: BundleFit
+    """To all views that are no outliers."""
+    heldout_px: float
+    """Root mean square error of all points of all views, outliers too."""
+    heldout_robust_px: float
+    """The root mean square that normal errors with the same median would have: what it would be
+    without outliers."""
+    fold_parameters: np.ndarray
+    """Of the fits without each part, shape [fold, p]."""
+    view_mse: np.ndarray
+    """Mean square held-out error of each view, shape [view]: of those that are fitted in the
+    end."""
+    excess: float
+    """Mean difference of ``view_mse`` from the best lens."""
+    excess_error: float
+    """Its standard error."""
+
+    def errors_px(self) -> dict[str, float]:
+        """Root mean square errors: of the fit, and of views that it did not see."""
+        return {
+            "fit_rms_px": self.fit.rms_px,
+            "heldout_rms_px": self.heldout_px,
+            "heldout_robust_rms_px": self.heldout_robust_px,
+        }
+
+    @property
+    def within_one_error(self) -> bool:
+        """As good as the best lens, as far as these views can tell or anybody would notice."""
+        return self.excess <= max(
+            self.excess_error, _ALIKE * (float(self.view_mse.mean()) - self.excess)
+        )
 
 
 @dataclass(frozen=True)
@@ -88,6 +136,7 @@ def calibrate_intrinsics(
     *,
     models: Sequence[str] = tuple(LENSES),
     folds: int = 5,
+    refused: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Intrinsics:
     """Fit and choose a lens.
@@ -96,21 +145,34 @@ def calibrate_intrinsics(
         views: Of one board of any kind, from several sides; parts of it are enough.
         models: Names of the lenses to choose from.
         folds: Parts of the views for cross-validation, by ``BoardView.place``.
+        refused: Why there are no more views, for the error message.
 
     Raises:
         InputError: Too few views, or none that a lens explains.
     """
     lenses = require_choices(models, folds)
     if len(views) < MIN_VIEWS:
+        sides = "better 20, from different sides and tilted by 20 to 45 degrees"
+        if not refused:
+            raise InputError(
+                f"{len(views)} views of the board are too few for intrinsics; at least "
+                f"{MIN_VIEWS}, {sides}"
+            )
         raise InputError(
-            f"{len(views)} views of the board are too few for intrinsics; at least {MIN_VIEWS}, "
-            "better 20, from different sides and tilted by 20 to 45 degrees"
+            f"{len(views)} views of the board are left, at least {MIN_VIEWS} are needed, {sides}; "
+            "not used:\n" + "\n".join(refused[:5])
         )
-    fitted = fit_lenses(views, lenses)
-    kept, outliers = list(fitted.views), list(fitted.outliers)
-    scores = score_lenses(views, fitted, folds, progress)
+    fits, kept, outliers = fit_lenses(views, lenses)
+    used = np.array([any(view is one for one in kept) for view in views])
+    scores = _score_lenses(views, used, fits, folds, progress)
     chosen = next(score for score in scores if score.within_one_error)
-    coverage, tilt = _coverage(kept), _tilts(chosen.fit)
+    points = np.concatenate([view.uv_px for view in kept])
+    coverage = float(ConvexHull(points).volume / np.prod(kept[0].size_px))
+    # Unit normals of the boards in the camera's frame.
+    normals = np.array([cv2.Rodrigues(pose[:3])[0][:, 2] for pose in chosen.fit.poses])
+    tilts = np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0, 1)))
+    apart_deg = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
+    tilt = float(tilts.min()), float(tilts.max())
     return Intrinsics(
         chosen,
         tuple(scores),
@@ -119,54 +181,100 @@ def calibrate_intrinsics(
         len(chosen.fold_parameters),
         coverage,
         tilt,
-        tuple(_remarks(chosen, kept, outliers, coverage, tilt)),
+        tuple(_remarks(chosen, kept, coverage, tilt[1], float(apart_deg.max()))),
     )
 
 
-def _coverage(views: list[BoardView]) -> float:
-    points = np.concatenate([view.uv_px for view in views])
-    width, height = views[0].size_px
-    return float(ConvexHull(points).volume / (width * height))
+def fold_of_views(views: Sequence[BoardView], folds: int) -> np.ndarray:
+    """Part that each view is held out with, int, shape [view].
+
+    Its place in the manifest modulo ``folds``; each view is a separate part where a part would
+    leave fewer than two views to fit.
+    """
+    places = np.array([i if view.place is None else view.place for i, view in enumerate(views)])
+    parts = places % folds
+    if len(views) - np.bincount(parts).max() < _MIN_TRAIN:
+        return np.arange(len(views))
+    return parts
 
 
-def _normals(fit: BundleFit) -> np.ndarray:
-    """Unit normals of the boards in the camera's frame, shape [view, 3]."""
-    import cv2
+def _score_lenses(
+    views: Sequence[BoardView],
+    used: np.ndarray,
+    fits: Sequence[BundleFit],
+    folds: int,
+    progress: Progress,
+) -> list[LensScore]:
+    """Cross-validate lenses.
 
-    return np.array([cv2.Rodrigues(pose[:3])[0][:, 2] for pose in fit.poses])
+    Args:
+        views: All views, outliers too.
+        used: Views that are no outliers, bool, shape [view].
+        fits: The lenses fitted to those; these fits have no part in the scores.
+        folds: Parts of the views.
+        progress: Informed of how many parts are done, and of how many, counting the fit to all.
+    """
+    parts = fold_of_views(views, folds)
+    names = np.unique(parts)
+    lenses = [fit.lens for fit in fits]
+    left = [[np.zeros((0, 2))] * len(views) for _ in lenses]
+    parameters: list[list[np.ndarray]] = [[] for _ in lenses]
+    for done, name in enumerate(names):
+        progress("fitting the lens", done + 1, len(names) + 1)
+        rest = [view for view, part in zip(views, parts, strict=True) if part != name]
+        for k, fit in enumerate(fit_lenses(rest, lenses)[0]):
+            parameters[k].append(fit.parameters)
+            for i in np.flatnonzero(parts == name).tolist():
+                left[k][i] = _heldout(views[i], fit.lens, fit.parameters)
+    progress("fitting the lens", len(names) + 1, len(names) + 1)
+    mse = np.array([[rms(r) ** 2 for r in of_lens] for of_lens in left])[:, used]
+    # How much worse than the best lens each is, view by view.
+    excess = mse - mse[mse.mean(axis=1).argmin()]
+    errors = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
+    return [
+        LensScore(
+            fit.lens,
+            fit,
+            rms(np.concatenate(left[k])),
+            float(np.sqrt(2)) * robust_scale(np.concatenate(left[k])),
+            np.stack(parameters[k]),
+            mse[k],
+            float(excess[k].mean()),
+            # Differences below a millionth of a square pixel are rounding.
+            max(float(errors[k]), 1e-6),
+        )
+        for k, fit in enumerate(fits)
+    ]
 
 
-def _tilts(fit: BundleFit) -> tuple[float, float]:
-    tilts = np.degrees(np.arccos(np.clip(np.abs(_normals(fit)[:, 2]), 0, 1)))
-    return float(tilts.min()), float(tilts.max())
-
-
-def _spread_deg(fit: BundleFit) -> float:
-    """Largest angle between the planes of two views [deg]."""
-    normals = _normals(fit)
-    return float(np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))).max())
+def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
+    """Residuals of a held-out view [px], shape [n, 2]."""
+    try:
+        start = initial_pose(view, lens, parameters)
+    except InputError:
+        # No pose explains such points: they are as far off as they lie from their own middle.
+        return view.uv_px - view.uv_px.mean(axis=0)
+    board = view.board_mm()
+    pose = fit_pose(lens, parameters, board, view.uv_px, start, robust=False)
+    return view.uv_px - lens.project(board, parameters, pose)
 
 
 def _remarks(
-    chosen: LensScore,
-    views: list[BoardView],
-    outliers: list[str],
-    coverage: float,
-    tilt: tuple[float, float],
+    chosen: LensScore, views: list[BoardView], coverage: float, tilt_deg: float, apart_deg: float
 ) -> list[Remark]:
+    """``tilt_deg``: the largest tilt; ``apart_deg``: the largest angle between two boards."""
     said = []
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
-    spread = _spread_deg(chosen.fit)
     if len(views) < 10:
         said.append(TOO_FEW(count=len(views), what="views of the board", wanted=remarks.MORE_VIEWS))
     if coverage < MIN_COVERAGE:
         said.append(remarks.LENS_COVERAGE(share=coverage))
-    if tilt[1] < MIN_TILT_DEG:
-        reason = f"no view is tilted by more than {tilt[1]:.1f} degrees"
+    if tilt_deg < MIN_TILT_DEG:
+        reason = f"no view is tilted by more than {tilt_deg:.1f} degrees"
         said.append(remarks.VIEWS_ALIKE(reason=reason))
-    elif spread < MIN_TILT_DEG:
-        reason = f"all views show the board from one side, within {spread:.1f} degrees"
+    elif apart_deg < MIN_TILT_DEG:
+        reason = f"all views show the board from one side, within {apart_deg:.1f} degrees"
         said.append(remarks.VIEWS_ALIKE(reason=reason))
     if (sigma > MAX_FOCAL_SIGMA * focal).any():
         said.append(
@@ -177,8 +285,8 @@ def _remarks(
         )
     usual = MAX_RMS_SHARE * width
     # Views that are outliers are left out, and stand in the report.
-    if chosen.heldout_robust_px > usual or not chosen.fit.converged:
-        wrong = chosen.heldout_robust_px > WRONG_RMS * usual or not chosen.fit.converged
+    if chosen.heldout_robust_px > usual or not chosen.fit.fit.converged:
+        wrong = chosen.heldout_robust_px > WRONG_RMS * usual or not chosen.fit.fit.converged
         said.append(
             HELDOUT_ERROR(
                 what="views of the board",

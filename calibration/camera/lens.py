@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lens models that are fitted, from simple to rich, and their projection with derivatives."""
+"""Lens models that are fitted, from simple to rich, and the pose of a plane that one explains."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.camera.options import LensName
+from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.camera.camera_model import CameraModel
+from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import DesignedCamera
+
+_GRAZING = 0.05
+"""Smallest cosine of a ray to the optical axis: beyond, x / z is no use."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,6 @@ class Lens:
         """Name of the model in a profile."""
         return "fisheye" if self.name == "fisheye" else "pinhole"
 
-    def distortion(self, parameters: np.ndarray) -> tuple[float, ...]:
-        """Coefficients in OpenCV's order as a profile stores them."""
-        values = [float(v) for v in parameters[4:]]
-        return tuple(values + [0.0] * (self.stored - len(values)))
-
     def project(self, points: np.ndarray, parameters: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Pixels [n, 2] of points [n, 3] under ``pose`` (rotation vector, translation)."""
         return self.project_with_jacobian(points, parameters, pose)[0]
@@ -58,25 +58,15 @@ class Lens:
         fx, fy, cx, cy = parameters[:4]
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         objects = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 1, 3)
-        rotation, translation = pose[:3].copy(), pose[3:].copy()
-        count = self.coefficients
-        if self.name == "fisheye":
-            bends = np.zeros(4)
-            bends[:count] = parameters[4:]
-            uv, jacobian = cv2.fisheye.projectPoints(objects, rotation, translation, matrix, bends)[
-                :2
-            ]
-            jacobian = np.asarray(jacobian).reshape(-1, 2, 15)
-            by_parameters = jacobian[:, :, : 4 + count]
-            by_pose = jacobian[:, :, 8:14]
-        else:
-            bends = np.zeros(8)
-            bends[:count] = parameters[4:]
-            uv, jacobian = cv2.projectPoints(objects, rotation, translation, matrix, bends)[:2]
-            jacobian = np.asarray(jacobian).reshape(-1, 2, 18)
-            by_parameters = jacobian[:, :, 6 : 10 + count]
-            by_pose = jacobian[:, :, :6]
-        return np.asarray(uv).reshape(-1, 2), by_parameters, by_pose
+        fisheye, count = self.name == "fisheye", self.coefficients
+        bends = np.zeros(4 if fisheye else 8)
+        bends[:count] = parameters[4:]
+        project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
+        uv, jacobian = project(objects, pose[:3].copy(), pose[3:].copy(), matrix, bends)[:2]
+        jacobian = np.asarray(jacobian).reshape(len(objects), 2, -1)
+        # OpenCV's columns: of a fisheye f, c, k, pose; of others pose, f, c, k.
+        by_pose, first = (jacobian[..., 8:14], 0) if fisheye else (jacobian[..., :6], 6)
+        return np.asarray(uv).reshape(-1, 2), jacobian[..., first : first + 4 + count], by_pose
 
     def camera(
         self,
@@ -86,18 +76,10 @@ class Lens:
         rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
     ) -> DesignedCamera:
         """The camera as the profile and the renderer describe it."""
-        fx, fy, cx, cy = (float(v) for v in parameters[:4])
+        fx, fy, cx, cy, *bends = (float(v) for v in parameters)
+        bends += [0.0] * (self.stored - len(bends))
         return DesignedCamera(
-            size_px[0],
-            size_px[1],
-            fx,
-            fy,
-            cx,
-            cy,
-            position_mm,
-            rotation,
-            self.camera_kind,
-            self.distortion(parameters),
+            *size_px, fx, fy, cx, cy, position_mm, rotation, self.camera_kind, tuple(bends)
         )
 
     def directions(
@@ -115,3 +97,69 @@ LENSES: dict[str, Lens] = {
     "rational": Lens("rational", 8, 8),
 }
 """By name, the simplest first: the order of preference among models that predict alike."""
+
+
+def planar_pose(
+    lens: Lens,
+    parameters: np.ndarray,
+    size_px: tuple[int, int],
+    xy_mm: np.ndarray,
+    uv_px: np.ndarray,
+) -> np.ndarray:
+    """Of the poses that a plane's points allow, each refined, the one that misses least:
+    camera_from_plane as rotation vector and translation [mm], shape [6].
+
+    Args:
+        lens: Lens model and its ``parameters`` [p] for images of ``size_px``.
+        xy_mm: Points on the plane z = 0, shape [n, 2].
+        uv_px: Where they are seen, shape [n, 2].
+
+    Raises:
+        InputError: Fewer than 4 of the points lie within the lens's field, or no pose.
+    """
+    points = np.column_stack([xy_mm, np.zeros(len(xy_mm))])
+    starts = _starts(lens.directions(parameters, size_px, uv_px), points)
+    poses = [fit_pose(lens, parameters, points, uv_px, start) for start in starts]
+    if not poses:
+        raise InputError(f"no pose of the plane explains its {len(points)} points")
+    return min(poses, key=lambda pose: rms(uv_px - lens.project(points, parameters, pose)))
+
+
+def fit_pose(
+    lens: Lens,
+    parameters: np.ndarray,
+    points_mm: np.ndarray,
+    uv_px: np.ndarray,
+    pose: np.ndarray,
+    robust: bool = True,
+) -> np.ndarray:
+    """Pose of points [n, 3] with the lens held fixed, by least squares from ``pose`` [6]."""
+    return fit_robustly(
+        lambda x: uv_px - lens.project(points_mm, parameters, x),
+        pose,
+        jacobian=lambda x: -lens.project_with_jacobian(points_mm, parameters, x)[2].reshape(-1, 6),
+        robust=robust,
+    ).x
+
+
+def _starts(rays: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
+    """Poses to start from, each [6], of points [n, 3] that are seen along rays [n, 3].
+
+    IPPE (Collins & Bartoli 2014) gives both poses between which a plane seen from afar is
+    ambiguous; on a plane that is exactly parallel to the image it may divide by zero, so SQPnP
+    (Terzakis & Lourakis 2020), which gives one pose, is asked as well.
+    """
+    seen = np.isfinite(rays).all(axis=1) & (rays[:, 2] > _GRAZING)
+    if seen.sum() < 4:
+        raise InputError("fewer than 4 points lie within the lens's field")
+    plane = (rays[seen, :2] / rays[seen, 2:]).reshape(-1, 1, 2)
+    poses = []
+    for method in (cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP):
+        count, rotations, translations, _ = cv2.solvePnPGeneric(
+            points[seen].reshape(-1, 1, 3), plane, np.eye(3), None, flags=method
+        )
+        poses += [
+            np.concatenate([np.ravel(rotations[i]), np.ravel(translations[i])])
+            for i in range(count)
+        ]
+    return [pose for pose in poses if np.isfinite(pose).all()]

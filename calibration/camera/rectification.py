@@ -71,12 +71,7 @@ class RectificationMaps:
             raise InputError(f"{path}: raw_size_px has to be width and height in whole pixels")
         with naming(path):
             grid = PixelGrid(
-                u.shape[1],
-                u.shape[0],
-                float(scale[0]),
-                float(scale[1]),
-                float(center[0]),
-                float(center[1]),
+                *u.shape[::-1], *scale.astype(float).tolist(), *center.astype(float).tolist()
             )
         raw = None if size is None else (int(size[0]), int(size[1]))
         return cls(u.astype(np.float32), v.astype(np.float32), measured.astype(bool), grid, raw)
@@ -141,15 +136,9 @@ def gel_maps(on_gel: OnGel) -> RectificationMaps:
     away = points - middle
     length = np.linalg.norm(away, axis=1, keepdims=True)
     grown = middle + away * (1 + _BEYOND_PITCHES * pitch / np.maximum(length, pitch))
-    measured = np.asarray(Delaunay(grown).find_simplex(xy), dtype=np.int64) >= 0
-    shape = (grid.height_px, grid.width_px)
-    return RectificationMaps(
-        uv[:, 0].reshape(shape).astype(np.float32),
-        uv[:, 1].reshape(shape).astype(np.float32),
-        np.reshape(measured, shape),
-        grid,
-        on_gel.views[0].size_px,
-    )
+    measured = np.asarray(Delaunay(grown).find_simplex(xy)) >= 0
+    u, v = uv.T.reshape(2, grid.height_px, grid.width_px).astype(np.float32)
+    return RectificationMaps(u, v, measured.reshape(u.shape), grid, on_gel.views[0].size_px)
 
 
 def lens_maps(intrinsics: Intrinsics) -> RectificationMaps:
@@ -162,11 +151,5 @@ def lens_maps(intrinsics: Intrinsics) -> RectificationMaps:
     uv = lens.project(rays, parameters, np.zeros(6))
     inside = np.all((uv >= -1) & (uv <= (width, height)), axis=1)
     uv[~inside] = -1e4
-    shape = (height, width)
-    return RectificationMaps(
-        uv[:, 0].reshape(shape).astype(np.float32),
-        uv[:, 1].reshape(shape).astype(np.float32),
-        np.reshape(inside, shape),
-        None,
-        intrinsics.size_px,
-    )
+    u, v = uv.T.reshape(2, height, width).astype(np.float32)
+    return RectificationMaps(u, v, inside.reshape(u.shape), None, intrinsics.size_px)

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the gel's face appears in the image, fitted to a board that lies on it.
+"""How the gel's face appears in the image, fitted to a board that lies on it: by the pose of a
+camera, in air or through the flat media in front of the gel.
+
+The camera's lens is known as well as views of a board tell it, or hardly at all: a plane that never
+tilts does not tell the focal length from the distance. Whatever both are, its picture is the same,
+which is all that scale and rectification need. A homography would have as many parameters, but fit
+pixels that are no rectangles, too.
 
 The model is chosen like the lens: each is fitted to four fifths of the points, and the simplest
 whose error on the rest is within one standard error of the best is taken.
@@ -9,19 +15,100 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
+import cv2
 import numpy as np
 from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.plane_models import CameraPose
+from taccel_lab.calibration.camera.lens import Lens, planar_pose
 from taccel_lab.calibration.robust_fit import fit_robustly, rms
+from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 
-FOLDS = 5
+_FOLDS = 5
 _EXACT_PX = 1e-7
-CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+_CROSS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Steps to the right, left, down and up."""
+_LEAST_DISTANCE_MM = 0.1
+_FOCAL, _MIDDLE, _BENT = 0.5, 0.25, 10.0
+"""Standard deviations of an unknown lens: focal lengths in image widths about one, the middle in
+half diagonals about the image's, which keeps it inside, and radial terms."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPose:
+    """Pose of a camera whose lens is known to within a covariance.
+
+    Parameters: rotation vector and translation of camera_from_plane, then the lens's own, which
+    the board may correct as far as their covariance allows.
+    """
+
+    lens: Lens
+    parameters: np.ndarray
+    covariance: np.ndarray
+    size_px: tuple[int, int]
+    media: FlatMedia | None = None
+    """Flat media in front of the plane z = 0; None: nothing bends the sight lines."""
+    name: str = "camera pose"
+    determined: int = 6
+    """How many parameters only the board can tell."""
+
+    @classmethod
+    def of_unknown(cls, size_px: tuple[int, int], bent: bool) -> CameraPose:
+        """A camera of which hardly anything is known: straight, or with two radial terms about a
+        free middle (``bent``)."""
+        width, height = size_px
+        parameters = np.array([width, width, (width - 1) / 2, (height - 1) / 2, 0.0, 0.0])
+        sigma = np.array(
+            [_FOCAL * width] * 2 + [_MIDDLE * np.hypot(*size_px) / 2] * 2 + [_BENT] * 2
+        )
+        if not bent:  # Where the middle is makes no difference.
+            parameters, sigma = parameters[:4], np.append(sigma[:2], [1e-3, 1e-3])
+        lens = Lens("pinhole", len(parameters) - 4, 5)
+        name = "unknown lens" + ", 2 radial terms about a free middle" * bent
+        return cls(lens, parameters, np.diag(sigma**2), size_px, None, name, 12 if bent else 8)
+
+    @property
+    def count(self) -> int:
+        return 6 + self.lens.parameter_count
+
+    def start(self, xy_mm: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
+        """Parameters near the solution, from matched points [n, 2]."""
+        pose = planar_pose(self.lens, self.parameters, self.size_px, xy_mm, uv_px)
+        return np.concatenate([pose, self.parameters])
+
+    def project(self, theta: np.ndarray, xy_mm: np.ndarray) -> np.ndarray:
+        """Pixels of points on the plane [mm], [n, 2] -> [n, 2]."""
+        points = np.column_stack([xy_mm, np.zeros(len(xy_mm))])
+        if self.media is None:
+            return self.lens.project(points, theta[6:], theta[:6])
+        rotation = cv2.Rodrigues(theta[:3])[0]
+        position = -rotation.T @ theta[3:6]
+        if position[2] > -_LEAST_DISTANCE_MM:
+            return np.full((len(xy_mm), 2), np.nan)  # The search stepped behind the gel.
+        # Looking out of the camera, the plane is at z = 0 and the media lie before it.
+        beyond = [i for i, z in enumerate(self.media.planes_mm) if z > position[2]]
+        media = FlatMedia(
+            tuple(self.media.planes_mm[i] for i in beyond),
+            self.media.indices[len(self.media.planes_mm) - len(beyond) :],
+        )
+        seen = media.sight(position, points) @ rotation.T
+        return self.lens.project(seen, theta[6:], np.zeros(6))
+
+    def prior(self, theta: np.ndarray) -> np.ndarray:
+        """What is known of the lens already, as standardised residuals, shape [p]."""
+        return self._whitening @ (theta[6:] - self.parameters)
+
+    @cached_property
+    def _whitening(self) -> np.ndarray:
+        floor = 1e-8 * np.maximum(np.abs(self.parameters), 1e-3)
+        sigma = np.maximum(np.sqrt(np.diag(self.covariance)), floor)
+        correlation = self.covariance / np.outer(sigma, sigma)
+        correlation[np.diag_indices(len(sigma))] = 1.0
+        values, vectors = np.linalg.eigh(correlation)
+        return (vectors / np.sqrt(np.maximum(values, 1e-8))).T / sigma
 
 
 @dataclass(frozen=True)
@@ -51,7 +138,7 @@ class PlaneFit:
     def plane_points(self, views: Sequence[BoardView]) -> np.ndarray:
         """Points of all views on the plane [mm], shape [all points, 2]."""
         return np.concatenate([
-            moved(view.board_mm()[:, :2], motion)
+            _moved(view.board_mm()[:, :2], motion)
             for view, motion in zip(views, self.motions, strict=True)
         ])  # fmt: skip
 
@@ -70,7 +157,7 @@ class PlaneFit:
         self, xy_mm: np.ndarray, theta: np.ndarray | None = None, half_mm: float = 1e-4
     ) -> np.ndarray:
         """Change of the pixel along x and y [px/mm], over ``half_mm`` to both sides, [2, 2]."""
-        uv = self.project(np.asarray(xy_mm) + half_mm * CROSS, theta)
+        uv = self.project(np.asarray(xy_mm) + half_mm * _CROSS, theta)
         return np.column_stack([uv[0] - uv[1], uv[2] - uv[3]]) / (2 * half_mm)
 
 
@@ -91,11 +178,6 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[CameraPose]) -> list
     return fits
 
 
-def fit_plane(views: Sequence[BoardView], model: CameraPose) -> PlaneFit:
-    """One model by all points, not cross-validated."""
-    return _fit(views, model, [np.ones(len(view.index), dtype=bool) for view in views])
-
-
 def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
     """The simplest fit within one standard error of the best, and all that are within it."""
     errors = [fit.point_mse for fit in fits]
@@ -109,7 +191,7 @@ def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
     return near[0], near
 
 
-def moved(xy_mm: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _moved(xy_mm: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Points [n, 2] of a board on the plane, by its angle [rad] and shift [mm]."""
     return xy_mm @ plane_rotation(float(motion[0])).T + motion[1:]
 
@@ -120,17 +202,23 @@ def plane_rotation(angle_rad: float) -> np.ndarray:
     return np.array([[c, -s], [s, c]])
 
 
-def _fit(
+def fit_plane(
     views: Sequence[BoardView],
     model: CameraPose,
-    used: list[np.ndarray],
+    used: Sequence[np.ndarray] | None = None,
     whole: PlaneFit | None = None,
 ) -> PlaneFit:
-    """Robust least squares of one model on some points of each view.
+    """Robust least squares of one model, not cross-validated.
 
-    ``whole``: a fit to all points, to start from when some are left out.
+    Args:
+        views: Boards on the plane.
+        model: How a plane appears in the image.
+        used: Which points of each view are fitted, bool; all when None.
+        whole: A fit to all points, to start from when some are left out.
     """
     boards = [view.board_mm()[:, :2] for view in views]
+    if used is None:
+        used = [np.ones(len(view.index), dtype=bool) for view in views]
     if whole is None:
         theta = model.start(boards[0][used[0]], views[0].uv_px[used[0]])
         start = np.concatenate([theta, _first_motions(views, boards)[1:].ravel()])
@@ -140,7 +228,7 @@ def _fit(
 
     def residuals(x: np.ndarray) -> list[np.ndarray]:
         return [
-            view.uv_px - model.project(x[:count], moved(board, motion))
+            view.uv_px - model.project(x[:count], _moved(board, motion))
             for view, board, motion in zip(views, boards, _motions(x[count:]), strict=True)
         ]
 
@@ -179,10 +267,10 @@ def _similarity(xy: np.ndarray, uv: np.ndarray) -> tuple[complex, complex]:
 
 def _with_heldout(views: Sequence[BoardView], fit: PlaneFit) -> PlaneFit:
     """Cross-validate over the points, in parts by (column + 2 row) modulo 5."""
-    folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % FOLDS for view in views]
+    folds = [(view.index[:, 0] + 2 * view.index[:, 1]) % _FOLDS for view in views]
     squares = [np.zeros(len(view.index)) for view in views]
-    for k in range(FOLDS):
-        held = _fit(views, fit.model, [fold != k for fold in folds], fit)
+    for k in range(_FOLDS):
+        held = fit_plane(views, fit.model, [fold != k for fold in folds], fit)
         for square, residual, fold in zip(squares, held.residuals, folds, strict=True):
             square[fold == k] = np.sum(residual[fold == k] ** 2, axis=1)
     every = np.concatenate(squares)
