@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +11,8 @@ import numpy as np
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.score import Errors, outside_rows
-from taccel_lab.report.page import Page, Picture, Table
-from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,25 +59,9 @@ def force_page(result: ForceCalibration) -> Page:
                 "called outside.",
             ),
         ],
-        pictures=[
-            Picture(
-                "predicted", partial(draw_predicted, result),
-                "Estimated against simulated forces, held-out test set; grey ones are outside.",
-            ),
-            Picture(
-                "errors", partial(draw_errors, result),
-                "Errors of the force along z and along the face by depth, shear and place, and how "
-                "large stated standard deviations are beside them.",
-            ),
-            Picture(
-                "patches", partial(draw_patches, result),
-                "Held-out touches: change of colour, force along z by patch simulated and "
-                "estimated, arrows along the face.",
-            ),
-            Picture("loss", partial(draw_loss, result), "Loss of the training's batches."),
-        ],
+        pictures=[_predicted(result), _errors(result), _patches(result), _loss(result)],
         figures=result.figures(),
-    )  # fmt: skip
+    )
 
 
 def _table(title: str, rows: Sequence[Errors]) -> Table:
@@ -99,8 +82,11 @@ def _table(title: str, rows: Sequence[Errors]) -> Table:
     )
 
 
-@in_report_style
-def draw_predicted(result: ForceCalibration) -> Figure:
+@picture(
+    "predicted",
+    "Estimated against simulated forces, held-out test set; grey ones are outside.",
+)
+def _predicted(result: ForceCalibration) -> Figure:
     """Predicted over simulated: forces, moment about z, area."""
     truth, predicted = result.test.targets, result.predicted.targets
     far = outside_rows(result.predicted, result.config)
@@ -126,8 +112,12 @@ def draw_predicted(result: ForceCalibration) -> Figure:
     return figure
 
 
-@in_report_style
-def draw_errors(result: ForceCalibration) -> Figure:
+@picture(
+    "errors",
+    "Errors of the force along z and along the face by depth, shear and place, and how large "
+    "stated standard deviations are beside them.",
+)
+def _errors(result: ForceCalibration) -> Figure:
     """Errors by bins, and how true the standard deviations are."""
     figure, axes = new_figure(11.4, 3.2, 1, 4)
     for panel, (name, label) in zip(
@@ -156,8 +146,12 @@ def draw_errors(result: ForceCalibration) -> Figure:
     return figure
 
 
-@in_report_style
-def draw_patches(result: ForceCalibration) -> Figure:
+@picture(
+    "patches",
+    "Held-out touches: change of colour, force along z by patch simulated and estimated, arrows "
+    "along the face.",
+)
+def _patches(result: ForceCalibration) -> Figure:
     """Some held-out touches, spread over the forces along z."""
     samples, predicted = result.test, result.predicted
     touched = np.flatnonzero(samples.targets[:, 2] > 0.2 * samples.targets[:, 2].max())
@@ -196,8 +190,8 @@ def draw_forces(axes: Any, forces_n: np.ndarray, top_n: float) -> Any:
     return image
 
 
-@in_report_style
-def draw_loss(result: ForceCalibration) -> Figure:
+@picture("loss", "Loss of the training's batches.")
+def _loss(result: ForceCalibration) -> Figure:
     """Loss over steps."""
     figure, axes = new_figure(5.6, 2.8)
     axes.plot(*zip(*result.trained.curve, strict=True), color=BLUE, lw=1)
