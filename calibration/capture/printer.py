@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from taccel_lab.calibration.capture.guide import DOME_MM, capture_plan
 from taccel_lab.calibration.capture.sensor_facts import GENERIC, sensor_facts
 from taccel_lab.errors import InputError
+from taccel_lab.files.table_file import read_table
 from taccel_lab.sensors import sensor_family
 
 PRINTERS = {"ender3": (220.0, 220.0, 250.0), "prusa_mk4": (250.0, 210.0, 220.0)}
@@ -224,3 +226,22 @@ def _require_reach(plan: PrinterPlan) -> None:
                 f"--touch has {axis} = {at:g} mm; {-low:.1f} to {size - high:.1f} mm is allowed, "
                 f"so that all presses lie in the printer's {size:g} mm"
             )
+
+
+def read_press_table(path: Path) -> list[dict[str, Any]]:
+    """``depth_mm`` and ``stage_mm`` of each press, in the order in which they were made.
+
+    Raises:
+        InputError: No such table, or a value that is none of a press.
+    """
+    table = read_table(path)
+    x, y, depth = (table.require_column(name) for name in COLUMNS[1:4])
+    found = []
+    for row in table.rows():
+        deep = row.number(depth)
+        if not 0 < deep <= 50:
+            raise row.error(f"depth_mm is {deep:g}; 0 to 50 mm is allowed")
+        found.append({"depth_mm": deep, "stage_mm": [row.number(x), row.number(y)]})
+    if not found:
+        raise InputError(f"{path} has no presses")
+    return found

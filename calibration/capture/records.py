@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import ForceRecord
-from taccel_lab.calibration.capture.record_checks import check_record
-from taccel_lab.calibration.capture.schema import RecordEntry
+from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.loading_faults import without_repeats
+from taccel_lab.files.loading_faults import require_loading, without_repeats
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.table_file import read_table
 
@@ -89,3 +88,154 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         name: np.array(column, dtype=np.float64)
         for name, column in zip(table.header, columns, strict=True)
     }
+
+
+SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
+"""Apparent moduli of gels on a window: from the softest silicone to 1 MPa ten times stiffened."""
+LIKELY_MPA = (0.005, 3.0)
+FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "ounces": 0.278, "kg": 9.80665, "kN": 1e3}
+"""Newtons of a unit that a cell may have been read in."""
+TIMES = {"time", "time_s", "time_ms", "t", "t_s"}
+"""Names of a column that only has to run forward."""
+MAX_DEPTH_MM = 20.0
+MIN_DEPTH_MM = 0.02
+FORCE_TOLERANCE = 0.05
+"""Drop of a force, relative to the largest, that noise explains where no sigma is stated."""
+UNKNOWN_TOOL_MM = (0.5, 20.0)
+"""Radii that a tool of unstated size may have."""
+
+
+def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) -> None:
+    """Refuse a record whose units, signs or order cannot be meant.
+
+    Units are judged by what they would mean: Hertz' formula ``E* = 3 F / (4 sqrt(R) d^1.5)`` (K. L.
+    Johnson, Contact Mechanics, 1985, eq. 4.23) turns a force and a depth into a modulus, and
+    silicone gels lie between 1 kPa and a few MPa. A thin layer on a hard window looks up to ten
+    times as stiff.
+
+    Raises:
+        InputError: Names the file, the row where there is one, what was found and what is allowed.
+    """
+    depth, force = columns["depth_mm"], columns["force_n"]
+    sigma = columns.get("sigma_n", np.array(FORCE_TOLERANCE / 3 * np.abs(force).max()))
+    tool = entry.tool
+    with naming(path):
+        if "sigma_n" in columns and (sigma <= 0).any():
+            raise InputError("sigma_n has to be positive everywhere")
+        if "sigma_n" in columns and sigma.min() > np.abs(force).max():
+            raise InputError(
+                f"sigma_n is at least {sigma.min():g} N, the largest force {force.max():g} N: of "
+                "such a record no force is known; sigma_n is in newtons, too"
+            )
+        _check_time(columns)
+        noise = float(sigma.max()) if entry.force_sigma_n is None else entry.force_sigma_n
+        _check_sign(force, noise)
+        _check_depth(depth)
+        _check_order(depth)
+        _check_rising(force, noise)
+        if tool.kind == "sphere":  # Hertz measures no flat ends; fits of material check those.
+            _check_force_unit(tool, depth, force)
+        # A tool that nobody states may have a flat end.
+        ball = tool.kind == "sphere" and tool.radius_mm is not None
+        require_loading(depth, force, noise, ball=ball)
+
+
+def _check_sign(force: np.ndarray, sigma_n: float) -> None:
+    limit = -3 * sigma_n
+    below = np.flatnonzero(force < limit)
+    if len(below) == 0:
+        return
+    if len(below) > len(force) / 2 or abs(force.min()) > force.max():
+        raise InputError(
+            f"force_n is negative (down to {force.min():g} N); a force into the gel "
+            "is positive, so the sign of the column is reversed"
+        )
+    raise InputError(
+        f"row {below[0] + 1} has force_n = {force[below[0]]:g} N; a force into the "
+        "gel is positive, and this is more than noise. Remove the offset or the row"
+    )
+
+
+def _check_depth(depth: np.ndarray) -> None:
+    largest = float(np.abs(depth).max())
+    if depth.min() < -0.05 * largest:
+        row = int(np.argmin(depth))
+        raise InputError(
+            f"row {row + 1} has depth_mm = {depth[row]:g}; travel past first touch "
+            "is positive into the gel. Reverse the column's sign, or cut the approach off"
+        )
+    if largest > MAX_DEPTH_MM:
+        hint = " (micrometres?)" if largest < MAX_DEPTH_MM * 1e3 else ""
+        raise InputError(f"depth_mm reaches {largest:g}; at most {MAX_DEPTH_MM:g} mm{hint}")
+    if largest < MIN_DEPTH_MM:
+        raise InputError(
+            f"depth_mm reaches only {largest:g}; at least {MIN_DEPTH_MM:g} mm. "
+            "Depths in metres have to be multiplied by 1000"
+        )
+
+
+def _check_order(depth: np.ndarray) -> None:
+    wrong = np.flatnonzero(np.diff(depth) < 0)
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"depth_mm falls from {depth[row]:g} to {depth[row + 1]:g} in row {row + 2}; a record "
+            "holds one loading in order: cut the unloading off, or sort the points"
+        )
+
+
+def _check_time(columns: dict[str, np.ndarray]) -> None:
+    for name in TIMES & set(columns):
+        wrong = np.flatnonzero(np.diff(columns[name]) < 0)
+        if len(wrong):
+            row = int(wrong[0])
+            raise InputError(
+                f"{name} falls from {columns[name][row]:g} to {columns[name][row + 1]:g} in row "
+                f"{row + 2}: the rows are not in the order of the loading; is it an unloading?"
+            )
+
+
+def _check_rising(force: np.ndarray, sigma_n: float) -> None:
+    tolerance = max(3 * sigma_n, 1e-9)
+    highest = np.maximum.accumulate(force)
+    wrong = np.flatnonzero(force < highest - tolerance)
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"force_n falls to {force[row]:g} N in row {row + 1} after "
+            f"{highest[row]:g} N at a smaller depth; the force of a loading rises. The gel has "
+            "slipped or torn, or the rows are of different presses"
+        )
+
+
+def apparent_modulus_mpa(depth_mm: np.ndarray, force_n: np.ndarray, radius_mm: float) -> float:
+    """Hertz' reduced modulus of the deeper half of a record, its median [MPa = N/mm2]."""
+    deep = (depth_mm > 0.5 * depth_mm.max()) & (force_n > 0)
+    if not deep.any():
+        return float("nan")
+    return float(np.median(0.75 * force_n[deep] / (np.sqrt(radius_mm) * depth_mm[deep] ** 1.5)))
+
+
+def _check_force_unit(tool: ToolEntry, depth: np.ndarray, force: np.ndarray) -> None:
+    radii = (tool.radius_mm,) * 2 if tool.radius_mm is not None else UNKNOWN_TOOL_MM
+    lowest, highest = (apparent_modulus_mpa(depth, force, radius) for radius in reversed(radii))
+    if not np.isfinite(lowest):
+        raise InputError("no force is positive; newtons into the gel are needed")
+    if lowest > STIFFEST_MPA:
+        fitting = [
+            unit
+            for unit, newtons in FORCE_UNITS.items()
+            if newtons < 1 and LIKELY_MPA[0] <= lowest * newtons <= LIKELY_MPA[1]
+        ]
+        guess = f"; read as {' or '.join(fitting)} it would be a gel" if fitting else ""
+        raise InputError(
+            f"a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"{lowest:.3g} MPa stiff; gels on a window look at most {STIFFEST_MPA:g} MPa{guess}; "
+            "force_n is in newtons, depth_mm in millimetres"
+        )
+    if highest < SOFTEST_MPA:
+        raise InputError(
+            f"a force of {force.max():g} N at {depth.max():g} mm makes the gel "
+            f"{highest * 1e3:.2g} kPa stiff, at least {SOFTEST_MPA * 1e3:g} kPa; force_n is in "
+            "newtons (kN or kgf?), depth_mm in millimetres"
+        )

@@ -121,7 +121,8 @@ def perturbation_block(
         values["noise_levels"] = noise_levels
     values |= {} if units is None else units.values
     unit_count = 0 if units is None else units.unit_count
-    error = relative_error(len(lights) or unit_count)
+    count = len(lights) or unit_count
+    error = relative_error(count)
     spread = {k: error * v for k, v in values.items() if isinstance(v, float)}
     for name in ("gain_rgb", "offset_rgb", "gradient_rgb"):
         if name in values:
@@ -139,7 +140,7 @@ def perturbation_block(
             inputs=inputs,
             residuals={"light_fit_levels": float(np.mean(residuals)) if residuals else 0.0},
             spread=spread,
-            valid_region={"sample_count": (float(len(lights) or unit_count),) * 2},
+            valid_region={"sample_count": (float(count), float(count))},
             verdict=judge(remarks).value,
             remarks=tuple(remark.message for remark in remarks),
         ),

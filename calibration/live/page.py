@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Mapping
@@ -10,11 +11,12 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.live.latency import Latency
-from taccel_lab.calibration.live.pictures import pictures
+from taccel_lab.calibration.live.pictures import StripChart, pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
-from taccel_lab.calibration.live.snapshot import save_snapshot
-from taccel_lab.calibration.live.strip_chart import StripChart
+from taccel_lab.calibration.pressure.reading_files import write_reading
+from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
@@ -177,3 +179,25 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
     return head.format(found["rate_hz"], grid.width_px, grid.height_px) + page_table(
         table, ("stage [ms]", "median", "95 %")
     )
+
+
+_SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
+
+
+def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Path:
+    """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth`` where the depth is not
+    refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
+    folder.mkdir(parents=True, exist_ok=True)
+    taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
+    stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
+    path = folder / f"{stem}_image.png"
+    write_png(path, reading.image)
+    if reading.surface is not None and not reading.refused:
+        touch = TouchReading(
+            **vars(reading.surface),
+            grid=reader.grid,
+            press=reading.press,
+            no_press=reader.no_pressure,
+        )
+        write_reading(touch, reading.image, path, folder, stem)
+    return path

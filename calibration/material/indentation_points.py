@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
-from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
+from taccel_lab.calibration.capture.records import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.gel import CurveTool, Gel
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS

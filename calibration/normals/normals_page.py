@@ -107,8 +107,8 @@ def _summary(result: NormalCalibration) -> Table:
             ["absolute depth, mean absolute error [mm]", absolute["mae_mm"], "-"],
             ["deepest point, read less wanted [mm]", absolute["deepest_mm"], "-"],
             ["deepest point, wanted [mm]", absolute["wanted_mm"], "-"],
-            ["heights within one deviation, as frozen (68 %)", absolute["within_68"], "-"],
-            ["heights within two, as frozen (95 %)", absolute["within_95"], "-"],
+            ["heights within one standard deviation (68 %)", absolute["within_68"], "-"],
+            ["heights within two (95 %)", absolute["within_95"], "-"],
         ]
     return Table(
         "Held-out presses",
@@ -118,8 +118,8 @@ def _summary(result: NormalCalibration) -> Table:
         "corrected by the training presses; without a label, circles found in the image. Circles "
         "drawn by hand are off by a pixel or more, an error in both columns. Absolute depths are "
         "compared with the ball pressed into the stated pad until it touches in the circle: "
-        "another thickness shifts them. As frozen: by the deviations of the frozen model, which "
-        "these presses widen in the profile. Presses that could not be read count as flat: "
+        "another thickness shifts them. Standard deviations are those of the profile. Presses "
+        "that could not be read count as flat: "
         f"{', '.join(result.failed) or 'none'}. Beside the figures, with labels that images "
         f"reject: {', '.join(sorted(result.rejected)) or 'none'}.",
     )

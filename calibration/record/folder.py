@@ -22,8 +22,7 @@ import numpy as np
 from taccel_lab.calibration.capture.importers import freeze_split
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.manifest_text import manifest_text
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION, manifest_text
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file

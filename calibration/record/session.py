@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,14 +13,13 @@ import numpy as np
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, Shot
 from taccel_lab.calibration.capture.camera.shots import Gap
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.capture.coverage import cell_name, cell_of
+from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import detect_contact
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.record.advice import Advice, contact_radius_mm, next_press
 from taccel_lab.calibration.record.camera_faults import FrozenWatch
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.folder import RecordFolder
@@ -318,3 +319,63 @@ class Recorder:
 
     def _say(self, text: str) -> None:
         self._messages.appendleft(text)
+
+
+DEPTHS = ("light", "medium", "deep")
+SHARES = (0.5, 0.7, 0.9)
+"""Contact radius of each depth, as parts of the deepest one's."""
+_CELLS = [(column, row) for row in range(CELLS[1]) for column in range(CELLS[0])]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """The press that is missing most."""
+
+    cell: tuple[int, int]
+    """Column and row of the coverage table."""
+    depth: str
+    radius_px: float | None
+    """Of its contact; None where nothing tells yet how large one is."""
+
+    def __str__(self) -> str:
+        wide = (
+            "" if self.radius_px is None else f", a contact about {2 * self.radius_px:.0f} px wide"
+        )
+        return f"{cell_name(*self.cell)}, {self.depth}{wide}"
+
+
+def next_press(
+    circles: Sequence[ContactCircle], size_px: tuple[int, int], deepest_px: float | None
+) -> Advice:
+    """The place and depth that the presses so far lack most.
+
+    Args:
+        circles: Contacts so far.
+        size_px: Width and height of the image.
+        deepest_px: Contact radius of the deepest press that is wanted, where ball and scale tell
+            it; the largest so far when None.
+    """
+    if deepest_px is None and circles:
+        deepest_px = max(circle.radius_px for circle in circles)
+    made = Counter(cell_of(circle, *size_px) for circle in circles)
+    cell = min(_CELLS, key=lambda one: made[one])
+    if deepest_px is None:
+        return Advice(cell, DEPTHS[1], None)
+    depths = Counter(
+        (cell_of(circle, *size_px), depth_of(circle, deepest_px)) for circle in circles
+    )
+    over_all = Counter(depth_of(circle, deepest_px) for circle in circles)
+    depth = min(range(len(DEPTHS)), key=lambda k: (depths[cell, k], over_all[k], (1, 0, 2)[k]))
+    return Advice(cell, DEPTHS[depth], SHARES[depth] * deepest_px)
+
+
+def depth_of(circle: ContactCircle, deepest_px: float) -> int:
+    """Which of the depths a contact is nearest to."""
+    share = circle.radius_px / deepest_px
+    return min(range(len(SHARES)), key=lambda k: abs(SHARES[k] - share))
+
+
+def contact_radius_mm(ball_mm: float, depth_mm: float) -> float:
+    """Radius of a ball's contact at a depth [mm], at most the ball's own."""
+    depth_mm = min(depth_mm, ball_mm)
+    return math.sqrt(2 * ball_mm * depth_mm - depth_mm**2)

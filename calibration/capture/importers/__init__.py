@@ -22,15 +22,17 @@ from taccel_lab.calibration.capture.importers.draft import (
     Draft,
     ImportOptions,
     board_entry,
+    require_lengths,
 )
 from taccel_lab.calibration.capture.importers.files import (
+    capture_folders,
+    files_of,
     images_in,
     label_numbers,
     press_rows,
     stated_number,
 )
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
-from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
@@ -147,9 +149,16 @@ def read_drafts(
     """What ``source`` holds, one draft for each sensor or set, with the options applied.
 
     Raises:
-        InputError: Unknown or wrong layout, or a file that cannot be used.
+        InputError: Unknown or wrong layout, a length that no captures have, or a file that cannot
+            be used.
     """
     source, options = _own_files_alone(Path(source)), options or ImportOptions()
+    require_lengths(
+        radius_mm=options.radius_mm,
+        mm_per_px_x=options.mm_per_px_x,
+        mm_per_px_y=options.mm_per_px_y,
+        edge_mm=options.edge_mm,
+    )
     chosen = detect_layout(source) if layout == AUTO else named_layout(layout)
     drafts = chosen.read(source, options)
     if not drafts:

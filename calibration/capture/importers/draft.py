@@ -20,12 +20,14 @@ from taccel_lab.calibration.capture.importers.background_guess import (
     BACKGROUND_NAME,
     median_image,
 )
-from taccel_lab.calibration.capture.importers.files import images_in
-from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
-from taccel_lab.calibration.capture.importers.left_out import left_out_sentences
+from taccel_lab.calibration.capture.importers.files import images_in, left_out_sentences
+from taccel_lab.calibration.capture.importers.label_tables import (
+    NAMES,
+    LabelTables,
+    read_label_tables,
+)
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.manifest_text import manifest_text
 from taccel_lab.calibration.capture.schema import (
     MANIFEST_NAME,
     MAX_EDGE_MM,
@@ -35,8 +37,10 @@ from taccel_lab.calibration.capture.schema import (
     MIN_MM_PER_PX,
     MIN_RADIUS_MM,
     SCHEMA_VERSION,
+    manifest_text,
 )
 from taccel_lab.calibration.capture.suffixes import is_picture
+from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.files.cell_number import number
@@ -62,30 +66,6 @@ _BOUNDS = {
     "edge_mm": (MIN_EDGE_MM, MAX_EDGE_MM),
 }
 """What the manifest allows."""
-
-
-@dataclass(frozen=True)
-class ImportOptions:
-    """What the person who imports knows better than the files."""
-
-    sensor: str | None = None
-    unit: str | None = None
-    radius_mm: float | None = None
-    mm_per_px_x: float | None = None
-    mm_per_px_y: float | None = None
-    background: str | None = None
-    """A file, relative to the source, or ``median`` for the median of the presses."""
-    edge_mm: float | None = None
-    """Length of the straight edge of edge presses [mm]."""
-    board: str | None = None
-    """``chessboard:6x6:2.5``: the board of the layout, or that all images of a plain folder are
-    views of (inner corners or dots along a row x rows, and the pitch in mm where it is known)."""
-    origin: str | None = None
-    """Where the captures come from; kept as ``source``."""
-    license: str | None = None
-
-    def __post_init__(self) -> None:
-        require_lengths(**{name: getattr(self, name) for name in _BOUNDS})
 
 
 def require_lengths(**lengths: float | None) -> None:
@@ -249,7 +229,17 @@ class Draft:
         circles = labels.of_images(images)
         for image in images:
             self.add_press(image, name(image), contact=circles.get(image))
-        labels.tell(self, images)
+        self.tell_labels(labels, images)
+
+    def tell_labels(self, labels: LabelTables, images: Sequence[Path]) -> None:
+        """Keep which tables were read, and what of them has no effect on these presses."""
+        self.used |= labels.read
+        for path, why in labels.left_out.items():
+            if path not in self.used:
+                self.leave_out(path, why)
+        if lost := labels.lost(images):
+            shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
+            self.notes.append(f"circles without an image here, or of no press: {shown}; {NAMES}")
 
     def add_press(self, image: Path | np.ndarray, name: str | None = None, **values: Any) -> None:
         """Add a ball press; ``values`` are further keys of its entry, None left out."""

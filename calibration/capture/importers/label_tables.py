@@ -7,15 +7,11 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.table_file import numbered_lines, read_table, read_table_text
-
-if TYPE_CHECKING:
-    from taccel_lab.calibration.capture.importers.draft import Draft
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""
@@ -88,18 +84,10 @@ class LabelTables:
         path = image.relative_to(self.folder)
         return path.as_posix(), image.name, path.with_suffix("").as_posix(), image.stem
 
-    def tell(self, draft: Draft, images: Sequence[Path]) -> None:
-        """Keep in the draft which tables were read, and what of them has no effect on these
-        presses."""
-        draft.used |= self.read
-        for path, why in self.left_out.items():
-            if path not in draft.used:
-                draft.leave_out(path, why)
+    def lost(self, images: Sequence[Path]) -> list[str]:
+        """Names of the tables that none of these images has."""
         used = {name for image in images for name in self._names(image)}
-        lost = sorted(name for name in self.circles if name not in used)
-        if lost:
-            shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-            draft.notes.append(f"circles without an image here, or of no press: {shown}; {NAMES}")
+        return sorted(name for name in self.circles if name not in used)
 
 
 def read_label_tables(folder: Path) -> LabelTables:

@@ -19,9 +19,8 @@ from taccel_lab.calibration.capture.importers.draft import (
     ImportOptions,
     board_entry,
 )
-from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.files import capture_folders, images_in
 from taccel_lab.calibration.capture.importers.label_tables import without_path
-from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.calibration.capture.suffixes import is_video
 from taccel_lab.errors import InputError

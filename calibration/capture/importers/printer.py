@@ -47,7 +47,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     for name in (x, y, depth, radius) if rows else ():
         if rows[0].row.table.column(name) is None:
             draft.notes.append(f"no press has its {name}: no column is called so")
-    labels.tell(draft, images)
+    draft.tell_labels(labels, images)
     return [draft]
 
 

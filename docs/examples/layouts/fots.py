@@ -59,7 +59,7 @@ def read(source: Path, options: ImportOptions) -> list[Draft]:
             )
         drafts.append(draft)
     if drafts:
-        labels.tell(drafts[0], everything)
+        drafts[0].tell_labels(labels, everything)
     return drafts + [_dots(source, frame) for frame in images_in(source, "marker_calib/data/*")[:1]]
 
 

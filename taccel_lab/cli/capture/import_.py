@@ -9,9 +9,11 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from taccel_lab.calibration.import_options import ImportOptions
+
 
 @dataclass(frozen=True)
-class CaptureImport:
+class CaptureImport(ImportOptions):
     """Write captures of another project's layout, or a plain folder, as a capture folder.
 
     Image files are copied unchanged. Assumptions are printed, and kept in captures.toml and in
@@ -27,38 +29,12 @@ class CaptureImport:
     """Layout of the source: auto, taxim, 9dtact, gs-sdk, printer, markers or plain, or a script,
     which is run: those of other published sets are in docs/examples/layouts
     (docs/capture_import.md)."""
-    sensor: str | None = None
-    """Sensor of the catalogue, or a profile folder. Default: that of the layout; flat_pad if
-    unknown."""
-    unit: str | None = None
-    """Serial number or nickname of this particular sensor."""
-    radius_mm: float | None = None
-    """Radius of the ball of the presses or of the force record [mm]; replaces the layout's."""
-    mm_per_px_x: float | None = None
-    """Scale along the image's rows [mm/px], if you measured it."""
-    mm_per_px_y: float | None = None
-    """Scale along the image's columns [mm/px]. Default: that of the rows."""
-    background: str | None = None
-    """Image of the untouched sensor, or "median" for the median of the presses."""
-    edge_mm: float | None = None
-    """Length of the edge of edge presses [mm]."""
-    board: str | None = None
-    """The board of the layout, or that of all images of a plain folder, such as
-    chessboard:6x6:2.5. The numbers are inner corners or dots along a row x rows, and their pitch
-    in mm if known. Kinds: chessboard, charuco, dots."""
-    origin: str | None = None
-    """Origin of the captures, kept as provenance. Default: from a README or MANIFEST in the
-    source, else unknown."""
-    license: str | None = None
-    """Licence of the captures, kept as provenance. Default: that of a licence file or README in
-    the source, else unknown."""
     json: bool = False
     """Print what was written as JSON."""
 
     def run(self) -> None:
         from taccel_lab.calibration.capture.importers import (
             AUTO,
-            ImportOptions,
             detect_layout,
             import_folders,
         )
@@ -68,23 +44,11 @@ class CaptureImport:
 
         if self.sensor is not None:
             sensor_family(self.sensor)
-        options = ImportOptions(
-            sensor=self.sensor,
-            unit=self.unit,
-            radius_mm=self.radius_mm,
-            mm_per_px_x=self.mm_per_px_x,
-            mm_per_px_y=self.mm_per_px_y,
-            background=self.background,
-            edge_mm=self.edge_mm,
-            board=self.board,
-            origin=self.origin,
-            license=self.license,
-        )
         require_replaceable(self.out)
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         console = notes() if self.json else results()
         with working(console, f"importing {self.source} as {layout}"):
-            folders = import_folders(self.source, self.out, layout, options)
+            folders = import_folders(self.source, self.out, layout, self)
         found = []
         for folder in folders:
             origin = {key: folder.provenance[key] for key in ("source", "license")}

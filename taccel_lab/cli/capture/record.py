@@ -188,7 +188,7 @@ class CaptureRecord(_Session):
     --printer): each gets its depth and place."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.capture.press_table import read_press_table
+        from taccel_lab.calibration.capture.printer import read_press_table
 
         if self.table is None:
             self.run_as(self.presses, quick=False)

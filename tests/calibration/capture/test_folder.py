@@ -14,8 +14,12 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.guide import capture_plan
-from taccel_lab.calibration.capture.record_checks import apparent_modulus_mpa, check_record
-from taccel_lab.calibration.capture.records import is_record, load_record
+from taccel_lab.calibration.capture.records import (
+    apparent_modulus_mpa,
+    check_record,
+    is_record,
+    load_record,
+)
 from taccel_lab.calibration.capture.schema import CaptureManifest, RecordEntry, ToolEntry
 from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError

@@ -11,8 +11,8 @@ import pytest
 
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
-from taccel_lab.calibration.capture.importers import ImportOptions, read_drafts
-from taccel_lab.calibration.capture.importers.left_out import files_of, left_out_sentences
+from taccel_lab.calibration.capture.importers import read_drafts
+from taccel_lab.calibration.capture.importers.files import files_of, left_out_sentences
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, Origin, read_origin
 from taccel_lab.calibration.check import check_captures
 from taccel_lab.errors import InputError
@@ -246,6 +246,8 @@ def test_an_earlier_import_below_the_source_is_not_read_again(tmp_path: Path) ->
         ({"edge_mm": float("nan")}, r"--edge-mm is nan; 0.1 to 200 mm is allowed$"),
     ],
 )
-def test_lengths_out_of_bounds_are_told_by_their_flag(option: dict[str, float], words: str) -> None:
+def test_lengths_out_of_bounds_are_told_by_their_flag(
+    tmp_path: Path, option: dict[str, float], words: str
+) -> None:
     with pytest.raises(InputError, match=words):
-        ImportOptions(**option)  # pyright: ignore[reportArgumentType]
+        imported(source_of(plain, tmp_path), **option)

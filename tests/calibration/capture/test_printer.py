@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture.camera.camera import CameraInfo
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.importers import import_captures
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.press_table import read_press_table
 from taccel_lab.calibration.capture.printer import (
     CLEAR_MM,
     PRINTERS,
@@ -23,6 +22,7 @@ from taccel_lab.calibration.capture.printer import (
     PrinterPlan,
     parse_printer,
     printer_plan,
+    read_press_table,
 )
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.folder import open_record

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.camera.name_stamps import name_stamps
-from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.calibration.capture.camera.recording import Recording, name_stamps
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_replay
 from taccel_lab.calibration.capture.video import LOST_SHARE
 from taccel_lab.errors import InputError

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.live.page import save_snapshot
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.ros import RosPublisher
 from taccel_lab.calibration.live.run import live_session, run_together
-from taccel_lab.calibration.live.snapshot import save_snapshot
 from taccel_lab.errors import InputError
 from tests.calibration.grey.test_depth import grey_unit
 from tests.calibration.live.test_live import Watching

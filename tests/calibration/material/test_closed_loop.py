@@ -11,10 +11,10 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material import gel_presses
+from taccel_lab.calibration.material import force_table
 from taccel_lab.calibration.material.fit import calibrate_material
+from taccel_lab.calibration.material.force_table import GelBench
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.errors import SimulationError
@@ -157,7 +157,7 @@ def test_a_press_that_does_not_converge_is_refused(
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=6.0))
     bench = GelBench(replace(gel, physics=COARSE_FAST), tool, 1.0)
     with monkeypatch.context() as patch:
-        patch.setattr(gel_presses, "RUBBING_LIMITS", hasty)
+        patch.setattr(force_table, "RUBBING_LIMITS", hasty)
         with pytest.raises(SimulationError, match="did not converge"):
             bench.pressed(bench.gel, 0.3)
     found = bench.pressed(bench.gel, 0.3)

@@ -15,11 +15,11 @@ import pytest
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import (
     ForceTable,
+    GelBench,
     TableError,
     force_table,
 )
 from taccel_lab.calibration.material.gel import CurveTool, Gel
-from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,

@@ -18,13 +18,17 @@ from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.capture.camera import CameraReplay, Shot, open_camera
 from taccel_lab.calibration.capture.camera.camera import CameraInfo
 from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
-from taccel_lab.calibration.record.advice import SHARES, contact_radius_mm, next_press
 from taccel_lab.calibration.record.camera_faults import FROZEN_S
 from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.page import LAMP_COLORS, RecordPage
-from taccel_lab.calibration.record.pictures import BLUE
+from taccel_lab.calibration.record.page import BLUE, LAMP_COLORS, RecordPage
 from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder, SessionStatus
+from taccel_lab.calibration.record.session import (
+    SHARES,
+    Recorder,
+    SessionStatus,
+    contact_radius_mm,
+    next_press,
+)
 from taccel_lab.calibration.record.tiles import tiled
 from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger, UntouchedGel
 from taccel_lab.errors import InputError
