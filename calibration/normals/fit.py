@@ -29,7 +29,6 @@ from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.normals.heldout import read_heldout
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
 from taccel_lab.calibration.normals.options import (
     InverseFitOptions,
@@ -40,7 +39,7 @@ from taccel_lab.calibration.normals.reading_error import with_reading_errors
 from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import KnownPress
-from taccel_lab.calibration.normals.score import reliability_of
+from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.response.frame import (
     EXACT,

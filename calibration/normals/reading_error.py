@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
-from taccel_lab.calibration.normals.samples import KnownPress
-from taccel_lab.calibration.normals.score import angle_between_deg
+from taccel_lab.calibration.normals.samples import KnownPress, angle_between_deg
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.signals.height_uncertainty import HeightUncertainty

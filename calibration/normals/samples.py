@@ -185,6 +185,12 @@ def ball_normals(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
     return np.stack([-x, -y, np.sqrt(1.0 - x**2 - y**2)], axis=-1)
 
 
+def angle_between_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle between unit vectors [degrees], shape [...] of [..., 3]; exact for small angles."""
+    half_chord = np.linalg.norm(a - b, axis=-1) / 2
+    return np.degrees(2 * np.arcsin(np.clip(half_chord, 0.0, 1.0)))
+
+
 def _window(circle: ContactCircle, grid: PixelGrid) -> tuple[slice, slice]:
     """Rows and columns that a contact moves, and a margin for the filters."""
     reach_u = (UNTOUCHED_RADII + 0.6) * circle.radius_px + 4

@@ -21,15 +21,18 @@ from taccel_lab.calibration.normals.fit import (
     calibrate_normals,
     fit_normals,
 )
-from taccel_lab.calibration.normals.heldout import READING as READING_HELDOUT
-from taccel_lab.calibration.normals.heldout import read_heldout
 from taccel_lab.calibration.normals.network_fit import TASK, TASK_AGAIN, InverseTraining
 from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import ball_center_px, ball_normals
-from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
+from taccel_lab.calibration.normals.samples import (
+    angle_between_deg,
+    ball_center_px,
+    ball_normals,
+)
+from taccel_lab.calibration.normals.score import READING as READING_HELDOUT
+from taccel_lab.calibration.normals.score import ball_depth_mm, read_heldout
 from taccel_lab.calibration.response.frame import EXACT, CaptureScene
 from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.errors import InputError

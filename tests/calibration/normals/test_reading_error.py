@@ -21,7 +21,6 @@ from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.normals.heldout import read_heldout
 from taccel_lab.calibration.normals.reading_error import (
     all_errors,
     widened,
@@ -29,7 +28,7 @@ from taccel_lab.calibration.normals.reading_error import (
 )
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import KnownPress, circle_angle_rad, true_normals
-from taccel_lab.calibration.normals.score import reliability_of
+from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.response.frame import EXACT, CaptureScene, PressFrame
 from taccel_lab.calibration.response.heldout import HeldoutSet
