@@ -7,7 +7,7 @@ was slow, friction is frozen where an environment is, and the residual has come 
 the contact force, the direction is that of the whole derivative instead (``friction_change``),
 which leaves a tenth of the residual near the solution. ``CorrectedSolve`` finds it by systems with
 frozen friction. No energy falls along it: what it is worth is judged by the residual with friction
-frozen where it leads (``freeze_friction``).
+frozen where it leads (``friction_lag``).
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def is_good(
     """Whether a trial lowers the energy.
 
     While frames are still on their way the energy may rise: they do work. So it may along
-    a direction that follows friction, which the residual will judge (``freeze_friction``).
+    a direction that follows friction, which the residual will judge (``friction_lag``).
     A body that turns leaves the chord that CCD checked: where one does, ``limit`` is that of the
     path really taken.
     Sums of that many terms carry rounding of about 1e-14 of the energy, each element's energy is a

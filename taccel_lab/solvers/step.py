@@ -18,9 +18,9 @@ import warp as wp
 
 from taccel_lab.solvers.assemble_and_solve import assemble_and_solve
 from taccel_lab.solvers.begin_and_end import begin_step, end_step
+from taccel_lab.solvers.convergence import measure_and_judge
 from taccel_lab.solvers.find_pairs import find_pairs
 from taccel_lab.solvers.limit_step import limit_step
-from taccel_lab.solvers.measure_and_judge import measure_and_judge
 from taccel_lab.solvers.search_line import (
     bend_direction,
     energies_at_start,

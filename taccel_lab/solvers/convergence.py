@@ -25,7 +25,7 @@ from taccel_lab.solvers.env_progress import (
     Rules,
     Search,
 )
-from taccel_lab.solvers.freeze_friction import refreeze_friction
+from taccel_lab.solvers.friction_lag import refreeze_friction
 from taccel_lab.solvers.measure import bound_rounding, element_rounding, evaluate_gradient, weigh
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
