@@ -73,11 +73,12 @@ FACTORIES: dict[str, Callable[[], list[Any]]] = {
 def texts() -> Iterator[tuple[str, str]]:
     """Files of the package that have kernels, and their text; of its rooms, too. The one kernel of
     the command line is made where it is run, by ``doctor``."""
-    rooms = [link for link in PACKAGE.iterdir() if link.is_symlink() and link.name != "cli"]
+    rooms = [link for link in PACKAGE.iterdir() if link.is_symlink()]
     for path in sorted(path for folder in (PACKAGE, *rooms) for path in folder.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
-        if "@wp.kernel" in text:
-            yield str(path.relative_to(PACKAGE)), text
+        name = str(path.relative_to(PACKAGE))
+        if "@wp.kernel" in text and not name.startswith("cli/"):
+            yield name, text
 
 
 FAST_CHIPS = (86, 90)
