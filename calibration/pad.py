@@ -123,7 +123,7 @@ def past_largest_pad(sensor: str, grid: PixelGrid, overrides: Mapping[str, Any])
     return [SCALE_PAST_PAD(**_view(grid), pad_x=pad[0], pad_y=pad[1])]
 
 
-def _view(grid: PixelGrid) -> dict[str, float]:
+def _view(grid: PixelGrid) -> dict[str, Any]:
     """Scale and extent of an image, as remarks name them."""
     return {
         "mm_per_px_x": grid.mm_per_px_x,

@@ -145,7 +145,7 @@ class _Sinking:
     ) -> None:
         self.rows, self.columns = shape
         rows, columns = (
-            next_fast_len(count + int(2 * PADDING * layer.thickness_mm / step), real=True)
+            int(next_fast_len(count + int(2 * PADDING * layer.thickness_mm / step), real=True) or 0)
             for count, step in zip(shape, step_mm[::-1], strict=True)
         )
         self.padded = rows, columns
