@@ -77,8 +77,8 @@ class OnGel:
     """The map from the gel to the image that is used."""
     frame: GelFrame
     grid: PixelGrid
-    """Of the rectified image; where it is as large as the raw one, it holds for that too as far as
-    it is not distorted."""
+    """Pixels of the rectified image; they hold for a raw image of that size as far as it is not
+    distorted."""
     center_px: tuple[float, float]
     """Raw pixel of the gel frame's origin."""
     views: tuple[BoardView, ...]
@@ -161,18 +161,12 @@ def fit_on_gel(
         grid = PixelGrid(*size, *scale, float(center[0]), float(center[1]))
     else:
         grid = PixelGrid(*tactile_px, *scale)
-    by_model = {fit.model.name: fit for fit in fits}
-    poses = [
-        _pose(by_model[model.name], center, pitch, model)
-        for model in cameras
-        if model.name in by_model
-    ]
-    used = poses[-1] if poses else None
-    if len(poses) == 2:
-        in_air, refracted = poses
-        used = in_air if choose_plane([refracted.fit, in_air.fit])[0] is in_air.fit else refracted
+    poses, used = [_pose(fit, center, pitch) for fit in fits[::-1] if fit.model in cameras], None
+    if poses:
+        best, _ = choose_plane([pose.fit for pose in poses[::-1]])
+        used = next(pose for pose in poses if pose.fit is best)
     spread = _scale_range(chosen, views, pitch)
-    said = _remarks(chosen, fits, frame, spread, pitch, views, center)
+    said = _remarks(chosen, frame, spread, pitch, views, center)
     return OnGel(
         chosen,
         frame,
@@ -197,12 +191,7 @@ def _shaded_fits(views: Sequence[BoardView], model: CameraPose) -> list[PlaneFit
     return [fit_plane([other(view, k) for view in views], model) for k in range(count)]
 
 
-def _pose(
-    fit: PlaneFit,
-    center: tuple[float, float],
-    pitch: float,
-    model: CameraPose,
-) -> PoseInGel:
+def _pose(fit: PlaneFit, center: tuple[float, float], pitch: float) -> PoseInGel:
     """Camera in the gel frame that this fit itself gives."""
     origin, angle, _, _ = _scale_at(fit, np.array(center), fit.theta, pitch)
 
@@ -227,13 +216,12 @@ def _pose(
         (sx, sy, sz),
         (x, y, z, w),
         float(np.degrees(np.arccos(np.clip(axis[2], -1, 1)))),
-        model.media is not None,
+        fit.model.media is not None,
     )
 
 
 def _remarks(
     chosen: PlaneFit,
-    fits: Sequence[PlaneFit],
     frame: GelFrame,
     spread: tuple[float, float],
     pitch: float,

@@ -34,13 +34,13 @@ class BundleFit:
 
     lens: Lens
     fit: RobustFit
-    """Of the lens's parameters, then of the views' poses."""
+    """Fit of the lens's parameters, then of the views' poses."""
     view: np.ndarray
     """Which view each point is of, int, shape [point]."""
 
     @property
     def parameters(self) -> np.ndarray:
-        """As ``lens.parameter_names``, shape [p]."""
+        """The lens's, as ``lens.parameter_names``, shape [p]."""
         return self.fit.x[: self.lens.parameter_count]
 
     @property
@@ -55,7 +55,7 @@ class BundleFit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the parameters, shape [p, p]; widened where views disagree more than their points."""
+        """Covariance of the parameters, [p, p]; wider where views disagree more than points."""
         count = self.lens.parameter_count
         return self.fit.covariance((self.view,))[:count, :count]
 

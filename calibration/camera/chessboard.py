@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.board_lattice import board_lattice, oriented
+from taccel_lab.calibration.dots.blobs import find_blobs, is_inside
 from taccel_lab.errors import InputError
 
 MIN_SHARE = 0.5
@@ -114,18 +115,14 @@ def saddle_points(grey: np.ndarray, sigma_px: float, most: int) -> np.ndarray:
     yy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=3)
     xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3) / 2.0
     strength = np.asarray(xy * xy - xx * yy / 4.0, dtype=np.float32)
-    width = 2 * max(1, round(2 * sigma_px)) + 1
-    peak = strength >= cv2.dilate(strength, np.ones((width, width), np.uint8))
-    edge = width
-    peak[:edge], peak[-edge:], peak[:, :edge], peak[:, -edge:] = False, False, False, False
-    v, u = np.nonzero(peak & (strength > 0))
-    if len(u) == 0:
+    uv, peak = find_blobs(strength, 2 * sigma_px, 1, float(np.finfo(np.float32).tiny))
+    inside = is_inside(uv, strength.shape, 4 * sigma_px + 1)
+    uv, peak = uv[inside][:most], peak[inside][:most]
+    if len(uv) == 0:
         return np.zeros((0, 2))
-    order = np.argsort(-strength[v, u])[:most]
     # Half of the corners show at least: where squares end, saddles are far weaker.
-    usual = float(np.median(strength[v, u][order[: max(most // 6, 1)]]))
-    order = order[strength[v, u][order] > _WEAKEST * usual]
-    corners = np.column_stack([u, v])[order].astype(np.float32).reshape(-1, 1, 2)
+    usual = float(np.median(peak[: max(most // 6, 1)]))
+    corners = uv[peak > _WEAKEST * usual].astype(np.float32).reshape(-1, 1, 2)
     half = max(2, round(2.5 * sigma_px))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
     refined = cv2.cornerSubPix(grey, corners, (half, half), (-1, -1), criteria).reshape(-1, 2)

@@ -7,15 +7,14 @@ known number of columns and rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.board_lattice import board_lattice
-from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots
+from taccel_lab.calibration.camera.board_lattice import BoardLattice, board_lattice
+from taccel_lab.calibration.dots.detection import Dots
+from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 
@@ -52,60 +51,40 @@ def detect_dots(
     """
     expected = columns * rows
     least = max(MIN_POINTS, int(np.ceil(MIN_SHARE * expected)))
-    none = _Found(np.zeros((0, 2), dtype=int), np.zeros((0, 2)), 0)
     pictures = _pictures(image, reference, name)
-    found = [_find(picture, columns, rows) or none for picture in pictures]
-    best = max(found, key=lambda f: len(f.index) - f.strangers)
-    index, uv, strangers = best.index, best.uv_px, best.strangers
-    count = len(index)
-    if count < least:
+    seen = [(picture, _find(picture, columns, rows)) for picture in pictures]
+    found = [(picture, *of_board) for picture, of_board in seen if of_board is not None]
+    _, lattice, dots = max(
+        found, key=lambda item: len(item[1].index) - item[1].strangers, default=(None, None, None)
+    )
+    count = 0 if lattice is None else len(lattice.index)
+    if lattice is None or dots is None or count < least:
         raise InputError(
             f"{name}: found {count} of {expected} dots of the {columns} x {rows} board on a "
             f"lattice, at least {least} are needed; check columns and rows, focus and light, or "
             "give a reference image without the board"
         )
-    if strangers > max(2, 0.1 * count):
+    if lattice.strangers > max(2, 0.1 * count):
         raise InputError(
-            f"{name}: the dots go on beyond {columns} x {rows}: {count + strangers} lie on one "
-            f"lattice, {expected} are allowed; check columns and rows"
+            f"{name}: the dots go on beyond {columns} x {rows}: {count + lattice.strangers} lie on "
+            f"one lattice, {expected} are allowed; check columns and rows"
         )
-    span = np.ptp(index, axis=0) + 1
+    span = np.ptp(lattice.index, axis=0) + 1
     if min(span) < 3:
         raise InputError(
             f"{name}: the {count} dots found span {span[0]} x {span[1]} sites; at least 3 x 3"
         )
-    size = image.shape[1], image.shape[0]
-    others = [f for f in found if f is not best]
+    places = [other.uv_px for _, _, other in found if other is not dots]
     if reference is not None:
-        seen = zip(pictures, found, strict=True)
-        others += [again for picture, f in seen for again in _through_filters(picture, f)]
-    places = (f.same_dots(best) for f in others)
-    same = tuple(place for place in places if place is not None)
-    return BoardView(name, name, size, index, uv, expected, others_uv_px=same)
+        places += [uv for picture, _, other in found for uv in _through_filters(picture, other)]
+    same = (_same_dots(place, dots.uv_px) for place in places)
+    others = tuple(place for place in same if place is not None)
+    size = image.shape[1], image.shape[0]
+    return BoardView(name, name, size, lattice.index, dots.uv_px, expected, others_uv_px=others)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Dots of a picture on the board's lattice."""
-
-    index: np.ndarray
-    """Column and row of each, shape [n, 2]."""
-    uv_px: np.ndarray
-    strangers: int
-    """Dots of the lattice that lie beyond the board."""
-    dots: DotFit | None = None
-    """The same dots as they were fitted."""
-
-    def same_dots(self, other: _Found) -> np.ndarray | None:
-        """Where this picture shows the dots of another one; None where it does not show all."""
-        if not len(self.uv_px) or len(other.uv_px) < 2:
-            return None
-        pitch = float(np.median(KDTree(other.uv_px).query(other.uv_px, k=2)[0][:, 1]))
-        distance, nearest = KDTree(self.uv_px).query(other.uv_px)
-        return self.uv_px[nearest] if distance.max() < _SAME_PITCHES * pitch else None
-
-
-def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
+def _find(picture: np.ndarray, columns: int, rows: int) -> tuple[BoardLattice, Dots] | None:
+    """The board's lattice in a picture, and its dots."""
     try:
         dots = find_markers(picture).dots
     except InputError:
@@ -113,22 +92,24 @@ def _find(picture: np.ndarray, columns: int, rows: int) -> _Found | None:
     lattice = board_lattice(dots.uv_px, columns, rows)
     if lattice is None or lattice.irregularity > _IRREGULAR:
         return None
-    on_board = dots.select(lattice.points)
-    return _Found(lattice.index, on_board.uv_px, lattice.strangers, on_board)
+    return lattice, dots.select(lattice.points)
 
 
-def _through_filters(picture: np.ndarray, found: _Found) -> list[_Found]:
-    """The dots of a picture as filters of several widths show them. A dent's shading is no disc:
-    where its centre is seen depends on the filter, alike for all dents of a side."""
-    if found.dots is None:
-        return []
-    radius = float(np.median(found.dots.radius_px))
+def _same_dots(seen: np.ndarray, asked: np.ndarray) -> np.ndarray | None:
+    """Places ``seen`` [m, 2] nearest to those ``asked`` for [n, 2]; None where one is too far."""
+    pitch = float(np.median(KDTree(asked).query(asked, k=2)[0][:, 1]))
+    distance, nearest = KDTree(seen).query(asked)
+    return seen[nearest] if distance.max() < _SAME_PITCHES * pitch else None
+
+
+def _through_filters(picture: np.ndarray, dots: Dots) -> list[np.ndarray]:
+    """Where filters of several widths show the dots of a picture, each [n, 2]. A dent's shading is
+    no disc: where its centre is seen depends on the filter, alike for all dents of a side."""
+    radius = float(np.median(dots.radius_px))
     smooth = [cv2.GaussianBlur(picture, (0, 0), share * radius) for share in _SMOOTHED]
     against = _GREY + picture - cv2.GaussianBlur(picture, (0, 0), _AROUND * radius)
-    again = [fit_dots(filtered, found.dots.parameters) for filtered in (*smooth, against)]
-    return [
-        replace(found, uv_px=np.where(fit.placed[:, None], fit.uv_px, found.uv_px)) for fit in again
-    ]
+    again = [fit_dots(filtered, dots.parameters) for filtered in (*smooth, against)]
+    return [np.where(fit.placed[:, None], fit.uv_px, dots.uv_px) for fit in again]
 
 
 def _pictures(image: np.ndarray, reference: np.ndarray | None, name: str) -> list[np.ndarray]:

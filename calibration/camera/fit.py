@@ -51,12 +51,9 @@ def calibrate_camera(
             f"{folder.source} names no boards; give [[boards]] with kind, columns, rows and "
             "images (docs/calibration_camera.md)"
         )
-    shown = laid = Detections(())
-    if air:
-        shown = detect_views(air, "finding boards", progress)
-    if gel:
-        laid = detect_views(gel, "finding boards on the gel", progress)
-    intrinsics = None
+    shown = detect_views(air, "finding boards", progress)
+    laid = detect_views(gel, "finding boards on the gel", progress)
+    intrinsics = on_gel = None
     if air:
         intrinsics = calibrate_intrinsics(
             shown.views,
@@ -65,7 +62,6 @@ def calibrate_camera(
             refused=shown.refused,
             progress=progress,
         )
-    on_gel = None
     if gel:
         size = laid.views[0].size_px
         on_gel = fit_on_gel(
@@ -83,7 +79,7 @@ def calibrate_camera(
         detections,
         hashes_by_name(detections.views),
         folder.provenance,
-        tuple(_remarks(detections, intrinsics, on_gel, folder, base)),
+        tuple(_remarks(detections, intrinsics, on_gel, folder)),
     )
 
 
@@ -106,7 +102,6 @@ def _remarks(
     intrinsics: Intrinsics | None,
     on_gel: OnGel | None,
     folder: CaptureFolder,
-    base: SensorProfile,
 ) -> list[Remark]:
     said = []
     if detections.refused:
@@ -121,24 +116,17 @@ def _remarks(
         said += intrinsics.remarks
     if on_gel is not None:
         said += on_gel.remarks
-        said += _size_remarks(on_gel, folder)
-        size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
-        if size == raw:
+        raw, grid = on_gel.views[0].size_px, on_gel.grid
+        if folder.background is not None:
+            high, wide = folder.background.image().shape[:2]
+            if (wide, high) != raw:
+                said.append(
+                    remarks.SIZE_DIFFERS(
+                        width=raw[0], height=raw[1], background_width=wide, background_height=high
+                    )
+                )
+        if (grid.width_px, grid.height_px) == raw:
             frame = on_gel.frame
             measured = {"x": frame.mm_per_px_x, "y": frame.mm_per_px_y}
             said += stated_scale_remarks(folder, measured)
     return said
-
-
-def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:
-    if folder.background is None:
-        return []
-    height, width = folder.background.image().shape[:2]
-    size = on_gel.views[0].size_px
-    if (width, height) == size:
-        return []
-    return [
-        remarks.SIZE_DIFFERS(
-            width=size[0], height=size[1], background_width=width, background_height=height
-        )
-    ]

@@ -52,14 +52,14 @@ class LensScore:
 
     lens: Lens
     fit: BundleFit
-    """To all views that are no outliers."""
+    """Fit to all views that are no outliers."""
     heldout_px: float
     """Root mean square error of all points of all views, outliers too."""
     heldout_robust_px: float
     """The root mean square that normal errors with the same median would have: what it would be
     without outliers."""
     fold_parameters: np.ndarray
-    """Of the fits without each part, shape [fold, p]."""
+    """Parameters of the fits without each part, shape [fold, p]."""
     view_mse: np.ndarray
     """Mean square held-out error of each view, shape [view]: of those that are fitted in the
     end."""
@@ -78,7 +78,7 @@ class LensScore:
 
     @property
     def within_one_error(self) -> bool:
-        """As good as the best lens, as far as these views can tell or anybody would notice."""
+        """Whether it is as good as the best lens, as far as views tell or anybody would notice."""
         return self.excess <= max(
             self.excess_error, _ALIKE * (float(self.view_mse.mean()) - self.excess)
         )
@@ -108,7 +108,7 @@ class Intrinsics:
 
     @property
     def parameters(self) -> np.ndarray:
-        """As ``lens.parameter_names``."""
+        """The lens's, as ``lens.parameter_names``."""
         return self.chosen.fit.parameters
 
     @property

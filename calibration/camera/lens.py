@@ -96,7 +96,7 @@ LENSES: dict[str, Lens] = {
     "pinhole": Lens("pinhole", 5, 5),
     "rational": Lens("rational", 8, 8),
 }
-"""By name, the simplest first: the order of preference among models that predict alike."""
+"""Lenses by name, the simplest first: the order of preference among models that predict alike."""
 
 
 def planar_pose(
@@ -106,7 +106,7 @@ def planar_pose(
     xy_mm: np.ndarray,
     uv_px: np.ndarray,
 ) -> np.ndarray:
-    """Of the poses that a plane's points allow, each refined, the one that misses least:
+    """The pose, among those that a plane's points allow, each refined, that misses least:
     camera_from_plane as rotation vector and translation [mm], shape [6].
 
     Args:

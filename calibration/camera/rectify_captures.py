@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CapturedPress
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, MarkerCaptures
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
@@ -20,6 +20,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.toml_file import read_toml
 
 LEFT_OUT = "{} were left out"
+_Write = Callable[[str, np.ndarray], str]
 
 
 def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
@@ -43,40 +44,51 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             f"{folder.source} has no {MANIFEST_NAME}; make a capture folder of it first "
             "(taccel-lab capture import)"
         )
+    import tomli_w
+
     document = read_toml(folder.root / MANIFEST_NAME)
     notes: list[str] = []
     with atomic_directory(out) as target:
-        writer = _Writer(folder.root, target, maps)
+
+        def write(name: str, image: np.ndarray) -> str:
+            """Write an image, rectified; returns its file name."""
+            write_png(target / f"{name}.png", maps.apply(image))
+            return f"{name}.png"
+
         document["schema_version"] = SCHEMA_VERSION
         document["rectified"] = True
         document["mm_per_px_x"], document["mm_per_px_y"] = grid.mm_per_px_x, grid.mm_per_px_y
         document.get("assumed", {}).pop("mm_per_px", None)  # The maps have measured it.
         if folder.background is not None:
-            document["background"] = writer.image("background", folder.background.image)
-            document["mask"] = writer.mask(folder)
+            document["background"] = write("background", folder.background.image())
+            document["mask"] = "mask.png"
+            # Pixels that the raw image shows and that were not masked in it.
+            usable = maps.inside((height, width))
+            if folder.mask is not None:
+                usable &= maps.apply(folder.mask.astype(np.uint8)) > 0
+            write_png(target / "mask.png", usable.astype(np.uint8) * 255)
         if folder.untouched:
             document["untouched"] = [
-                writer.image(f"untouched_{i}", frame.image)
-                for i, frame in enumerate(folder.untouched)
+                write(f"untouched_{i}", frame.image()) for i, frame in enumerate(folder.untouched)
             ]
         if document.get("presses"):
-            document["presses"] = _presses(document["presses"], folder, writer, notes)
+            document["presses"] = _presses(document["presses"], folder, write, notes)
         for i, (entry, edge) in enumerate(
             zip(document.get("edges", []), folder.edges, strict=True)
         ):
-            entry["image"] = writer.image(f"edge_{i:03d}", edge.frame.image)
+            entry["image"] = write(f"edge_{i:03d}", edge.frame.image())
             entry.pop("line", None)
         if document.pop("boards", None):
             notes.append(LEFT_OUT.format("boards"))
         if folder.markers is not None:
-            document["markers"] = _markers(document["markers"], folder, writer)
+            document["markers"] = _markers(document["markers"], folder.markers, write)
         for entry in document.get("records", []):
-            writer.copy(entry["file"])
+            copy_inner(folder.root, entry["file"], target)
         # What the rectified images were made of: their own hashes say nothing about that.
         document["raw_sha256"] = {"captures.toml": folder.provenance["manifest_sha256"]} | {
             Path(frame.source).name: frame.sha256 for frame in _raw_frames(folder)
         }
-        _write_manifest(document, target)
+        (target / MANIFEST_NAME).write_text(tomli_w.dumps(document), encoding="utf-8")
     return notes
 
 
@@ -87,7 +99,7 @@ def _raw_frames(folder: CaptureFolder) -> list[Frame | CapturedPress]:
 
 
 def _presses(
-    entries: list[dict[str, Any]], folder: CaptureFolder, writer: _Writer, notes: list[str]
+    entries: list[dict[str, Any]], folder: CaptureFolder, write: _Write, notes: list[str]
 ) -> list[dict[str, Any]]:
     """Entries of the presses that contacts.toml does not skip."""
     kept, skipped = [], []
@@ -99,7 +111,7 @@ def _presses(
             skipped.append(name)
             continue
         i, press = len(kept), left.pop(0)
-        entry["image"] = writer.image(f"press_{i:03d}", press.image)
+        entry["image"] = write(f"press_{i:03d}", press.image())
         entry.setdefault("name", press.name)
         if entry.pop("contact", None) is not None or press.checked:
             notes.append(f"the contact circle of {press.name} was left out")
@@ -109,51 +121,15 @@ def _presses(
     return kept
 
 
-def _markers(entry: dict[str, Any], folder: CaptureFolder, writer: _Writer) -> dict[str, Any]:
-    markers = folder.markers
-    assert markers is not None
+def _markers(entry: dict[str, Any], markers: MarkerCaptures, write: _Write) -> dict[str, Any]:
     entry = {k: value for k, value in entry.items() if k not in ("labels", "labels_image")}
     if markers.rest is not None:
-        entry["rest"] = writer.image("markers_rest", markers.rest.image)
+        entry["rest"] = write("markers_rest", markers.rest.image())
     videos = []
     for i, (table, video) in enumerate(zip(entry.get("videos", []), markers.videos, strict=True)):
-        frames = [
-            writer.image(f"video_{i}_{k:05d}", lambda frame=frame: frame)
-            for k, frame in enumerate(video.frames())
-        ]
+        frames = [write(f"video_{i}_{k:05d}", frame) for k, frame in enumerate(video.frames())]
         kept = {key: value for key, value in table.items() if key not in ("file", "frames")}
         videos.append({**kept, "frames": frames})
     if videos:
         entry["videos"] = videos
     return entry
-
-
-class _Writer:
-    """Rectified images and copied files below one folder."""
-
-    def __init__(self, source: Path, target: Path, maps: RectificationMaps) -> None:
-        self._source, self._target, self._maps = source, target, maps
-
-    def image(self, name: str, read: Callable[[], np.ndarray]) -> str:
-        """Write a rectified image; returns its file name."""
-        write_png(self._target / f"{name}.png", self._maps.apply(read()))
-        return f"{name}.png"
-
-    def mask(self, folder: CaptureFolder) -> str:
-        """Pixels that the raw image shows and that were not masked in it."""
-        size = folder.require_background().image().shape[:2]
-        usable = self._maps.inside((size[0], size[1]))
-        if folder.mask is not None:
-            usable &= self._maps.apply(folder.mask.astype(np.uint8)) > 0
-        write_png(self._target / "mask.png", usable.astype(np.uint8) * 255)
-        return "mask.png"
-
-    def copy(self, name: str) -> None:
-        """Copy a file as it is."""
-        copy_inner(self._source, name, self._target)
-
-
-def _write_manifest(document: dict[str, Any], target: Path) -> None:
-    import tomli_w
-
-    (target / MANIFEST_NAME).write_text(tomli_w.dumps(document), encoding="utf-8")

@@ -209,7 +209,7 @@ def _describe_scale(answer: np.ndarray, sigma_px: float, sign: int) -> DotScale:
     least = max(MIN_CONTRAST, 1.5 * noise)
     uv, contrast = find_blobs(answer, sigma_px, sign, least)
     # At the border a part of a dot, or the end of the light, answers as it likes.
-    contrast = contrast[_inside(uv, answer.shape, 1.5 * sigma_px)]
+    contrast = contrast[is_inside(uv, answer.shape, 1.5 * sigma_px)]
     count, gap = _split_by_gap(contrast)
     if count == 0:
         return DotScale(sigma_px, sign, least, 1.0, 0)
@@ -230,7 +230,7 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
         sigma = sigmas[k]
         noise = spread_about_zero(answers[k])
         uv, _ = find_blobs(answers[k], float(sigma), sign, max(MIN_CONTRAST, 3.0 * noise))
-        at = uv[_inside(uv, answers[k].shape, 1.5 * float(sigma))].astype(int)
+        at = uv[is_inside(uv, answers[k].shape, 1.5 * float(sigma))].astype(int)
         signed = sign * answers[:, at[:, 1], at[:, 0]]
         extremum = np.all([signed[k] >= signed[j] for j in (k - 1, k + 1)], axis=0)
         strong = np.minimum(signed[k][extremum], 1.0)
@@ -241,7 +241,7 @@ def _weight_by_scale(answers: np.ndarray, sigmas: np.ndarray, sign: int) -> np.n
     return smooth
 
 
-def _inside(at: np.ndarray, shape: tuple[int, ...], margin: float) -> np.ndarray:
+def is_inside(at: np.ndarray, shape: tuple[int, ...], margin: float) -> np.ndarray:
     """Pixels (u, v) at least ``margin`` from the border."""
     height, width = shape
     u, v = at[:, 0], at[:, 1]

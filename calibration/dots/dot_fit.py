@@ -47,7 +47,7 @@ class DotFit:
     parameters: np.ndarray
     """``soft_ellipse``'s, centres in the image, shape [dot, 10]."""
     covariance_px2: np.ndarray
-    """Of the centres, shape [dot, 2, 2]; infinite where the fit has no hold."""
+    """Covariances of the centres, shape [dot, 2, 2]; infinite where the fit has no hold."""
     seen: np.ndarray
     """Share of each ellipse that lies in the image and is nearest to this dot, shape [dot]."""
     converged: np.ndarray
@@ -230,7 +230,7 @@ class _Problem:
         return normal, gradient
 
     def covariance_px2(self, p: np.ndarray, side: int) -> np.ndarray:
-        """Of the fitted centres by the scatter that the fit left, shape [dot, 2, 2]; infinite where
+        """Covariances of the centres by the scatter that the fit left, [dot, 2, 2]; infinite where
         too few pixels count. ``side``: pixels along one side of the window.
         """
         value, jacobian = model.evaluate(p, self.uv)

@@ -135,8 +135,8 @@ def local_affine(
 
 
 def largest_growth(points: np.ndarray) -> Growth | None:
-    """Of the numberings from several seeds, [point, 2], the one that explains most points and fills
-    its own sites best; None where no point has neighbours on opposite sides."""
+    """The numbering of points [n, 2], among those from several seeds, that explains most of them
+    and fills its own sites best; None where no point has neighbours on opposite sides."""
     best, score = None, 0.0
     for seed, basis in _symmetric_seeds(points):
         found = _grow(points, seed, basis)
@@ -230,7 +230,7 @@ def mean_steps(index: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def turned_to_image(steps: np.ndarray, changes: Sequence[np.ndarray]) -> np.ndarray:
-    """Of changes of basis, integers of shape [2, 2], the one under which rows run nearest to the
+    """The change of basis, integers of shape [2, 2], under which rows run nearest to the
     image's own, to the right, and x to y turns as in the image; ``steps`` as ``mean_steps``."""
     right_handed = [change for change in changes if np.linalg.det(change @ steps) > 0]
     return max(right_handed, key=lambda c: (c[0] @ steps)[0] / np.linalg.norm(c[0] @ steps))

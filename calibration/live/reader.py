@@ -127,7 +127,7 @@ class LiveReader:
         """Why markers are not followed though the profile has some; empty otherwise."""
         if profile.markers is not None:
             try:
-                self.tracker = MarkerTracker.of(find_markers(background.astype(np.uint8)))
+                self.tracker = MarkerTracker(find_markers(background.astype(np.uint8)))
             except InputError as error:
                 self.no_markers = str(error)
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from itertools import islice
 
 import numpy as np
@@ -24,7 +23,7 @@ from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
+from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.report.remark import Remark
 
 _BENT = 0.05
@@ -97,12 +96,11 @@ def layout_on_gel(picture: MarkerPicture, view: PixelView) -> LayoutFit:
     dots, lattice = picture.dots, picture.lattice
     points = view.gel_from_pixel(dots.uv_px)
     jacobian = pixel_jacobian(view, dots.uv_px)
-    finite = np.isfinite(points).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
-    on_gel = np.asarray(finite)
+    on_gel = np.asarray(np.isfinite(np.column_stack([points, jacobian.reshape(-1, 4)])).all(axis=1))
     covariance = np.einsum("nij,njk,nlk->nil", jacobian, dots.covariance_px2, jacobian)
     missing = np.zeros((lattice.rows, lattice.columns), dtype=bool)
-    for row, column in picture.layout_px.missing:
-        missing[row, column] = True
+    if picture.layout_px.missing:
+        missing[tuple(np.transpose(picture.layout_px.missing))] = True
     lattice, (first_row, first_column) = renumbered(lattice, on_gel)
     missing = missing[first_row:, first_column:][: lattice.rows, : lattice.columns]
     safe = np.where(on_gel[:, None], points, 0.0)
@@ -125,27 +123,14 @@ def _radius_mm(dots: Dots, view: PixelView) -> tuple[float, float]:
 
 def _follow(video: Video, start: int, picture: MarkerPicture, progress: Progress) -> TrackedVideo:
     """Tracks from a frame near rest to the end, and back to the beginning."""
-    name = video_name(video)
-    onward = islice(video.frames(), start, None)
+    name, onward = video_name(video), islice(video.frames(), start, None)
+    count = video.frame_count
     with naming(video.source):
-        tracks = track_markers(_reported(onward, video, start, progress), picture)
+        tracks = track_markers(counted(onward, progress, name, count - start), picture)
         if start > 0:
-            back = track_markers(
-                _reported(frames_before(video, start), video, 0, progress), picture
-            )
-            tracks = MarkerTracks.joined(back, tracks)
+            before = counted(frames_before(video, start), progress, name, start + 1)
+            tracks = MarkerTracks.joined(track_markers(before, picture), tracks)
     return TrackedVideo(name, video, tracks, track_figures(name, tracks, start))
-
-
-def _reported(
-    frames: Iterable[np.ndarray], video: Video, done: int, progress: Progress
-) -> Iterator[np.ndarray]:
-    """The frames; tells how many are done when the next is requested."""
-    name = video_name(video)
-    for count, frame in enumerate(frames):
-        progress(name, min(done + count, video.frame_count), video.frame_count)
-        yield frame
-    progress(name, video.frame_count, video.frame_count)
 
 
 def _inputs(folder: CaptureFolder, rest: Frame, videos: tuple[TrackedVideo, ...]) -> dict[str, str]:

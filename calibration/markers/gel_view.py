@@ -35,11 +35,11 @@ _MEASURED = ("calibrated", "measured")
 _CAMERA_AGREES = 0.05
 """A camera whose scale at the origin is off its own pixel grid by more has another pose."""
 _ASSUMED_SIGMA = 0.13
-"""Of a scale that nobody measured: published ones of one and the same sensor differ by a quarter,
-and an error that is as likely anywhere within has this standard deviation."""
+"""Spread of a scale that nobody measured: published ones of one sensor differ by a quarter, and
+an error that is as likely anywhere within has this standard deviation."""
 _STATED_SIGMA = 0.01
-"""Of a scale or pitch in the manifest, which says nothing of its error: a ruler or a printed board
-gives one to about this."""
+"""Spread of a scale or pitch in the manifest, which says nothing of its error: a ruler or a
+printed board gives one to about this."""
 _AGREE = 0.02
 """Scales that differ by less than this part agree."""
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from scipy.stats import f as variance_ratio
@@ -57,9 +58,14 @@ class MarkerRest:
 class _Candidate:
     """A still stretch with its dots."""
 
-    video: int
+    video: Video
     stretch: range
     picture: MarkerPicture
+
+    def where(self) -> dict[str, Any]:
+        """Name of the video, first and last frame, as remarks word them."""
+        first, last = self.stretch[0], self.stretch[-1]
+        return {"name": video_name(self.video), "first": first, "last": last}
 
 
 def video_name(video: Video) -> str:
@@ -97,7 +103,12 @@ def _find(markers: MarkerCaptures) -> MarkerRest:
         return _beside_stated(markers.rest, stated, markers.videos, found)
     if not found:
         raise InputError(_nothing_still(markers.videos, still))
-    return _most_even(markers.videos, still, found)
+    even = _even_layouts(_layouts(found), _moving_frames(markers.videos, still, found))
+    return _rest_of(markers.videos, even)
+
+
+def _middle(stretch: range) -> int:
+    return (stretch[0] + stretch[-1]) // 2
 
 
 def _dots_of(image: np.ndarray) -> MarkerPicture | None:
@@ -112,7 +123,7 @@ def _pitch_px(picture: MarkerPicture) -> float:
 
 
 def _first_pitch_px(videos: Sequence[Video]) -> float | None:
-    """Of the first of a few frames that shows a lattice: it need not be exact."""
+    """Pitch in the first of a few frames that shows a lattice: it need not be exact."""
     for video in videos:
         for image in _spread_frames(video, range(video.frame_count), 3).values():
             if (picture := _dots_of(image)) is not None:
@@ -136,14 +147,13 @@ def _frames_at(video: Video, numbers: set[int]) -> dict[int, np.ndarray]:
 def _candidates(videos: Sequence[Video], still: Sequence[Stillness]) -> list[_Candidate]:
     """The longest stretches of each video whose middle frame shows a lattice, longest first."""
     found = []
-    for which, (video, of_video) in enumerate(zip(videos, still, strict=True)):
+    for video, of_video in zip(videos, still, strict=True):
         longest = sorted(of_video.stretches, key=len, reverse=True)[:_LOOKED_AT]
-        middles = [(stretch[0] + stretch[-1]) // 2 for stretch in longest]
-        images = _frames_at(video, set(middles))
-        for stretch, middle in zip(longest, middles, strict=True):
-            picture = _dots_of(images[middle])
+        images = _frames_at(video, {_middle(stretch) for stretch in longest})
+        for stretch in longest:
+            picture = _dots_of(images[_middle(stretch)])
             if picture is not None:
-                found.append(_Candidate(which, stretch, picture))
+                found.append(_Candidate(video, stretch, picture))
     return sorted(found, key=lambda candidate: -len(candidate.stretch))
 
 
@@ -151,12 +161,11 @@ def _layouts(found: Sequence[_Candidate]) -> list[list[_Candidate]]:
     """Candidates whose dots lie at one place each, those of most frames first."""
     groups: list[list[_Candidate]] = []
     for candidate in found:
-        for group in groups:
-            if _apart(group[0].picture, candidate.picture) < _ONE_LAYOUT:
-                group.append(candidate)
-                break
-        else:
+        near = (g for g in groups if _apart(g[0].picture, candidate.picture) < _ONE_LAYOUT)
+        if (group := next(near, None)) is None:
             groups.append([candidate])
+        else:
+            group.append(candidate)
     return sorted(groups, key=lambda group: -_frame_count(group))
 
 
@@ -200,14 +209,16 @@ def unevenness(picture: MarkerPicture) -> tuple[float, int]:
     return float(np.sqrt((pulled**2).sum() / free)) / pitch, free // 2
 
 
-def _most_even(
-    videos: Sequence[Video], still: Sequence[Stillness], found: Sequence[_Candidate]
-) -> MarkerRest:
-    """The layout that stands still for most frames among those that are not less even."""
-    layouts = _layouts(found)
+def _even_layouts(
+    layouts: Sequence[list[_Candidate]], moving: Sequence[tuple[str, tuple[float, int]]]
+) -> list[list[_Candidate]]:
+    """Layouts that are not less even than another one or a moving frame.
+
+    Raises:
+        InputError: None; says where the dots lie more evenly.
+    """
     of_layout = [unevenness(group[0].picture) for group in layouts]
-    moving = _moving_frames(videos, still, {c.video for c in found})
-    all_figures = [*of_layout, *(figure for _, _, figure in moving)]
+    all_figures = [*of_layout, *(figure for _, figure in moving)]
     best, best_free = min(
         (figure for figure in all_figures if figure[1] > 0), default=(float("nan"), 0)
     )
@@ -217,58 +228,52 @@ def _most_even(
         if not free or (miss / best) ** 2 <= variance_ratio.ppf(level, free, best_free):
             even.append(group)
     if not even:
-        first, miss = layouts[0][0], of_layout[0][0]
-        where = next((f"frame {n} of {name}" for name, n, f in moving if f[0] == best), "elsewhere")
+        where = next((place for place, figure in moving if figure[0] == best), "elsewhere")
         raise InputError(
-            f"no frame at rest: {video_name(videos[first.video])} stands still over frames "
-            f"{first.stretch[0]} to {first.stretch[-1]}, but its dots lie {100 * miss:.1f} % "
-            f"of their pitch off an even grid there and {100 * best:.1f} % in {where}: the gel is "
-            f"held pressed. {_ADVICE}"
+            "no frame at rest: {name} stands still over frames {first} to {last}, but its dots lie "
+            "{miss:.1f} % of their pitch off an even grid there and {best:.1f} % in {where}: the "
+            "gel is held pressed. {advice}".format(
+                **layouts[0][0].where(),
+                miss=100 * of_layout[0][0],
+                best=100 * best,
+                where=where,
+                advice=_ADVICE,
+            )
         )
-    return _rest_of(videos, still, even)
+    return even
 
 
 def _moving_frames(
-    videos: Sequence[Video], still: Sequence[Stillness], which: set[int]
-) -> list[tuple[str, int, tuple[float, int]]]:
-    """Name, number and unevenness of some frames outside of the still stretches."""
+    videos: Sequence[Video], still: Sequence[Stillness], candidates: Sequence[_Candidate]
+) -> list[tuple[str, tuple[float, int]]]:
+    """Place and unevenness of some frames outside of the still stretches."""
     found = []
-    for number in sorted(which):
-        video, quiet = videos[number], np.zeros(still[number].frames, dtype=bool)
-        for stretch in still[number].stretches:
-            quiet[stretch.start : stretch.stop] = True
-        images = _spread_frames(video, np.flatnonzero(~quiet).tolist(), _MOVING)
-        for frame, image in images.items():
+    for video, of_video in zip(videos, still, strict=True):
+        if not any(candidate.video is video for candidate in candidates):
+            continue
+        quiet = {number for stretch in of_video.stretches for number in stretch}
+        numbers = [number for number in range(of_video.frames) if number not in quiet]
+        for number, image in _spread_frames(video, numbers, _MOVING).items():
             picture = _dots_of(image)
             if picture is not None and (figure := unevenness(picture))[1] > 0:
-                found.append((video_name(video), frame, figure))
+                found.append((f"frame {number} of {video_name(video)}", figure))
     return found
 
 
-def _rest_of(
-    videos: Sequence[Video], still: Sequence[Stillness], even: Sequence[list[_Candidate]]
-) -> MarkerRest:
-    chosen = even[0][0]
-    video, stretch = videos[chosen.video], chosen.stretch
-    name = video_name(video)
-    remarks = []
+def _rest_of(videos: Sequence[Video], even: Sequence[list[_Candidate]]) -> MarkerRest:
+    """The layout that stands still for most frames among those that are even."""
+    chosen, remarks = even[0][0], []
     rivals = [g for g in even[1:] if _frame_count(g) >= _RIVAL * _frame_count(even[0])]
     if rivals:
         rival = rivals[0][0]
-        remarks.append(
-            REST_AMBIGUOUS(
-                name=video_name(videos[rival.video]),
-                first=rival.stretch[0],
-                last=rival.stretch[-1],
-                way_px=_apart(chosen.picture, rival.picture) * _pitch_px(chosen.picture),
-            )
-        )
+        way_px = _apart(chosen.picture, rival.picture) * _pitch_px(chosen.picture)
+        remarks.append(REST_AMBIGUOUS(**rival.where(), way_px=way_px))
     # Motion begins before it shows: not the ends of the stretch.
-    quarter = len(stretch) // 4
-    inner = stretch[quarter : len(stretch) - quarter]
+    video, quarter = chosen.video, len(chosen.stretch) // 4
+    inner = chosen.stretch[quarter : len(chosen.stretch) - quarter]
     numbers = f"frames {inner[0]} to {inner[-1]}"
     frame = Frame(
-        f"{numbers} of {name}",
+        f"{numbers} of {video_name(video)}",
         f"{video.source}, {numbers}",
         video.sha256,
         partial(_mean_frame, video, inner),
@@ -284,11 +289,9 @@ def _mean_frame(video: Video, numbers: range) -> np.ndarray:
 
 def _starts(videos: Sequence[Video], at_rest: Sequence[_Candidate]) -> tuple[int, ...]:
     """Middle of the longest stretch at rest of each video; the first frame where it has none."""
-    first: dict[int, int] = {}
-    for candidate in at_rest:
-        stretch = candidate.stretch
-        first.setdefault(candidate.video, (stretch[0] + stretch[-1]) // 2)
-    return tuple(first.get(number, 0) for number in range(len(videos)))
+    return tuple(
+        next((_middle(c.stretch) for c in at_rest if c.video is video), 0) for video in videos
+    )
 
 
 def _beside_stated(
@@ -299,18 +302,11 @@ def _beside_stated(
         return MarkerRest(rest, starts=(0,) * len(videos))
     alike = [c for c in found if _apart(picture, c.picture) < _FROM_STATED]
     remarks = []
-    for number, video in enumerate(videos):
-        own = [c for c in found if c.video == number]
-        if own and not any(c.video == number for c in alike):
-            remarks.append(
-                REST_DISAGREES(
-                    rest=rest.name,
-                    name=video_name(video),
-                    first=own[0].stretch[0],
-                    last=own[0].stretch[-1],
-                    way_px=_apart(picture, own[0].picture) * _pitch_px(picture),
-                )
-            )
+    for video in videos:
+        own = next((c for c in found if c.video is video), None)
+        if own is not None and not any(c.video is video for c in alike):
+            way_px = _apart(picture, own.picture) * _pitch_px(picture)
+            remarks.append(REST_DISAGREES(rest=rest.name, **own.where(), way_px=way_px))
     return MarkerRest(rest, tuple(remarks), _starts(videos, alike))
 
 

@@ -19,7 +19,7 @@ STILL_PITCHES = 0.01
 """No block of the picture moves by more than this part of the dots' pitch."""
 STILL_FRAMES = 5
 STILL_SECONDS = 0.2
-"""At the least, where the frame rate is known: a press that turns back stands still for less."""
+"""The least time, where the frame rate is known: a press that turns back stands still for less."""
 _BLOCKS = (6, 8)
 _LARGEST_PX = 640
 """Larger pictures are shrunk to this: a hundredth of a pitch is resolved all the same."""
@@ -39,7 +39,7 @@ class Stillness:
     stretches: tuple[range, ...]
     """Long enough to be believed, in order."""
     longest: range
-    """Of all, also of those that are too short."""
+    """The longest of all, also of those that are too short."""
     frames: int
     needed: int
     """Frames of a stretch that is long enough."""

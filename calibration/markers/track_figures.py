@@ -64,7 +64,7 @@ class TrackFigures:
     """Median distance from rest in that frame."""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The figures by name, as JSON holds them."""
         return asdict(self)
 
     def remarks(self) -> list[Remark]:
@@ -82,7 +82,7 @@ class TrackFigures:
 def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigures:
     """Figures of one video's tracks; ``start`` is the frame that they were followed from."""
     distance = tracks.distance_px()
-    median = np.array([_median(row) for row in distance])
+    median = _medians(distance)
     quiet_first, quiet = _quiet_frames(tracks, start)
     spread = _jitter_px(tracks, quiet_first, quiet)
     step = np.where(
@@ -91,7 +91,7 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
         np.nan,
     )
     largest_step = float(np.nan_to_num(step).max(initial=0.0))
-    common_step = float(np.nan_to_num([_median(row) for row in step]).max(initial=0.0))
+    common_step = float(np.nan_to_num(_medians(step)).max(initial=0.0))
     pitch_px = Neighbourhood.of(tracks.rest_px).pitch_px
     back = _return_frame(median)
     return TrackFigures(
@@ -127,7 +127,7 @@ def _quiet_frames(tracks: MarkerTracks, start: int) -> tuple[int, int]:
     """First frame and length of the stretch about ``start`` over which the gel rests."""
     offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[start], axis=2)
     offset = np.where(tracks.seen & tracks.seen[start], offset, np.nan)
-    median = np.array([_median(row) for row in offset])
+    median = _medians(offset)
     near = tracks.uv_px[max(0, start - 5) :][:10]
     steps = [float(np.median(np.linalg.norm(d, axis=1))) for d in np.diff(near, axis=0)]
     limit = np.clip(_QUIET_NOISE * min(steps, default=0.0), _QUIET_PX, _QUIET_MOST_PX)
@@ -150,5 +150,6 @@ def _return_frame(median: np.ndarray) -> int | None:
     return int(np.argmin(np.where(back, median, np.inf)))
 
 
-def _median(row: np.ndarray) -> float:
-    return float(np.nanmedian(row)) if np.isfinite(row).any() else float("nan")
+def _medians(rows: np.ndarray) -> np.ndarray:
+    """Median of what is known of each row, NaN where nothing is."""
+    return np.array([np.nanmedian(row) if np.isfinite(row).any() else np.nan for row in rows])

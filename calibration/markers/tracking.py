@@ -62,9 +62,9 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
     Raises:
         InputError: Fewer than 4 dots at rest, no frame, or frames of another size.
     """
-    tracker = MarkerTracker.of(rest)
-    dots, row, column = tracker.dots, tracker.row, tracker.column
-    places, sigmas, statuses = [], [], []
+    tracker = MarkerTracker(rest)
+    dots = tracker.dots
+    states = []
     for number, frame in enumerate(frames):
         height, width = np.shape(frame)[:2]
         if (width, height) != dots.size_px:
@@ -73,44 +73,36 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
                 f"{dots.size_px[0]}x{dots.size_px[1]} px"
             )
         tracker.advance(frame)
-        places.append(tracker.uv.copy())
-        sigmas.append(tracker.sigma.copy())
-        statuses.append(tracker.status.copy())
-    if not places:
+        states.append((tracker.uv, tracker.sigma, tracker.status))
+    if not states:
         raise InputError("the video holds no frame")
+    uv_px, sigma_px, status = map(np.array, zip(*states, strict=True))
     return MarkerTracks(
-        uv_px=np.array(places),
-        sigma_px=np.array(sigmas),
-        status=np.array(statuses),
+        uv_px=uv_px,
+        sigma_px=sigma_px,
+        status=status,
         rest_px=dots.uv_px,
         rest_sigma_px=dots.sigma_px,
-        row=row,
-        column=column,
+        row=tracker.row,
+        column=tracker.column,
         size_px=dots.size_px,
     )
-
-
-def _reading_order(rest: MarkerPicture) -> np.ndarray:
-    """Row by row, then those without a number from top to bottom."""
-    row, column, uv = rest.lattice.row, rest.lattice.column, rest.dots.uv_px
-    return np.lexsort((np.where(row >= 0, column, uv[:, 1]), row, row < 0))
 
 
 class MarkerTracker:
     """State of all markers in the present frame."""
 
-    @classmethod
-    def of(cls, rest: MarkerPicture) -> MarkerTracker:
+    def __init__(self, rest: MarkerPicture) -> None:
         """All markers where they are at rest; InputError for fewer than 4."""
-        count = rest.dots.count
-        if count < MIN_MARKERS:
-            raise InputError(f"tracking needs at least {MIN_MARKERS} dots at rest, got {count}")
-        order = _reading_order(rest)
-        return cls(rest.dots.select(order), rest.lattice.row[order], rest.lattice.column[order])
-
-    def __init__(self, dots: Dots, row: np.ndarray, column: np.ndarray) -> None:
-        self.dots = dots
-        self.row, self.column = row, column
+        dots, row, column = rest.dots, rest.lattice.row, rest.lattice.column
+        if dots.count < MIN_MARKERS:
+            raise InputError(
+                f"tracking needs at least {MIN_MARKERS} dots at rest, got {dots.count}"
+            )
+        # Row by row, then those without a number from top to bottom.
+        order = np.lexsort((np.where(row >= 0, column, dots.uv_px[:, 1]), row, row < 0))
+        self.dots = dots = dots.select(order)
+        self.row, self.column = row[order], column[order]
         self.around = Neighbourhood.of(dots.uv_px)
         self.scale = replace(dots.scale, threshold=_WEAKER * dots.scale.threshold)
         self.uv = dots.uv_px.copy()

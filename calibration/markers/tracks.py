@@ -93,10 +93,6 @@ class MarkerFlow:
     time_s: np.ndarray | None = None
     """Time of each frame [s], shape [frame], where the frame rate is known."""
 
-    @property
-    def frame_count(self) -> int:
-        return len(self.displacement_mm)
-
 
 def marker_flow_mm(
     tracks: MarkerTracks, view: PixelView, *, fps: float | None = None
