@@ -67,7 +67,7 @@ class Refuse:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Refuse())
-from taccel_lab.benchmarks import compare, images, peers, quick
+from taccel_lab.benchmarks import compare, images, quick
 from taccel_lab.benchmarks.learning import Learning
 from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
