@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.calibration.result import BlockResult, ScoredFit
+from taccel_lab.calibration.result import BlockResult
+from taccel_lab.calibration.scored_fit import ScoredFit
 from taccel_lab.profile import SensorProfile
 
 

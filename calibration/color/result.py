@@ -17,7 +17,8 @@ from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.score import HeldoutPress, Placement, mean_bare, mean_heldout
 from taccel_lab.calibration.response.evaluate import ImageScore
 from taccel_lab.calibration.response.heldout import HeldoutFailure
-from taccel_lab.calibration.result import ScoredFit, calibrated, in_figures, mean_figures
+from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
+from taccel_lab.calibration.scored_fit import ScoredFit
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
