@@ -8,7 +8,6 @@ the difference, until that is small beside what the photo leaves open.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,28 +16,16 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.image_files import eight_bit
-from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.presses.touch import check_depth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.api.press_result import Press
-    from taccel_lab.api.press_run import PressRun
     from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
     from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
 
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
-TRIALS = 3
-"""Rough presses at most. One leaves a tenth to a third of what a reading is off by."""
-SETTLED = 0.25
-"""Share of the standard deviation; a correction below it leaves a tenth of one."""
-UNREAD = (
-    "the simulated press is too shallow to be read as the photo is: place and depth are those of "
-    "the photo's reading, which nothing corrects"
-)
 _CORE = 0.5
 """Share of the deepest place above which the gel follows the indenter: its middle is the press's.
 The gel's slope around it would draw the middle towards the side with more gel."""
@@ -238,58 +225,6 @@ class PressPhoto:
 
         simulated = self.simulated(painted, profile)
         return draw_comparison(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)
-
-
-def like_photo(run: PressRun, simulate: Callable[[PressRun], Press]) -> PressRun:
-    """Return the run with the place and depth at which its simulated image reads as its photo.
-
-    Args:
-        run: Place and depth as read in its photo.
-        simulate: Presses such a run.
-
-    Raises:
-        InputError: A corrected place or depth that the gel does not allow.
-        SimulationError: A rough press did not converge.
-    """
-    photo = run.photo
-    assert photo is not None
-    for _ in range(TRIALS):
-        options = run.options
-        assert options.depth_mm is not None
-        image = simulate(_rough(run)).image
-        assert image is not None
-        found = photo.beside(image, options.at_mm, options.depth_mm)
-        if found is None:
-            unread = replace(photo, warnings=(*photo.warnings, UNREAD))
-            return replace(run, photo=unread)
-        check_depth(found.depth_mm, run.profile)
-        settled = _settled(run, found)
-        moved = replace(options, at_mm=found.at_mm, depth_mm=found.depth_mm)
-        run = replace(run, options=moved, photo=found)
-        if settled:
-            break
-    return run
-
-
-def _rough(run: PressRun) -> PressRun:
-    """A press for its image: the end of the same way in, of low accuracy."""
-    physics = replace(PHYSICS[Accuracy.FAST], element=run.physics.element)
-    options = replace(
-        run.options, like=None, accuracy=Accuracy.FAST, unload=False, hold_s=0.0, states=False
-    )
-    return replace(run, options=options, physics=physics, photo=None, is_rough=True)
-
-
-def _settled(run: PressRun, found: PressPhoto) -> bool:
-    """Whether a correction is small; never where no deviation is known."""
-    if found.at_sigma_mm is None or found.depth_sigma_mm is None:
-        return False
-    options = run.options
-    assert options.depth_mm is not None
-    moved = np.array([*found.at_mm, found.depth_mm]) - [*options.at_mm, options.depth_mm]
-    return bool(
-        (np.abs(moved) < SETTLED * np.array([*found.at_sigma_mm, found.depth_sigma_mm])).all()
-    )
 
 
 def _core(depth_mm: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

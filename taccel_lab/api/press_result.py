@@ -34,7 +34,7 @@ from taccel_lab.with_error import with_error
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.api.press_run import PressRun
+    from taccel_lab.api.press_plan import PressPlan
     from taccel_lab.presses import PressOutcome
     from taccel_lab.presses.measured_press import NumericalError
 
@@ -46,7 +46,7 @@ TIMES = "times.json"
 class Press(Summary):
     """A press and everything that the sensor reads at its end."""
 
-    plan: PressRun
+    plan: PressPlan
     """What was pressed into what, and how."""
     outcome: PressOutcome
     """The steps, and the state at their end in metres and newtons."""

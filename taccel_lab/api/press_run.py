@@ -11,41 +11,38 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import PressPhoto, like_photo
-from taccel_lab.api.sensor import AnySensor, profile_of, reading_profile_of
-from taccel_lab.camera.gel_camera import camera_of, face_of
-from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.length_units import size_words
-from taccel_lab.model.devices import require_device
-from taccel_lab.presses import PHYSICS, Accuracy, parse_indenter, physics_difference
-from taccel_lab.presses.force_interval import measured_range
+from taccel_lab.api.press_photo import PressPhoto
+from taccel_lab.api.press_plan import PressPlan
+from taccel_lab.api.sensor import AnySensor
+from taccel_lab.errors import SimulationError
+from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.touch import check_depth, deepest_mm
-from taccel_lab.processes.beside import Call, at_once
-from taccel_lab.processes.start_warp import first_step, start_warp
-from taccel_lab.profile.assumed import is_modulus_known
+from taccel_lab.processes.start_warp import first_step
 from taccel_lab.progress import watching_console
-from taccel_lab.report import save_drawing
-from taccel_lab.scene import TriangleMesh
-from taccel_lab.sensors.press_mesh import profile_press_mesh
-from taccel_lab.sensors.registry import profile_sensor
-from taccel_lab.signals.color_model import ColorModel
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.api.press_result import Press
-    from taccel_lab.presses import Indenter, PressOutcome, PressPath, PressPhysics, PressStep
+    from taccel_lab.presses import PressOutcome, PressPath, PressPhysics, PressStep
     from taccel_lab.presses.measured_press import NumericalError, Resolution
     from taccel_lab.presses.press_force import StepProgress
-    from taccel_lab.presses.press_outcome import FurtherView
-    from taccel_lab.profile import SensorProfile
+
+
+TRIALS = 3
+"""Rough presses at most. One leaves a tenth to a third of what a reading is off by."""
+SETTLED = 0.25
+"""Share of the standard deviation; a correction below it leaves a tenth of one."""
+UNREAD = (
+    "the simulated press is too shallow to be read as the photo is: place and depth are those of "
+    "the photo's reading, which nothing corrects"
+)
 
 
 def press(
@@ -73,108 +70,8 @@ def press(
         return run.run(on_step)
 
 
-@dataclass(frozen=True)
-class PressRun:
+class PressRun(PressPlan):
     """A press of one sensor: planned, which checks it, then run, which gives a ``Press``."""
-
-    sensor: str
-    """Name of what is pressed, as it was given."""
-    profile: SensorProfile
-    indenter: Indenter
-    options: PressOptions
-    physics: PressPhysics
-    friction: float
-    """Coefficient between indenter and gel."""
-    photo: PressPhoto | None = None
-    """What is to be pressed like."""
-    is_rough: bool = False
-    """Whether it only leads to another press: its error is not measured."""
-
-    @classmethod
-    def plan(cls, sensor: AnySensor, options: PressOptions) -> PressRun:
-        """Refuse, before a mesh is made, all that can be rejected. Errors as of ``press``."""
-        start_warp()
-        require_device(options.device)
-        options.require_aim()
-        indenter = parse_indenter(options.indenter, options.read_texture())
-        physics, profile = (
-            options.physics(),
-            reading_profile_of(sensor) if options.like else profile_of(sensor),
-        )
-        stated = profile.material.friction_coefficient
-        friction = stated if options.friction is None else options.friction
-        name = str(sensor) if isinstance(sensor, (str, Path)) else profile.sensor.name
-        photo = None
-        if options.like is not None:
-            photo = PressPhoto.read(profile, options.like, options.untouched)
-            options = replace(options, depth_mm=photo.depth_mm, at_mm=photo.at_mm)
-        run = cls(name, profile, indenter, options, physics, friction, photo)
-        options.path(run.first_mm)
-        if (options.hold_s or options.speed_mm_s is not None) and not profile.material.branches:
-            raise InputError(
-                f"the gel of {name} does not relax, so that time changes nothing: leave out "
-                "--hold-s and --speed-mm-s, or give its material branches"
-            )
-        check_depth(run.first_mm, profile)
-        indenter.require_size(run.first_mm)
-        ColorModel.from_profile(profile)
-        return run
-
-    @property
-    def first_mm(self) -> float:
-        """Depth of the first press [mm]: the one asked for, or where the search begins."""
-        if self.options.depth_mm is not None:
-            return self.options.depth_mm
-        from taccel_lab.presses.press_force import FIRST_SHARE
-
-        return FIRST_SHARE * self.profile.gel.thickness_mm
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the gel's state depends on the path that led there."""
-        return self.friction > 0 or bool(self.profile.material.branches)
-
-    @property
-    def is_friction_doubtful(self) -> bool:
-        """Whether friction that nobody measured matters beside what is known of the modulus."""
-        material = self.profile.material
-        measured = measured_range(self.profile, "friction_coefficient") is not None
-        chosen = self.options.friction is not None or measured or self.friction == 0
-        return is_modulus_known(material) and not chosen
-
-    @property
-    def differs(self) -> str | None:
-        """How the press differs from those that the material was fitted with, in a sentence."""
-        return physics_difference(self.profile.material, self.physics, self.friction)
-
-    def notes(self) -> list[str]:
-        """What a person should know before the press, a sentence each."""
-        found = list(self.profile.sensor.provenance.remarks[:1])
-        if self.differs is not None:
-            found.append(self.differs)
-        if self.photo is not None:
-            found += self.photo.warnings
-        found += self.indenter.remarks
-        if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
-            words = size_words(self.indenter.shape.vertices_m)
-            found.append(f"{self.options.indenter} is {words}")
-        return found
-
-    @cached_property
-    def gel(self) -> TetMesh:
-        """Mesh of the first press, in the gel frame [m]."""
-        return self._meshed(self.physics, self.first_mm)
-
-    def write_scene(self, folder: Path, call: Call = at_once) -> Path:
-        """Draw what is about to be pressed, which compiles nothing; returns the picture, which is
-        there when ``call`` is done."""
-        from taccel_lab.studies.report.press_picture import SCENE, draw_scene
-
-        path, gel, family = folder / SCENE, self.gel, profile_sensor(self.profile)
-        at_mm, aim = self.options.at_mm, self.options.aim()
-        seen = family, gel, self.indenter, at_mm, self.first_mm, aim
-        call(save_drawing, path, draw_scene, *seen)
-        return path
 
     def run(
         self,
@@ -300,38 +197,57 @@ class PressRun:
             finished.append(outcome)
         return outcome
 
-    @cached_property
-    def _views(self) -> dict[str, FurtherView]:
-        """All cameras by name, the main one first, and the pad's face at rest on their pixels."""
-        from taccel_lab.presses.press_outcome import FurtherView
-        from taccel_lab.signals.rest_surface import rest_surface
 
-        found = {}
-        for name in self.profile.view_names():
-            camera = camera_of(self.profile.seen_by(name))
-            found[name] = FurtherView(camera, rest_surface(self.profile.mesh, face_of(camera)))
-        return found
+def like_photo(run: PressRun, simulate: Callable[[PressRun], Press]) -> PressRun:
+    """Return the run with the place and depth at which its simulated image reads as its photo.
 
-    def mesh_for(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
-        """Mesh of a press to a depth [mm], in the gel frame [m], with ``refinement`` times as many
-        elements along every side as ``physics`` says."""
-        same = physics.mesh == self.physics.mesh and refinement == 1.0
-        first = same and depth_mm == self.first_mm
-        return self.gel if first else self._meshed(physics, depth_mm, refinement)
+    Args:
+        run: Place and depth as read in its photo.
+        simulate: Presses such a run.
 
-    def _meshed(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
-        if self.options.mesh == "profile":
-            return self.profile.mesh
-        try:
-            contact = self.indenter.contact(depth_mm)
-            return profile_press_mesh(
-                self.profile, self.options.at_mm, contact, physics.mesh, refinement
-            )
-        except InputError as error:
-            x, y = self.options.at_mm
-            raise InputError(
-                f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
-            ) from error
+    Raises:
+        InputError: A corrected place or depth that the gel does not allow.
+        SimulationError: A rough press did not converge.
+    """
+    photo = run.photo
+    assert photo is not None
+    for _ in range(TRIALS):
+        options = run.options
+        assert options.depth_mm is not None
+        image = simulate(_rough(run)).image
+        assert image is not None
+        found = photo.beside(image, options.at_mm, options.depth_mm)
+        if found is None:
+            unread = replace(photo, warnings=(*photo.warnings, UNREAD))
+            return replace(run, photo=unread)
+        check_depth(found.depth_mm, run.profile)
+        settled = _settled(run, found)
+        moved = replace(options, at_mm=found.at_mm, depth_mm=found.depth_mm)
+        run = replace(run, options=moved, photo=found)
+        if settled:
+            break
+    return run
+
+
+def _rough(run: PressRun) -> PressRun:
+    """A press for its image: the end of the same way in, of low accuracy."""
+    physics = replace(PHYSICS[Accuracy.FAST], element=run.physics.element)
+    options = replace(
+        run.options, like=None, accuracy=Accuracy.FAST, unload=False, hold_s=0.0, states=False
+    )
+    return replace(run, options=options, physics=physics, photo=None, is_rough=True)
+
+
+def _settled(run: PressRun, found: PressPhoto) -> bool:
+    """Whether a correction is small; never where no deviation is known."""
+    if found.at_sigma_mm is None or found.depth_sigma_mm is None:
+        return False
+    options = run.options
+    assert options.depth_mm is not None
+    moved = np.array([*found.at_mm, found.depth_mm]) - [*options.at_mm, options.depth_mm]
+    return bool(
+        (np.abs(moved) < SETTLED * np.array([*found.at_sigma_mm, found.depth_sigma_mm])).all()
+    )
 
 
 @contextmanager

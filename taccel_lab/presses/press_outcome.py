@@ -24,7 +24,7 @@ from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.presses.press_path import HOLD_STEPS, PressPath
-from taccel_lab.presses.press_states import PressStates
+from taccel_lab.presses.press_states import PressStates, PressSurface
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes
@@ -33,24 +33,6 @@ from taccel_lab.signals.tactile import SignalTactile
 from taccel_lab.solvers import StepReport
 from taccel_lab.summary import Summary
 from taccel_lab.with_error import with_error
-
-
-@dataclass(frozen=True)
-class PressSurface:
-    """Pixels of one environment of a press; NaN outside the pad."""
-
-    height_m: np.ndarray
-    """z of the contact face [m], shape [height_px, width_px]."""
-    rest_height_m: np.ndarray
-    normals: np.ndarray
-    """Outward unit normals, shape [height_px, width_px, 3]."""
-    rest_normals: np.ndarray
-    contact_mask: np.ndarray
-    """Pixels in contact, bool."""
-    contact_radius_m: float
-    """Radius of the disc of the contact's area [m]."""
-    fine_force_n: float | None = None
-    """Force against the press of the contact with a texture [N]; None without one."""
 
 
 @dataclass(frozen=True)

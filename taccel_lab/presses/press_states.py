@@ -20,13 +20,30 @@ from taccel_lab.scene import Ball, sphere_mesh
 if TYPE_CHECKING:
     from taccel_lab.presses.indenter import Indenter
     from taccel_lab.presses.press_env import PressEnv
-    from taccel_lab.presses.press_outcome import PressSurface
     from taccel_lab.profile import SensorProfile
 
 STATES = "states.npz"
 """Name of the file in the folder of a press."""
 BALL_EDGES = 12
 """Edges along the radius of a ball that is kept as triangles."""
+
+
+@dataclass(frozen=True)
+class PressSurface:
+    """Pixels of one environment of a press; NaN outside the pad."""
+
+    height_m: np.ndarray
+    """z of the contact face [m], shape [height_px, width_px]."""
+    rest_height_m: np.ndarray
+    normals: np.ndarray
+    """Outward unit normals, shape [height_px, width_px, 3]."""
+    rest_normals: np.ndarray
+    contact_mask: np.ndarray
+    """Pixels in contact, bool."""
+    contact_radius_m: float
+    """Radius of the disc of the contact's area [m]."""
+    fine_force_n: float | None = None
+    """Force against the press of the contact with a texture [N]; None without one."""
 
 
 @dataclass

@@ -15,8 +15,8 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions
-from taccel_lab.api.press_photo import UNREAD, PressPhoto, SeenPress, like_photo
-from taccel_lab.api.press_run import PressRun
+from taccel_lab.api.press_photo import PressPhoto, SeenPress
+from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.normals.touch import Touch
 from taccel_lab.cli.app import main
