@@ -70,7 +70,7 @@ class BallPresses:
     """All presses."""
     split: PressSplit
     training: CaptureSet
-    """Those to fit that show a contact."""
+    """Presses to fit that show a contact."""
     circles: list[ContactCircle]
     """Where the training presses are taken to be, in order."""
     circle_sigmas_px: list[tuple[float, float]]
@@ -94,7 +94,7 @@ class BallPresses:
 
     @property
     def heldout(self) -> HeldoutSet:
-        """Those that only the figures see, on the profile's gel."""
+        """Presses that only the figures see, on the profile's gel."""
         grid = self.captures.grid
         layer, rest = layer_of(self.profile), rest_surface(self.profile.mesh, grid)
         on_gel = partial(ball_surface, grid=grid, layer=layer, rest=rest)

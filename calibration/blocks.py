@@ -27,7 +27,7 @@ class CalibrationBlock:
     ``taccel_lab.calibration``."""
 
     name: str
-    """As in ``taccel-lab calibrate NAME``."""
+    """Name as in ``taccel-lab calibrate NAME``."""
     fitted_in: str
     """Module of ``calibrate_NAME``: (folder, base, options, progress) -> result; no options for a
     block that has none."""
@@ -46,7 +46,7 @@ class CalibrationBlock:
 
     @property
     def options(self) -> type | None:
-        """Of the fit; None where there is nothing to choose."""
+        """Class of the fit's options; None where there is nothing to choose."""
         return _loaded(self.choices) if self.choices else None
 
     def fit(

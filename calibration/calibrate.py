@@ -62,11 +62,11 @@ class Calibration(Summary):
 
     profile: SensorProfile
     blocks: tuple[BlockOutcome, ...]
-    """In the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
+    """Outcomes in the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
     results: Mapping[str, BlockResult] = field(default_factory=dict)
     """What each block found, by its name; without those that an earlier run had finished."""
     maps: RectificationMaps | None = None
-    """From raw images to those of the profile's camera, after a board on the gel."""
+    """Maps from raw images to those of the profile's camera, after a board on the gel."""
     notes: tuple[str, ...] = ()
     """What rectification left out of the captures."""
     rectified: TemporaryDirectory[str] | None = None
@@ -92,17 +92,17 @@ class Calibration(Summary):
 
     @property
     def color(self) -> ColorCalibration:
-        """From slopes to colours; ``color.score`` is that of the held-out presses."""
+        """Calibration from slopes to colours; ``color.score`` is that of the held-out presses."""
         return self._result("color")
 
     @property
     def normals(self) -> NormalCalibration:
-        """From colours to slopes."""
+        """Calibration from colours to slopes."""
         return self._result("normals")
 
     @property
     def depth(self) -> DepthCalibration:
-        """From grey to depth."""
+        """Calibration from grey to depth."""
         return self._result("depth")
 
     @property

@@ -21,7 +21,7 @@ import numpy as np
 HIGHEST_LEVEL = 0.995
 LEVELS = 46
 MIN_PRESSES = 4
-"""With fewer, nothing is known of how presses differ."""
+"""Fewest presses: with fewer, nothing is known of how presses differ."""
 
 
 def radius_factor(scores: Sequence[np.ndarray], share: float, otherwise: float) -> float:

@@ -13,7 +13,8 @@ import numpy as np
 
 _STEPS = 100
 _RESTING = 1e-9
-"""Of a parameter, over its curvature's standard deviation, below which a refused step ends it."""
+"""Step of a parameter, over its curvature's standard deviation, below which a refused step ends
+it."""
 
 Expanded = tuple[float, np.ndarray, np.ndarray]
 Expansion = Callable[[np.ndarray, float], Expanded]

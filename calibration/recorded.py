@@ -14,8 +14,9 @@ FROM_CAPTURES = ("stated", "measured", "calibrated")
 def with_session(
     before: SensorProfile | None, after: SensorProfile, folder: CaptureFolder
 ) -> SensorProfile:
-    """``after`` with what ``folder`` says of its recording for the blocks that come from it: those
-    that differ from ``before`` (None: from the catalogue), whatever an earlier session said."""
+    """Profile ``after`` with what ``folder`` says of its recording for the blocks that come from
+    it: those that differ from ``before`` (None: from the catalogue), whatever an earlier session
+    said."""
     old = {} if before is None else before.blocks()
     new = tuple(
         key

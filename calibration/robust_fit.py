@@ -25,12 +25,12 @@ _EXACT = 1e-9
 _ROUNDS, _STEADY = 30, 1e-3
 """Fits at new scales at most, and the change of the scale, relative, that asks for no other."""
 _GAIN = 1e-11
-"""Of the loss by a step, relative, below which a search is over."""
+"""Gain of the loss by a step, relative, below which a search is over."""
 _STEP = 6e-6
 """Relative step of differences: the cube root of the rounding error."""
 
 Residuals = Callable[[np.ndarray], np.ndarray]
-"""Of the points by parameters, [k] -> [n, 2]; not finite where there is none."""
+"""Residuals of the points by parameters, [k] -> [n, 2]; not finite where there is none."""
 Matrix = np.ndarray | csr_array
 Jacobian = Callable[[np.ndarray], Matrix]
 """Derivatives of all u and v, point by point, [k] -> [2 n, k]; sparse where most are zero."""
@@ -43,17 +43,17 @@ class RobustFit:
     x: np.ndarray
     """Parameters, shape [k]."""
     residuals: np.ndarray
-    """Of the points, shape [n, 2]."""
+    """Residuals of the points, shape [n, 2]."""
     weights: np.ndarray
     """Huber's weights of the points, shape [n]."""
     jacobian: Matrix
-    """Of all u and v, shape [2 n, k]."""
+    """Derivatives of all u and v, shape [2 n, k]."""
     prior: np.ndarray
     """Derivatives of the standardised prior, shape [m, k]."""
     converged: bool
 
     def covariance(self, groups: tuple[np.ndarray, ...] = ()) -> np.ndarray:
-        """Of the parameters, shape [k, k], by the scatter that is left.
+        """Covariance of the parameters, shape [k, k], by the scatter that is left.
 
         Args:
             groups: Names of the points, each of shape [n], whose errors may go together (a bent

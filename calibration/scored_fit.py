@@ -33,9 +33,9 @@ class ScoredFit(BlockResult, Generic[FitType]):
     """A model that is fitted, scored on held-out presses, and then fitted to all of them."""
 
     fit: FitType
-    """To the training presses: all figures are of it."""
+    """Fit to the training presses: all figures are of it."""
     final: FitType | None
-    """To all presses, once the held-out ones were scored; what a profile gets. None where no
+    """Fit to all presses, once the held-out ones were scored; what a profile gets. None where no
     held-out press can be used."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
@@ -55,7 +55,7 @@ class ScoredFit(BlockResult, Generic[FitType]):
 
     @property
     def scored(self) -> Self:
-        """With the model that the figures are of alone: what later blocks build on, whose held-out
+        """Result with the model that the figures are of alone: what later blocks build on, whose held-out
         presses are the same."""
         return self if self.final is None else replace(self, final=None)
 

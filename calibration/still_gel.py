@@ -26,7 +26,7 @@ from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.profile import SensorProfile
 
 MOST_FRAMES = 128
-"""That are compared, evenly picked."""
+"""Most frames that are compared, evenly picked."""
 THUMB_PX = 60
 """Longer side of the small images that are compared."""
 NOISE_TIMES, LEAST_LEVELS = 3.0, 2.0
@@ -55,7 +55,7 @@ class StillGel:
     image: np.ndarray
     """Mean of its frames, RGB levels, float32, shape [height_px, width_px, 3]."""
     names: tuple[str, ...]
-    """Of these frames, in order."""
+    """Names of these frames, in order."""
 
 
 def find_still_gel(profile: SensorProfile, frames: Frames) -> StillGel | str:

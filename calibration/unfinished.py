@@ -76,9 +76,9 @@ class UnfinishedCalibration:
     folder: Path
     key: str
     outcomes: dict[str, BlockOutcome] = field(default_factory=dict)
-    """By name of the block, in order."""
+    """Outcomes by name of the block, in order."""
     profiles: Profiles | None = None
-    """After the last of them that gave one."""
+    """Profiles after the last of them that gave one."""
     maps: RectificationMaps | None = None
 
     @classmethod

@@ -68,11 +68,11 @@ class Policy(nn.Module):
         return ((x - mean) / (squares / count.clamp(min=1) + 1e-6).sqrt()).clamp(-10, 10)
 
     def values(self, x: torch.Tensor) -> torch.Tensor:
-        """Of observations that are normalised."""
+        """Values of observations that are normalised."""
         return self.value(x).squeeze(-1)
 
     def actions(self, x: torch.Tensor) -> torch.distributions.Normal:
-        """Of observations that are normalised."""
+        """Distribution of actions at observations that are normalised."""
         return torch.distributions.Normal(self.mean(x), self.log_std.exp())
 
 

@@ -213,7 +213,8 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
 
 @lru_cache(maxsize=64)
 def _sound_mesh(pad: Pad) -> tuple[TetMesh, MeshQuality]:
-    """Made once a process for designs with the same gel; its arrays cannot be written."""
+    """Mesh and quality, made once a process for designs with the same gel; its arrays cannot be
+    written."""
     mesh, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
     require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
     for array in (mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers):

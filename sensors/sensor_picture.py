@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 _GEL, _SKIN, _GLASS, _BOX = "#f4c9a8", "#4b3b36", "#cfe8f1", "#9aa1ab"
 _SAMPLES = 801
 _FRONT_SAMPLES = 301
-"""Along each side of the view from the front, where every point is one of the gel's formula: 801
-take a DIGIT 5 s."""
+"""Samples along each side of the view from the front, where every point is one of the gel's
+formula: 801 take a DIGIT 5 s."""
 
 
 def write_sections(family: SensorFamily, parameters: FamilyParameters, folder: Path) -> Path:

@@ -36,7 +36,7 @@ class Starter:
     source: str
     copyright: str
     license_file: str
-    """Below the data folder; it goes along."""
+    """Path of the licence below the data folder; the file goes along."""
     framing: str
     """What images of the profile show, for its users."""
     blocks: tuple[str, ...]

@@ -39,7 +39,7 @@ class Labelling:
     """What each face is for, and how the part lies in its file."""
 
     selection: FaceSelection
-    """Completed."""
+    """Selection, completed."""
     assumed: dict[str, str]
     """What was not stated, by the field's name, in words."""
     regions: list[Region]

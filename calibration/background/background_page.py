@@ -70,7 +70,7 @@ def _spread_tables(result: BackgroundCalibration) -> list[Table]:
 
 
 def _write_mask(path: Path, mask: np.ndarray) -> None:
-    """As an image that serves as the captures' mask: 255 where the gel is clean."""
+    """Writes an image that serves as the captures' mask: 255 where the gel is clean."""
     write_image(path, mask.astype(np.uint8) * 255)
 
 

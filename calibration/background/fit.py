@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the frames of a capture folder to the background block, and what its light did."""
+"""Fit of the background block to the frames of a capture folder, and what its light did."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ class _Compared:
     seen: np.ndarray
     """Untouched pixels, bool, shape [height_px, width_px]."""
     used: np.ndarray
-    """Those of them that the average takes."""
+    """Pixels of ``seen`` that the average takes."""
 
 
 def _sources(folder: CaptureFolder) -> list[_Source]:

@@ -25,7 +25,7 @@ _BEYOND_PITCHES = 1.0
 
 @dataclass(frozen=True)
 class RectificationMaps:
-    """For each pixel of the rectified image, where to look in the raw one (``cv2.remap``)."""
+    """Places to look in the raw image for each pixel of the rectified one (``cv2.remap``)."""
 
     map_u_px: np.ndarray
     """float32, shape [height_px, width_px]; negative where the raw image shows nothing."""

@@ -18,7 +18,7 @@ from taccel_lab.geometry import PixelGrid
 EQUATOR_SLACK = 1.03
 """A contact may look larger than the ball by this factor: circles are off by a pixel or two."""
 UNTOUCHED_RADII = 2.5
-"""Beyond this many contact radii the gel is at rest, as far as colour tells."""
+"""Contact radii from a contact's centre beyond which the gel is at rest, as far as colour tells."""
 FAR_SHARE = 0.1
 """Share of a picture that is taken as far from a contact at least."""
 

@@ -30,7 +30,7 @@ def cell_of(circle: ContactCircle, width_px: int, height_px: int) -> tuple[int, 
 
 
 def cell_name(column: int, row: int) -> str:
-    """As a person calls it: ``top left``."""
+    """Name of a cell as a person calls it: ``top left``."""
     return f"{_ROWS[row]} {_COLUMNS[column]}"
 
 

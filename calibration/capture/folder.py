@@ -70,7 +70,7 @@ class Video:
     sha256: str
     """Hash of the file, or of the frames' hashes in order."""
     frame_count: int
-    """Of those that decode."""
+    """Count of the frames that decode."""
     frames: Callable[[], Iterator[np.ndarray]]
     """Reads them, RGB uint8, one after another."""
     stated_count: int = 0
@@ -82,7 +82,8 @@ class MarkerCaptures:
     """Dots at rest, and in motion."""
 
     rest: Frame | None
-    """As stated, or the background; without it the videos are asked (``find_rest``)."""
+    """Frame at rest as stated, or the background; without it the videos are asked
+    (``find_rest``)."""
     pitch_x_mm: float | None
     pitch_y_mm: float | None
     videos: tuple[Video, ...]
@@ -102,7 +103,7 @@ class ForceRecord:
     source: str
     sha256: str
     columns: dict[str, np.ndarray]
-    """By name, each of shape [row]."""
+    """Columns by name, each of shape [row]."""
     zero: Estimate | None = None
     """What the load cell read in air [N], which is taken off; None where no rows tell it."""
 

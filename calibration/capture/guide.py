@@ -23,7 +23,7 @@ BALLS_MM = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 CURVED_MM, DOME_MM = 0.5, 3.0
 """Drop of the face over the view from which presses have to follow its normal, or go round it."""
 COLOR_PRESSES, GREY_PRESSES = 40, 10
-"""Of a ball, on sensors whose colours or whose grey levels are learned."""
+"""Presses of a ball, on sensors whose colours or whose grey levels are learned."""
 GENERIC_VIEW_MM, GENERIC_THICKNESS_MM = 20.0, 4.0
 
 

@@ -27,10 +27,10 @@ PRINTERS = {"ender3": (220.0, 220.0, 250.0), "prusa_mk4": (250.0, 210.0, 220.0)}
 """Build volumes along X, Y and Z [mm], of the makers' data sheets."""
 PRESSES_TABLE, GCODE = "printer_presses.csv", "presses.gcode"
 COLUMNS = ("image", "x_mm", "y_mm", "depth_mm", "radius_mm")
-"""Of the table: file name, place in the printer's axes from the middle of the gel, travel past
-first touch, radius of the ball."""
+"""Columns of the table: file name, place in the printer's axes from the middle of the gel, travel
+past first touch, radius of the ball."""
 CLEAR_MM = 5.0
-"""From the gel to the ball while the head travels."""
+"""Distance from the gel to the ball while the head travels."""
 SLOW_MM = 1.0
 """Distance from the gel at which the slow feed begins: more than a touch found by eye is off."""
 TRAVEL, LOWER, SLOW = 1200, 300, 30
@@ -50,7 +50,7 @@ class PrinterPress:
     image: str
     """File name that its picture gets."""
     x_mm: float
-    """In the printer's axes, from the middle of the gel."""
+    """Place in the printer's axes, from the middle of the gel."""
     y_mm: float
     depth_mm: float
     """Travel past first touch there."""

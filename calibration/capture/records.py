@@ -19,7 +19,7 @@ from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.table_file import read_table
 
 COLUMNS = ("depth_mm", "force_n")
-"""Those that a record of an indentation has to have."""
+"""Columns that a record of an indentation has to have."""
 AIR_MM, AIR_ROWS = 0.1, 3
 """Rows so far before the touch, which is stated to about this, are in air; so many tell the load
 cell's zero."""

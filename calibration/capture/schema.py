@@ -101,7 +101,7 @@ class LineEntry(StrictModel):
     v_px: Number
     length_px: Number = Field(gt=0.0)
     angle_deg: Number
-    """From the image's x axis towards its y axis (clockwise as seen)."""
+    """Angle from the image's x axis towards its y axis (clockwise as seen)."""
 
 
 class EdgeEntry(StrictModel):
@@ -211,7 +211,7 @@ class CaptureManifest(StrictModel):
     license: str | None = None
     """Licence of the captures, free text kept as provenance."""
     recorded: RecordedEntry | None = None
-    """Of folders that taccel-lab recorded itself."""
+    """Facts of the recording, of folders that taccel-lab recorded itself."""
     rectified: bool = Field(default=False, strict=True)
     """Whether the images are rectified: one scale holds everywhere."""
     raw_sha256: dict[str, str] = Field(default_factory=dict)

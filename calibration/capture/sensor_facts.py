@@ -87,7 +87,8 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
 
 
 def _drop_mm(pad: Any, size_mm: np.ndarray, grid: PixelGrid) -> float:
-    """Of the points at the middle of the view's sides, or well inside the pad's."""
+    """Largest drop [mm] of the points at the middle of the view's sides, or well inside the
+    pad's."""
     view = np.array([grid.width_px * grid.mm_per_px_x / 2, grid.height_px * grid.mm_per_px_y / 2])
     x, y = np.minimum(0.4 * size_mm[:2], view)
     sides = np.array([[0.0, 0.0], [x, 0.0], [-x, 0.0], [0.0, y], [0.0, -y]])
@@ -103,7 +104,7 @@ def _middle_mm(lamp: Light) -> Triple:
 def _handedness(
     lamps: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
 ) -> float | None:
-    """Of three lamps of one colour each; None for any other lighting."""
+    """Handedness of three lamps of one colour each; None for any other lighting."""
     if len(lamps) != 3:
         return None
     directions = np.zeros((3, 2))

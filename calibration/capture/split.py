@@ -66,12 +66,12 @@ class PressSplit:
 
     @property
     def sha256(self) -> str:
-        """Of the names that are held out, by which two equal splits are recognised."""
+        """Hash of the names that are held out, by which two equal splits are recognised."""
         names = sorted((*self.heldout_names, *self.gone))
         return hashlib.sha256("\n".join(names).encode()).hexdigest()
 
     def figures(self) -> dict[str, Any]:
-        """For reports and profiles."""
+        """Figures for reports and profiles."""
         return {"heldout": list(self.heldout_names), "by": self.by, "sha256": self.sha256}
 
 

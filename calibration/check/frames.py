@@ -38,7 +38,7 @@ class FrameFigures:
     rest: np.ndarray
     """The background made small, one array for all presses."""
     light: LightDrift
-    """Of the frame against the background."""
+    """Light of the frame against the background."""
     shift_levels: np.ndarray
     """Colour of the untouched gel less that of the background, at its mean colour, shape [3]."""
     contact: DetectedContact | None

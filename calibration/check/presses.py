@@ -99,7 +99,7 @@ class LabelGap:
 
 
 def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap]:
-    """Of every press that has both a label that can be one and a contact found."""
+    """Gaps of every press that has both a label that can be one and a contact found."""
     wrong = _misplaced(frames, grid)
     pairs = [
         (frame.press.name, frame.contact, frame.press.circle)

@@ -49,7 +49,7 @@ class CaptureCheck:
     blocks: tuple[BlockStatus, ...]
     frames: tuple[FrameFigures, ...] = ()
     grid: PixelGrid | None = None
-    """Of the presses; its scale is made up where none is stated."""
+    """Grid of the presses; its scale is made up where none is stated."""
     background: BackgroundCheck | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
 

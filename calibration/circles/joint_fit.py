@@ -139,8 +139,8 @@ class _Seen:
     """What a round saw of a press before its step."""
 
     rows: np.ndarray
-    """Weighted: 1, the map's terms, rates of each colour with u, v, radius and blur, and what the
-    map leaves of each colour, shape [row_count, n]."""
+    """Rows, weighted: 1, the map's terms, rates of each colour with u, v, radius and blur, and what
+    the map leaves of each colour, shape [row_count, n]."""
     jacobian: np.ndarray
     """Rates of each colour with offsets, gains, circle, blur and the map's coefficients in terms of
     ``rows``, shape [3, row_count, 10 + 3 term_count]; the press's own nine come first."""

@@ -179,7 +179,7 @@ class UsableCircles:
     contacts: list[DetectedContact]
     """Contacts that the images show."""
     circles: list[ContactCircle]
-    """Those that a fit starts from."""
+    """Circles that a fit starts from."""
     sigmas_px: list[tuple[float, float]]
     """What these may be off by: standard deviations of the centre along an axis and of the radius.
     Fused circles are at least as certain as found ones."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From slope to colour: a network fitted to pixels of presses whose surfaces are known."""
+"""Network from slope to colour, fitted to pixels of presses whose surfaces are known."""
 
 from __future__ import annotations
 

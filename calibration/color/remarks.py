@@ -18,7 +18,8 @@ from taccel_lab.calibration.shared_remarks import (
 from taccel_lab.report.remark import Remark
 
 LEAST_PRESSES = 4
-"""With fewer presses a model knows a few places and depths, and nothing tells of the others."""
+"""Fewest presses: with fewer a model knows a few places and depths, and nothing tells of the
+others."""
 LEAST_GAIN_DB = 6.0
 """A colour model that beats the bare background by less, in the crop, explains little."""
 OUTLIER_FACTOR = 2.5

@@ -41,13 +41,13 @@ class HeldoutPress:
     rejected: bool
     """Whether the image rejects the label."""
     surface: BallSurface
-    """Under the press in that circle."""
+    """Surface under the press in that circle."""
     rendered: np.ndarray
     """RGB levels in the light of the background, float32, shape [height_px, width_px, 3]."""
     shown: np.ndarray
     """The same in the light of the capture."""
     score: ImageScore
-    """Of ``shown``."""
+    """Score of ``shown``."""
     background_only: ImageScore
     """The captured background alone against the capture."""
 

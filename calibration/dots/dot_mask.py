@@ -30,7 +30,7 @@ class DotMask:
     """Where dots are."""
 
     at_rest: np.ndarray
-    """Covered in the untouched picture, bool, shape [height_px, width_px]."""
+    """Pixels that dots cover in the untouched picture, bool, shape [height_px, width_px]."""
     pitch_px: float
 
     @classmethod

@@ -34,7 +34,7 @@ class PressFigures:
     rim_depth_mm: float
     """Depth of the contact's rim below the zero; negative where the zero lies deeper."""
     depth_mm: float
-    """Of the ball's lowest point below the untouched face."""
+    """Depth of the ball's lowest point below the untouched face."""
     mae_mm: float
     bias_mm: float
     plane_mm: float

@@ -42,7 +42,7 @@ class RunningMean:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> RunningMean:
-        """Of no image yet; ``shape`` is [height_px, width_px, 3]."""
+        """Mean of no image yet; ``shape`` is [height_px, width_px, 3]."""
         return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:2]))
 
     def add(self, image: np.ndarray, seen: np.ndarray) -> None:

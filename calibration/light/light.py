@@ -29,8 +29,8 @@ class LightDrift:
     """Robust standard deviation of what is left of the smoothed frame, a channel [levels]; 0 when
     not estimated."""
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 4, 4)))
-    """Of gain, of the offset at ``level`` [levels], and of the gradient's two parts [levels], shape
-    [3, 4, 4]; zero where nothing was fitted."""
+    """Covariance of gain, of the offset at ``level`` [levels], and of the gradient's two parts
+    [levels], shape [3, 4, 4]; zero where nothing was fitted."""
     level: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Mean level of each channel that the gain turns about [levels], shape [3]."""
 

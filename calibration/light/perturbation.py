@@ -23,7 +23,7 @@ from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 FEW = 5
-"""Below this many frames or units a standard deviation is off by a third or more."""
+"""Count of frames or units below which a standard deviation is off by a third or more."""
 MEASURED = ("measured", "calibrated")
 """Kinds of blocks whose values say something about the unit at hand."""
 
@@ -36,7 +36,8 @@ class UnitSpread:
     lights: tuple[LightDrift, ...]
     """Light of each unit against the mean of all images at rest; empty without images."""
     values: dict[str, float]
-    """Of scale, place, modulus and friction, by the block's fields; those that two measured."""
+    """Standard deviations of scale, place, modulus and friction, by the block's fields; only those
+    that two profiles measured."""
 
 
 def spread_of_units(profiles: Sequence[SensorProfile]) -> UnitSpread:

@@ -41,9 +41,9 @@ class LiveReading:
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
     surface: SurfaceReading | None
-    """On the reader's grid; None where the profile has no block for it."""
+    """Surface on the reader's grid; None where the profile has no block for it."""
     figures: dict[str, Any]
-    """Of the surface; empty without one."""
+    """Figures of the surface; empty without one."""
     refused: str
     """Why the depth is not to be believed; empty where it is."""
     markers_px: np.ndarray | None
@@ -53,7 +53,7 @@ class LiveReading:
     seen: np.ndarray | None
     """Which of them were found in this frame, bool, shape [marker]."""
     forces: Mapping[str, float]
-    """By name; empty where nothing tells them."""
+    """Forces by name; empty where nothing tells them."""
     stages_s: dict[str, float]
     """Time that each stage took [s]."""
     press: ContactPressure | None = None
@@ -133,7 +133,7 @@ class LiveReader:
 
     @property
     def grid(self) -> PixelGrid:
-        """Of the maps."""
+        """Grid of the maps."""
         return self.profile.grid() if self.surface is None else self.surface.grid
 
     @property

@@ -52,8 +52,9 @@ COLUMNS: tuple[str, ...] = (
     "refused",
     "remarks",
 )
-"""Of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval, times
-since the first frame (of its episode, in a data set of several), remarks those of ``depth``."""
+"""Columns of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval,
+times since the first frame (of its episode, in a data set of several), remarks those of
+``depth``."""
 TEXTS = ("name", "refused", "remarks")
 EPISODE_S = 1e7
 """Longer than any episode [s]."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From pixels to places on the gel: through the pixel grid, or through the calibrated camera,
+"""Places on the gel from pixels: through the pixel grid, or through the calibrated camera,
 whichever is known best.
 
 A dot lies on the contact face, so that its pixel's sight line, bent by window and gel, is followed

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From captures to a material: the points of records and presses, tables for them, and the fit."""
+"""Fit of a material to captures: the points of records and presses, tables for them, and the
+fit."""
 
 from __future__ import annotations
 

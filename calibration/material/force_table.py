@@ -39,7 +39,7 @@ law."""
 _GRID = 1.1
 """Depth ranges are rounded outwards to powers of this, so that similar records share a table."""
 _CHECK_NU = 0.4775
-"""Between the nodes, where gels are."""
+"""Poisson's ratio between the nodes, where gels are."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ class ForceTable:
 
     @cached_property
     def _splines(self) -> tuple[CubicSpline, CubicSpline]:
-        """Over ln depth, the coefficients of a polynomial in s, [power]; and their slopes."""
+        """Splines over ln depth of the coefficients of a polynomial in s, [power]; and their
+        slopes."""
         powers = np.vander(np.sqrt(1 - 2 * self.nu), increasing=True)
         coefficients = np.linalg.solve(powers, self.log_reduced)
         spline = CubicSpline(np.log(self.depth_mm), coefficients, axis=1)
@@ -217,8 +218,8 @@ def _require_depth(gel: Gel, deepest_mm: float, recorded_mm: float) -> None:
 
 
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
-"""Of iterations, on which no result depends: with much friction a step that does not converge soon
-will not."""
+"""Limits of iterations, on which no result depends: with much friction a step that does not
+converge soon will not."""
 RECIPE_VERSION = 3
 """Raised when the solver or the way of simulating changes forces, so that none are taken from the
 cache that were made otherwise."""

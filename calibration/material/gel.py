@@ -35,10 +35,10 @@ class CurveTool:
 
     kind: ToolKind
     radius_mm: float
-    """Of the ball or the punch; of the disc of the gel's area for a plate [mm]."""
+    """Radius of the ball or the punch; of the disc of the gel's area for a plate [mm]."""
     at_mm: tuple[float, float]
     description: str
-    """As ``parse_indenter`` reads it."""
+    """Description as ``parse_indenter`` reads it."""
 
     def indenter(self) -> Indenter:
         return parse_indenter(self.description)

@@ -59,7 +59,7 @@ class PressForces:
 
     tables: Sequence[ForceTable]
     names: Sequence[str]
-    """Of the parameters: ``ln_e``, ``nu``, ``touch_<i>``, ``zero_<i>``."""
+    """Names of the parameters: ``ln_e``, ``nu``, ``touch_<i>``, ``zero_<i>``."""
     poisson_ratio: float
     """Where it is not free."""
 
@@ -141,7 +141,7 @@ class IndentationFit:
         return widened(interval, value, NORMAL_95 * self.model_errors[name])
 
     def bounds_of(self, name: str) -> tuple[float, float]:
-        """Between which a parameter was searched."""
+        """Bounds between which a parameter was searched."""
         (found,) = (p for p in self.likelihood.parameters if p.name == name)
         return found.low, found.high
 

@@ -81,7 +81,8 @@ def records_disagree(fit: IndentationFit, touches_mm: Sequence[float]) -> list[R
 
 
 def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
-    """That a fit meets few points says little; how far each is from what the others predict."""
+    """Remark that a fit to few points says little, with how far each is from what the
+    others predict."""
     count = sum(len(item.depth_mm) for item in fit.points)
     if count - len(fit.solution.names) >= FEW or not predicted:
         return []
@@ -99,7 +100,7 @@ def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) ->
 
 
 def young_uncertain(young: Estimate) -> list[Remark]:
-    """That the interval of Young's modulus is wide."""
+    """Remark that the interval of Young's modulus is wide."""
     low, high = young.interval95
     half = 0.5 * (high - low) / young.value
     if half <= UNCERTAIN:

@@ -43,7 +43,7 @@ class FittedParameter:
     low: float
     high: float
     step: float
-    """About how far it is uncertain, to scale the search."""
+    """Rough size of its uncertainty, to scale the search."""
     prior_sigma: float | None = None
     """Standard deviation of a normal prior about ``start``."""
     loose: bool = False
@@ -66,7 +66,7 @@ class CurveGroup:
 _DRAWN = 8
 """Points on each side of a profile that is drawn."""
 _LEAST_GAIN = 1e-9
-"""Of Q by a step, below which a search is over."""
+"""Gain of Q by a step, below which a search is over."""
 
 Residuals = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Residuals at parameters, shape [point], and their derivatives, shape [point, parameter]."""
@@ -101,7 +101,7 @@ class Solution:
     noise: tuple[float, ...]
     """Estimated standard deviation of each group, in units of its residuals."""
     chi2_per_dof: float | None
-    """Of the groups whose noise is known."""
+    """Chi-square per degree of freedom, of the groups whose noise is known."""
     misfit: bool
     """Whether known noise was scaled up to the residuals."""
     quantile: float

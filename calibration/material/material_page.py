@@ -99,7 +99,7 @@ def _tables(result: MaterialCalibration) -> list[Table]:
 
 
 def _thinned(points: Sequence[HeldOut], most: int = 12) -> list[HeldOut]:
-    """At most ``most`` of them, evenly chosen."""
+    """Points, at most ``most`` of them, evenly chosen."""
     chosen = np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int)
     return [points[i] for i in chosen]
 

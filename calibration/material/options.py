@@ -23,7 +23,7 @@ class MaterialOptions:
     touch_sigma_mm: float | None = None
     """How well first touch is known; chosen by tool and number of points when None."""
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
-    """Of the simulated presses: that of the presses which are to reproduce the records."""
+    """Physics of the simulated presses: that of the presses which are to reproduce the records."""
     device: str = "cpu"
     """Warp device of the simulations."""
 

@@ -70,7 +70,7 @@ class HeldOut:
     """A point that was predicted from the others."""
 
     index: int
-    """Of its press."""
+    """Index of its press."""
     depth_mm: float
     force_n: float
     predicted_n: float

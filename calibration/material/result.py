@@ -24,7 +24,7 @@ class MaterialCalibration(BlockResult):
     license: str
     model: str
     mooney_ratio: float
-    """Of the law ``mooney_rivlin``; 0 of others."""
+    """Ratio of the law ``mooney_rivlin``; 0 of others."""
     estimates: Mapping[str, Estimate]
     """What the captures determine, by the name of the block's field."""
     physics: PressPhysics
@@ -33,7 +33,7 @@ class MaterialCalibration(BlockResult):
     inputs: dict[str, str]
     remarks: tuple[Remark, ...]
     seconds: float
-    """Of the fit, without presses that were simulated before."""
+    """Time of the fit [s], without presses that were simulated before."""
 
     @property
     def used_friction(self) -> float:

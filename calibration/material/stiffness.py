@@ -49,10 +49,10 @@ class Predicted:
 
     depth_mm: float
     press_n: float
-    """Of a press of the profile so far past first touch."""
+    """Force of a press of the profile so far past first touch."""
     press_interval95_n: tuple[float, float]
     reading_n: float
-    """Of a reading where the record, whose zero may be off, calls the depth this."""
+    """Force of a reading where the record, whose zero may be off, calls the depth this."""
     reading_interval95_n: tuple[float, float]
 
 
@@ -152,7 +152,8 @@ class Stiffness:
         }
 
     def correlation(self) -> dict[str, float]:
-        """Of the law's parameters, by their names in the block; none where nu is held."""
+        """Correlation of the law's parameters, by their names in the block; none where nu is
+        held."""
         solution = self.fit.solution
         if "nu" not in solution.names:
             return {}

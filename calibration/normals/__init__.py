@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From colour to surface: the inverse model of a sensor, fitted to ball presses."""
+"""Inverse model of a sensor, from colour to surface, fitted to ball presses."""

@@ -19,7 +19,7 @@ from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.slope_integration import resting_height
 
 COARSE_PX = 48
-"""Of the shorter side of the maps that errors are integrated on: they are smooth."""
+"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
 PROBE_LEVELS = 2.0
 """Change of colour that slopes are found for; small beside what they are linear in."""
 

@@ -15,9 +15,9 @@ from taccel_lab.networks.position_encoding import require_bands
 MOST_SYNTHETIC = 10_000
 """Synthetic presses; each takes a tenth of a second."""
 RIM_RADII = 0.98
-"""Within this many contact radii a pixel lies in the contact, as well as circles are known."""
+"""Contact radii within which a pixel lies in the contact, as well as circles are known."""
 SINK_IN_RADII = 1.03
-"""Beyond this many it surely lies outside."""
+"""Contact radii beyond which it surely lies outside."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class InverseFitOptions(NormalTraining):
     disc_pixels: int = 3000
     """Pixels drawn of each press within the contact."""
     sink_in_pixels: int = 1500
-    """Between the contact and the resting face."""
+    """Pixels between the contact and the resting face."""
     flat_pixels: int = 700
     """Where the gel is at rest."""
     zooms: int = 3

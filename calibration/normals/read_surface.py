@@ -73,8 +73,8 @@ class SurfaceReading(Summary):
     """Standard deviation of both heights [m]. None of models that were fitted without synthetic
     presses, and of curves of earlier versions."""
     reading_sigma_m: np.ndarray | None
-    """That of a place if nothing touches [m], by the reading and the image's light: what is off
-    along with a depth, such as the calibration's circles or scale, is not in it."""
+    """Standard deviation of a place if nothing touches [m], by the reading and the image's light:
+    what is off along with a depth, such as the calibration's circles or scale, is not in it."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
@@ -219,7 +219,7 @@ class SurfaceReader:
         self.method = self._chosen(method)
         untouched = profile.untouched(background, background_name).astype(np.float32)
         self.grid = profile.grid()
-        """Of the maps that are read."""
+        """Grid of the maps that are read."""
         self.untouched = untouched
         """The untouched sensor in its own light, float32 levels."""
         self._day = LightDrift(np.ones(3), np.zeros(3))

@@ -41,7 +41,7 @@ class SyntheticScore:
     """Absolute errors of heights on presses of other tools."""
 
     rmse_mm: float
-    """Over the dents, root of the mean over presses of the mean square."""
+    """Error over the dents: root of the mean over presses of the mean square."""
     median_press_share: float
     """Median over presses of the root mean square in the dent over its deepest point: presses go as
     deep as the balls of the captures did, on one sensor 0.1 to 0.9 mm, on another 0.3 to 2."""
@@ -56,15 +56,15 @@ class SyntheticScore:
 
 @dataclass(frozen=True)
 class ReadingErrors:
-    """Of some pixels of a press that was read, shape [n] each."""
+    """Errors of some pixels of a press that was read, shape [n] each."""
 
     angle_sigmas: np.ndarray
     """Angles over the expected standard deviation, what the ball's centre may be off by taken
     off."""
     height_m: np.ndarray
-    """Of heights."""
+    """Errors of heights."""
     spreads_m: Sequence[np.ndarray]
-    """Of heights before any factor, for each of ``LENGTHS_PX``."""
+    """Standard deviations of heights before any factor, for each of ``LENGTHS_PX``."""
     along_m: np.ndarray
     """Height that is off where all slopes are too steep by what is expected of them."""
     deepest_m: float
@@ -142,8 +142,8 @@ def widened(model: NormalModel, found: Sequence[ReadingErrors]) -> NormalModel:
 
 
 def _along_factor(balls: Sequence[ReadingErrors], k: int, factor: float) -> float:
-    """Of the expected errors of slopes, what has to lie along them for the heights of balls; all of
-    it where too few balls tell."""
+    """Share of the expected errors of slopes that has to lie along them for the heights of balls;
+    all of it where too few balls tell."""
     over = [_beyond(e.height_m, BAND_SIGMAS * factor * e.spreads_m[k]) / e.along_m for e in balls]
     return radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
 
@@ -151,7 +151,7 @@ def _along_factor(balls: Sequence[ReadingErrors], k: int, factor: float) -> floa
 def all_errors(
     model: NormalModel, presses: Iterable[KnownPress], scene: CaptureScene
 ) -> list[ReadingErrors]:
-    """Of every press of which a pixel is compared."""
+    """Errors of every press of which a pixel is compared."""
     return [found for press in presses if (found := errors_of(model, press, scene)) is not None]
 
 

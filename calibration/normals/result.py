@@ -46,7 +46,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
     background_sha256: str
     source: str
     provenance: dict[str, str]
-    """Of the captures."""
+    """Provenance of the captures."""
     circles: str
     """How the circles were chosen."""
     surfaces: str
@@ -64,7 +64,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
 
     @property
     def failed(self) -> dict[str, str]:
-        """Those of ``failures`` that count in the figures."""
+        """Entries of ``failures`` that count in the figures."""
         return {name: why for name, why in self.failures.items() if name not in self.rejected}
 
     def rejected_deg(self) -> dict[str, float | None]:

@@ -81,16 +81,16 @@ class HeldoutNormals:
     frame: PressFrame
     predicted: NormalMap
     height_m: np.ndarray
-    """Integrated, zero where the gel is at rest, shape [height_px, width_px]."""
+    """Heights by integration, zero where the gel is at rest, shape [height_px, width_px]."""
     depth: AbsoluteDepth
-    """Against the same press of the ball in the sensor's pad."""
+    """Depth against the same press of the ball in the sensor's pad."""
     error_deg: np.ndarray
     """Angle to the ball's normal in the circle that was trained with, NaN outside, [h, w]."""
     given: AngleScore
-    """In the circle given with the press, where there is one, else in that used."""
+    """Score in the circle given with the press, where there is one, else in that used."""
     used: AngleScore
-    """In the circle that the label puts there as the training presses say (``LabelPlacement``);
-    without a label, in the one found in the image."""
+    """Score in the circle that the label puts there as the training presses say
+    (``LabelPlacement``); without a label, in the one found in the image."""
     rejected: bool = False
     """Whether the image rejects the label: it stands beside the mean figures."""
 

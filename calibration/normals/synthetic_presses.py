@@ -35,9 +35,9 @@ DEPTHS = (0.1, 1.3)
 presses something else on a sensor presses about as hard as he did balls.
 """
 LEAST, MOST = 0.03, 0.3
-"""Of the thickness of the gel: depths begin at the first at the latest, and end at the second.
-Networks that train on deeper tools read shallow ones half as far off again, and deep ones no
-better (``docs/evidence/ablations.md``)."""
+"""Shares of the thickness of the gel: depths begin at the first at the latest, and end at the
+second. Networks that train on deeper tools read shallow ones half as far off again, and deep ones
+no better (``docs/evidence/ablations.md``)."""
 SOLVED_TO = 2e-2
 """Share of the depth that presses are solved to: heights are then within 0.8 um (rms), slopes in
 the mean within 0.07 degrees."""
@@ -58,7 +58,7 @@ BESIDE_PX = 8
 PRESSED_SHARE = 0.75
 """Share of the pixels drawn where the surface leans by more than that, or so near to it."""
 UNEVEN_PX = 30.0
-"""Over about this distance colours are off together, in the model's light and in its colours."""
+"""Distance over about which colours are off together, in the model's light and in its colours."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class ImageNoise:
     def of(
         cls, frames: Sequence[PressFrame], scene: CaptureScene, colors: ColorModel
     ) -> ImageNoise:
-        """From the presses that are fitted; ``colors`` was fitted to them too."""
+        """Noise from the presses that are fitted; ``colors`` was fitted to them too."""
         white, uneven, left, change = [], [], [], []
         for frame in frames:
             untouched = frame.circle.far(scene.grid, UNTOUCHED_RADII, scene.usable)

@@ -19,8 +19,9 @@ CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
 """Pixels pressed deeper than this and than this share of the deepest one may count as touched."""
 SURE_SIGMAS = 3.0
-"""Of the many places of an image that may err by themselves, one in four images has one beyond 2
-standard deviations, one in forty beyond 3."""
+"""Standard deviations by which a place is surely deeper. Of the many places of an image that may
+err by themselves, one in four images has one beyond 2 standard deviations, one in forty beyond
+3."""
 LEAST_MM2 = 0.05
 """Area of the smallest spot that is surely deeper: a ball of 1 mm, 0.02 mm deep, touches more."""
 

@@ -47,9 +47,10 @@ from taccel_lab.profile.assumed import (
 from taccel_lab.signals.rest_surface import rest_surface
 
 STEPS_PER_THICKNESS = 24.0
-"""Of the grid that pressures are sought on: twice as many change forces by less than 1 %."""
+"""Steps over the gel's thickness of the grid that pressures are sought on: twice as many change
+forces by less than 1 %."""
 LEAST_STEPS = 64
-"""Of that grid along the longer side of the view."""
+"""Fewest steps of that grid along the longer side of the view."""
 TOLERANCE = 0.01
 """Largest gap in the contact, as a part of the deepest point."""
 LAYER_SHARE = 0.35

@@ -27,7 +27,7 @@ ARRAYS = (
     "beyond_balls",
     "saturated",
 )
-"""Of a reading, as they are stored; those that its method does not give are left out."""
+"""Arrays of a reading, as they are stored; those that its method does not give are left out."""
 
 
 def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:

@@ -30,7 +30,7 @@ class TouchReading(SurfaceReading):
     """
 
     grid: PixelGrid
-    """Of all maps."""
+    """Grid of all maps."""
     press: ContactPressure | None
     """Pressure, force and contact; None where no flat layer stands for the gel."""
     no_press: str = ""

@@ -38,7 +38,7 @@ ScaleFrom = Literal["stated", "catalogue", "later"]
 
 @dataclass(frozen=True)
 class RecordFacts:
-    """Of one session; what is None was not stated."""
+    """Facts of one session; what is None was not stated."""
 
     sensor: str
     radius_mm: float | None = None
@@ -66,7 +66,7 @@ class RecordFacts:
             )
 
     def at(self, camera: CameraInfo, locks: list[ControlLock], framing: str) -> RecordFacts:
-        """With the camera that was opened."""
+        """Facts with the camera that was opened."""
         return replace(self, camera=camera, locks=tuple(locks), framing=framing)
 
     def require_complete(self) -> None:

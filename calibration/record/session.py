@@ -57,9 +57,9 @@ class SessionStatus:
     """Its smoothed colour change, small [levels]."""
     noise_levels: float
     circle: ContactCircle | None
-    """Of the press that was taken last, while it is there."""
+    """Contact circle of the press that was taken last, while it is there."""
     circles: tuple[ContactCircle | None, ...]
-    """Of all presses; None where none was found."""
+    """Contact circles of all presses; None where none was found."""
     advice: Advice | None
     lamps: tuple[Lamp, ...]
     messages: tuple[str, ...]
@@ -335,7 +335,7 @@ class Advice:
     """Column and row of the coverage table."""
     depth: str
     radius_px: float | None
-    """Of its contact; None where nothing tells yet how large one is."""
+    """Radius of its contact; None where nothing tells yet how large one is."""
 
     def __str__(self) -> str:
         wide = (

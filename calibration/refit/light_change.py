@@ -57,7 +57,7 @@ class LightChange:
     """Change of every channel since the profile was made."""
 
     light: LightDrift
-    """Of the background."""
+    """Change of the background."""
     response: np.ndarray
     """Factor of the colour change, shape [3]."""
 
@@ -68,7 +68,7 @@ class LightChangeFit:
 
     change: LightChange
     left_out: tuple[LightChange, ...]
-    """Fitted without frame k."""
+    """Changes that are fitted without frame k."""
     sigma: LightChange
     """Standard deviations by the jackknife."""
 

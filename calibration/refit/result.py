@@ -28,7 +28,7 @@ class FrameError:
     """The old profile, in the contact disc of a press or over an untouched frame."""
     after: float
     whole_before: float
-    """Over the whole frame."""
+    """Error of the old profile over the whole frame."""
     whole_after: float
 
 
@@ -40,9 +40,9 @@ class RefitCalibration(BlockResult):
     background: np.ndarray
     """New background, RGB levels, float32, shape [height_px, width_px, 3]."""
     errors: tuple[FrameError, ...]
-    """Of the fitted frames, each by a fit without it."""
+    """Errors of the fitted frames, each by a fit without it."""
     heldout: tuple[FrameError, ...]
-    """Of presses that had no part in anything."""
+    """Errors of presses that had no part in anything."""
     remarks: tuple[Remark, ...]
     inputs: dict[str, str]
     source: str

@@ -18,7 +18,7 @@ CircleSigma = tuple[float, float]
 """Standard deviations of a circle's centre along an axis and of its radius [px]."""
 EXACT: CircleSigma = (0.0, 0.0)
 Ring = tuple[float, float, int]
-"""From and to, in contact radii, and how many pixels are drawn at most."""
+"""Inner and outer radius, in contact radii, and the most pixels that are drawn."""
 WHOLE = (slice(None), slice(None))
 
 
@@ -39,7 +39,7 @@ class CaptureScene:
     def of(
         cls, captures: CaptureSet, background: np.ndarray | None, rest: RestSurface | None = None
     ) -> CaptureScene:
-        """That of ``captures``, against their own background when ``background`` is None."""
+        """Scene of ``captures``, against their own background when ``background`` is None."""
         return cls(
             (captures.background if background is None else background).astype(np.float32),
             captures.grid,

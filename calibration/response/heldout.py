@@ -46,7 +46,7 @@ class HeldoutSet:
 
     @classmethod
     def of(cls, captures: CaptureSet, split: PressSplit, surface_of: SurfaceOf) -> HeldoutSet:
-        """Those of ``captures`` that ``split`` holds out, which may be none."""
+        """Presses of ``captures`` that ``split`` holds out, which may be none."""
         return cls(captures.only(split.heldout), split, surface_of)
 
     @property

@@ -19,7 +19,7 @@ import torch
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
 MOMENTUM = 0.9
-"""Of the running mean of gradients; 0.95, as published, does no better in so few steps."""
+"""Factor of the running mean of gradients; 0.95, as published, does no better in so few steps."""
 QUINTIC = (3.4445, -4.7750, 2.0315)
 """Coefficients of the published iteration: five take singular values to about 0.7 to 1.2."""
 ITERATIONS = 5
@@ -36,7 +36,7 @@ class TrainingStore(Protocol):
         ...
 
     def keep(self, step: int, **parts: Any) -> None:
-        """Told after each step."""
+        """Receives the training after each step."""
         ...
 
 

@@ -60,7 +60,7 @@ class EdgeLine:
 
     @property
     def angle_deg(self) -> float:
-        """Against the image's rows, from -90 to 90, positive where it falls to the right."""
+        """Angle against the image's rows, from -90 to 90, positive where it falls to the right."""
         u, v = self.vector_px
         return float((np.degrees(np.arctan2(v, u)) + 90.0) % 180.0 - 90.0)
 

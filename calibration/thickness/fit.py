@@ -42,9 +42,9 @@ from taccel_lab.signals.rest_surface import rest_surface
 Origin = Literal["assumed", "published", "stated", "fitted"]
 NAME = "thickness_mm"
 LAW_SIGMA = float(np.log(1.25)) / 2
-"""By what a layer of small strains without friction misjudges the logarithm of a thickness: finite
-elements of 2 to 8 mm under balls of 2 to 3 mm read as 0.81 to 1.08 of it, the lower the deeper
-they are pressed, up to half the thickness."""
+"""Standard deviation by which a layer of small strains without friction misjudges the logarithm of
+a thickness: finite elements of 2 to 8 mm under balls of 2 to 3 mm read as 0.81 to 1.08 of it, the
+lower the deeper they are pressed, up to half the thickness."""
 FLAT = float(np.cos(np.radians(5.0)))
 """Cosine of the tilt up to which a face at rest is as good as flat."""
 SHARE = 0.95
@@ -56,7 +56,7 @@ class GelThickness:
     """What ball presses tell of a gel, and what is taken for its thickness."""
 
     thickness_mm: float
-    """As taken."""
+    """Thickness that is taken."""
     interval_mm: tuple[float, float]
     """Bounds of 95 %; 16 mm stand for that and more."""
     estimate_mm: tuple[float, float, float]
@@ -251,8 +251,8 @@ def _rings(
 
 
 def _density(thickness_mm: np.ndarray, rings: RingEstimate | None) -> np.ndarray:
-    """Of the logarithm of the thickness: even where images tell nothing, else about what they tell
-    as widely as the layer's law may misjudge it."""
+    """Density of the logarithm of the thickness: even where images tell nothing, else about what
+    they tell as widely as the layer's law may misjudge it."""
     if rings is None:
         return np.ones(STEPS)
     off = np.log(thickness_mm)[:, None] - np.log(rings.thickness_mm)[None, :]
@@ -288,7 +288,7 @@ class TravelPress:
 
     travel_mm: float
     radius_mm: float
-    """Of the contact."""
+    """Radius of the contact."""
     radius_sigma_mm: float
     ball_mm: float
 

@@ -31,7 +31,7 @@ than the ball's colours tell, and blurred."""
 WHOLE_RING = 0.97
 LEAST_PRESSES, LEAST_RINGS = 4, 8
 GAINS = (0.5, 2.0)
-"""By what the slopes beside may be off alike, by light that differs there."""
+"""Bounds of the factor by which the slopes beside may be off alike, by light that differs there."""
 RESAMPLED = 200
 UNEXPLAINED = 0.25
 """Share of the slopes beside (root of squares) that the nearest layer may leave over: real sensors
@@ -171,7 +171,7 @@ THINNEST_MM, THICKEST_MM = 1.0, 16.0
 LAYERS, STEPS = 9, 200
 """Layers that are solved, and thicknesses between them."""
 DEEPEST = 0.7
-"""Of a layer's thickness, that a ball's cap may take."""
+"""Largest share of a layer's thickness that a ball's cap may take."""
 RADII = 3.2
 """Contact radii around the ball that are solved."""
 

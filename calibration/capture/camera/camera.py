@@ -52,7 +52,7 @@ class CameraInfo:
     """Which camera it is."""
 
     id: str
-    """By which it is found again."""
+    """Identifier by which the camera is found again."""
     name: str
     serial: str | None = None
     replayed: bool = False

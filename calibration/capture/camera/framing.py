@@ -43,7 +43,7 @@ class Framing:
 
     @classmethod
     def parse(cls, crop: str | None, resize: str | None) -> Framing:
-        """From ``LEFT,TOP,WIDTHxHEIGHT`` and ``WIDTHxHEIGHT``; InputError for anything else."""
+        """Reads ``LEFT,TOP,WIDTHxHEIGHT`` and ``WIDTHxHEIGHT``; InputError for anything else."""
         part = None
         if crop is not None:
             found = _PART.match(crop)

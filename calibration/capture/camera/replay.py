@@ -34,7 +34,7 @@ class CameraReplay:
     """How stills become a stream."""
 
     fps: float = 25.0
-    """Of frames whose times are not known."""
+    """Rate of frames whose times are not known."""
     rest_s: float = 2.0
     """How long the untouched gel shows before the first press, and half as long between two."""
     hold_s: float = 1.2

@@ -23,7 +23,7 @@ from taccel_lab.calibration.capture.camera.devices import Device
 from taccel_lab.errors import InputError
 
 MANUAL_EXPOSURE = 1.0
-"""Of V4L2's menu, which OpenCV hands on."""
+"""Entry of V4L2's menu, which OpenCV hands on."""
 OLDEST_S = 5.0
 """A time stamp of the driver that is farther back is of another clock."""
 NEAR = 0.02

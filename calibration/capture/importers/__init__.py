@@ -260,7 +260,7 @@ def import_folders(
     layout: str = AUTO,
     options: ImportOptions | None = None,
 ) -> list[Imported]:
-    """As ``import_captures``; says what each folder holds."""
+    """Writes capture folders as ``import_captures`` does; says what each folder holds."""
     source, out = Path(source), Path(out)
     if (source / MANIFEST_NAME).is_file():
         raise InputError(f"{source} is a capture folder already: it has {MANIFEST_NAME}")

@@ -25,7 +25,7 @@ MIN_CONTACT_LEVELS = 5.0
 MAX_STACK = 61
 """Frames that a median is taken over: more do not make it quieter than the camera's levels."""
 STACK_BYTES = 96 << 20
-"""Of the pictures that a median holds at a time."""
+"""Most bytes of the pictures that a median holds at a time."""
 
 
 def median_image(images: Sequence[Image | str]) -> np.ndarray:

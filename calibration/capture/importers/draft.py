@@ -57,7 +57,7 @@ FALLBACK_SENSOR = "flat_pad"
 ANY_FLAT_GEL = "which stands for any flat gel; --sensor names another"
 _BOARD = re.compile(r"^(chessboard|charuco|dots):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
 _NAME_BYTES = 240
-"""Of a file's name, whose copies are numbered; systems take 255."""
+"""Most bytes of a file's name, whose copies are numbered; systems take 255."""
 _SCALES = (MIN_MM_PER_PX, MAX_MM_PER_PX)
 _BOUNDS = {
     "radius_mm": (MIN_RADIUS_MM, MAX_RADIUS_MM),
@@ -119,7 +119,7 @@ class Draft:
     license: str = UNKNOWN
     manifest: dict[str, Any] = field(default_factory=dict)
     files: dict[str, Image | str] = field(default_factory=dict)
-    """By name in the folder: an image or any other file, RGB levels, or text."""
+    """Files by name in the folder: an image or any other file, RGB levels, or text."""
     notes: list[str] = field(default_factory=list)
     """What a person should know besides; kept as comments in the manifest."""
     assumed: dict[str, str] = field(default_factory=dict)

@@ -72,7 +72,7 @@ def stated_number(path: Path, key: str) -> float:
 
 
 def label_numbers(path: Path, words: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
-    """By ``keys``, the numbers of the arrays ``words`` of a ``.npz``, one after the other.
+    """Numbers by ``keys``, those of the arrays ``words`` of a ``.npz``, one after the other.
 
     Raises InputError where an array is missing, has something else than finite numbers, or where
     they are not as many as the keys.

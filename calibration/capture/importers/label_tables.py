@@ -46,9 +46,9 @@ class LabelTables:
 
     folder: Path
     circles: dict[str, Circle] = field(default_factory=dict)
-    """By the image as its table names it: path below the folder, file name, or stem."""
+    """Circles by the image as its table names it: path below the folder, file name, or stem."""
     tables: dict[str, Path] = field(default_factory=dict)
-    """By the same names: the table that says so."""
+    """Tables that say so, by the same names."""
     read: set[Path] = field(default_factory=set)
     """Tables with circles."""
     left_out: dict[Path, str] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class LabelTables:
 
 
 def read_label_tables(folder: Path) -> LabelTables:
-    """Those of a folder and its ``labels``.
+    """Label tables of a folder and its ``labels``.
 
     Raises InputError for a table of circles with a fault, and for two circles of one image.
     """
