@@ -8,7 +8,7 @@ import re
 WORD_CHARACTERS = 400
 """Longer words are damage; paths are shorter."""
 ERROR_CHARACTERS = 1000
-"""Of what a library says; some repeat the whole file."""
+"""Most characters of what a library says; some repeat the whole file."""
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 _LONG_WORD = re.compile(rf"\S{{{WORD_CHARACTERS + 1},}}")
 

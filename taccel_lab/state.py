@@ -120,7 +120,7 @@ class State(Summary):
     history: StepHistory | None = None
     """The step before the last one; in scenes that are stepped by BDF2 only."""
     joints: JointState | None = None
-    """In scenes with joints only."""
+    """State of the joints, in scenes with joints only."""
     external_forces: wp.array | None = None
     """Forces on nodes [N], vec3d, shape [env_count, node_count]: on soft nodes and on vertices of
     affine bodies; they stay until changed. See ``load``."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 
 MOST_COLUMNS = 110
-"""Of a line; what is longer is cut."""
+"""Most columns of a line; what is longer is cut."""
 
 
 class Summary:

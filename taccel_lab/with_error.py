@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 UNSTATED_DIGITS = 4
-"""Of a value whose error nobody knows."""
+"""Digits of a value whose error nobody knows."""
 
 
 def with_error(value: float, error: float | None) -> str:
@@ -31,7 +31,8 @@ def to_error(value: float, error: float | None) -> str:
 
 
 def _decimals(error: float | None) -> int | None:
-    """Of the second digit of an error, negative left of the point; None without an error."""
+    """Decimal of the second digit of an error, negative left of the point; None without an
+    error."""
     if error is None or not math.isfinite(error) or error == 0:
         return None
     # Of the rounded error: 0.0996 is 0.10.

@@ -21,8 +21,8 @@ class PressOptions:
     depth_mm: float | None = None
     """Depth past first touch [mm]; or give the force."""
     force_n: float | None = None
-    """In place of a depth: press until the normal force is this, within 1 per cent [N]. Two to
-    four extra presses find the depth. Shear and twist follow at that depth and change the force
+    """Normal force to press to in place of a depth, within 1 per cent [N]. Two to four
+    extra presses find the depth. Shear and twist follow at that depth and change the force
     again."""
     like: Path | None = None
     """Image of a real press, in place of depth and place. The calibrated sensor reads both from it.

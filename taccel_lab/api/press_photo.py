@@ -46,7 +46,7 @@ class SeenPress:
     at_sigma_mm: tuple[float, float] | None
     """Standard deviations of x and y; None where the profile states none of heights."""
     depth_sigma_mm: float | None
-    """That of the depth; None likewise."""
+    """Standard deviation of the depth; None likewise."""
     whole: bool
     """Whether the image shows all of the core."""
 

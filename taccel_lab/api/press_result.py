@@ -272,7 +272,8 @@ class Press(Summary):
         return f"{options.indenter} pressed {depth:.4g} mm into {self.plan.sensor}", rows
 
     def _deepest_mm(self) -> float:
-        """Of the contact [mm]: at a dome's border depths are those of rays that graze it."""
+        """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze
+        it."""
         depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
         return float(np.nanmax(depth))
 

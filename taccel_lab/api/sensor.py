@@ -95,5 +95,6 @@ def profile_of(sensor: AnySensor) -> SensorProfile:
 
 
 def reading_profile_of(sensor: AnySensor) -> SensorProfile:
-    """As ``profile_of``, for who reads images: a catalogue name stands for its starter."""
+    """Profile as of ``profile_of``, for who reads images: a catalogue name stands for its
+    starter."""
     return load_sensor(sensor) if isinstance(sensor, (Path, str)) else profile_of(sensor)

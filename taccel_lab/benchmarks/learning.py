@@ -257,7 +257,7 @@ class LearningPhases:
         self._random = random
 
     def begin(self, ready: np.ndarray) -> np.ndarray:
-        """Those of the ready environments that begin anew; the others go on. bool, [count]."""
+        """Ready environments that begin anew; the others go on. bool, [count]."""
         anew = self._random.random(len(ready)) < self._reset_share
         anew |= (self.now == self.steps) | (self._first_reset == self._taken)
         anew &= ready

@@ -110,7 +110,7 @@ class SoftBody:
     initial_pose: np.ndarray | None = None
     """world_from_mesh at the start, [7] or [env, 7]; for a body without a mount."""
     initial_velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of all nodes but bonded ones; on an affine mount all move as that does."""
+    """Velocity of all nodes but bonded ones; on an affine mount all move as that does."""
 
     def __post_init__(self) -> None:
         count = self.material.tet_count
@@ -180,7 +180,7 @@ class AffineBody:
     initial_pose: np.ndarray | None = None
     """world_from_body at the start, [7] or [env, 7]; the identity when None."""
     initial_velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the centre of mass."""
+    """Velocity of the centre of mass."""
     initial_spin_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Angular velocity in world axes."""
     stated_mass: StatedMass | None = None

@@ -163,7 +163,7 @@ class MaterialField:
     mooney_ratio: np.ndarray | float = 0.0
     """Mooney-Rivlin only: c01 / (c10 + c01), shape [tet_count]."""
     branches: tuple[MaxwellBranch, ...] = ()
-    """As in Material; those of the whole body."""
+    """Maxwell branches as in Material; those of the whole body."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "branches", check_branches(self.branches))

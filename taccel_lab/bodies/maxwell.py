@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from taccel_lab.errors import InputError
 
 MOST_BRANCHES = 3
-"""Of a material: each is one more evaluation of all elements, and three span as many decades of
-time."""
+"""Most branches of a material: each is one more evaluation of all elements, and three span as many
+decades of time."""
 
 
 @dataclass(frozen=True, order=True)

@@ -34,7 +34,7 @@ class TimeScheme(StrEnum):
 
 
 SHORTEST_STEP_S, LONGEST_HOLD_S = 1e-6, 1e5
-"""Of a step, and of a quasi-static one in which gels relax."""
+"""Shortest time of a step, and longest of a quasi-static one in which gels relax."""
 
 
 def check_dt(dt_s: float, longest_s: float = 10.0) -> None:
@@ -48,7 +48,7 @@ class TimeStepping:
     """How a step advances time."""
 
     quasi_static: bool = True
-    """Without inertia: each step is an equilibrium. Otherwise ``scheme``."""
+    """Leaves out inertia: each step is an equilibrium. Otherwise ``scheme``."""
     dt_s: float = 0.02
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scheme: TimeScheme = TimeScheme.EULER

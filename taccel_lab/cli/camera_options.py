@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFlags:
-    """Of a camera, or of files that are replayed in its place."""
+    """Flags of a camera, or of files that are replayed in its place."""
 
     camera: str
     """The camera: its id or serial number, or a part of either that no other has (taccel-lab

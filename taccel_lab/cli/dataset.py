@@ -199,7 +199,7 @@ class DatasetExport:
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     fps: int = 10
-    """For lerobot: nominal frames a second; touches have no time scale."""
+    """Nominal frames a second for lerobot; touches have no time scale."""
     json: bool = False
     """Print what was written as JSON."""
 

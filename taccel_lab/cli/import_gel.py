@@ -45,8 +45,8 @@ class ImportGel:
     out: Path | None = None
     """Folder to write; an earlier one is replaced when everything is done."""
     picture: Path | None = None
-    """Without --out: a picture (.png) of the part with the numbers of its faces. With it, the
-    folder has one."""
+    """Picture (.png) to write, without --out, of the part with the numbers of its faces. With it,
+    the folder has one."""
     select: Path | None = None
     """TOML file with the options below as keys (contact, bond, window, normal, ...)."""
     contact: Annotated[tuple[str, ...], _SELECTOR] = field(default=())

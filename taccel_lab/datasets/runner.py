@@ -74,7 +74,7 @@ class DatasetOutcome:
         return self.parts_there + len(self.done) == self.parts_total
 
     def record(self) -> dict[str, Any]:
-        """As JSON."""
+        """Rates, counts and machine of the run as JSON."""
         seconds = max(self.seconds, 1e-9)
         return {
             "images_per_s": self.steps / seconds,

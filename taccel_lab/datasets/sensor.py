@@ -56,7 +56,7 @@ class Sensor:
     """Digest of everything that its profile says; dates do not count."""
     pad: Pad
     mesh: TetMesh
-    """As designed."""
+    """Mesh as designed."""
     material_of: Callable[[TetMesh], Material | MaterialField]
     friction_coefficient: float
     grid: PixelGrid

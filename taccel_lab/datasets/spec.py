@@ -40,9 +40,9 @@ class DatasetBlock(StrictModel):
     """Touches: each is one object in one place that goes through one motion."""
     seed: Whole = Field(default=0, ge=0, lt=2**31)
     accuracy: Literal["fast", "default", "reference"] = "default"
-    """As of ``taccel-lab press``."""
+    """Accuracy as of ``taccel-lab press``."""
     mesh: Literal["focused", "profile"] = "focused"
-    """As of ``taccel-lab press``."""
+    """Mesh as of ``taccel-lab press``."""
     view: Share = 0.7
     """Touches are placed in this part of the camera's view about its middle."""
     x_mm: Range | None = None
@@ -85,8 +85,8 @@ class ObjectEntry(StrictModel):
     """An object that touches."""
 
     tool: StrictStr
-    """As ``--indenter`` of ``taccel-lab press``: ``sphere:3``, ``box:4x3``, ``mesh:FILE@AXIS``;
-    a file lies beside the spec if its path is not absolute."""
+    """Tool as ``--indenter`` of ``taccel-lab press`` takes it: ``sphere:3``, ``box:4x3``,
+    ``mesh:FILE@AXIS``; a file lies beside the spec if its path is not absolute."""
     name: Name | None = None
     """The tool's text when left out."""
     yaw_deg: Range = (0.0, 360.0)

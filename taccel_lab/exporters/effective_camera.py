@@ -35,7 +35,7 @@ class EffectiveCamera:
 
     @property
     def distance_m(self) -> float:
-        """From the centre of projection to the gel along the optical axis."""
+        """Distance from the centre of projection to the gel along the optical axis."""
         return float(m_from_mm(-self.position_mm[2] / self.gel_from_camera[2, 2]))
 
 

@@ -35,12 +35,12 @@ STEPS = 8_000
 BATCH = 1024
 LEARNING_RATE = 3e-3
 NOISE_LEVELS = 1.0
-"""Of a pixel, where the profile has no perturbation block: a network without it would read grey
-levels that no camera resolves."""
+"""Standard deviation of a pixel's noise, where the profile has no perturbation block: a network
+without it would read grey levels that no camera resolves."""
 FLAT_SHARE = 0.15
-"""Of the samples, untouched gel."""
+"""Share of the samples that show untouched gel."""
 IN_CONTACT = 0.8
-"""Of the others, those from inside a contact."""
+"""Share of the others that lie inside a contact."""
 DEFAULT_RATE_HZ = 25
 
 

@@ -37,7 +37,8 @@ OPSET = 17
 PEER = f"ONNX opset {OPSET} (onnxruntime 1.15 and later)"
 CHECKED, CHECKED_IMAGES = 512, 3
 LARGEST_DIFFERENCE = 1e-3
-"""Of a graph from its model, relative to the model's largest output: rounding is far below."""
+"""Largest difference of a graph from its model, relative to the model's largest output: rounding is
+far below."""
 
 
 def export_onnx(profile: SensorProfile, folder: Path) -> ExportRecord:

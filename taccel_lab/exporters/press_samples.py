@@ -24,7 +24,7 @@ BALL_RADII_MM = (1.0, 8.0)
 MAX_TILT_DEG = 60.0
 """Where the colour block does not say how steep the surfaces were that it was fitted to."""
 TILTS_DEG = (5.0, 80.0)
-"""Within which the steepest surface that is requested lies."""
+"""Limits within which the steepest surface that is requested lies."""
 SHALLOWEST_MM = -0.02
 """Presses are drawn down to this at least."""
 IN_CONTACT = 0.5
@@ -38,9 +38,9 @@ class PressPixels:
     """Samples of presses; all arrays have n rows."""
 
     pixel_idx: np.ndarray
-    """Along rows, shape [n]."""
+    """Index of each pixel along rows, shape [n]."""
     slope: np.ndarray
-    """Of the height over rest along x and y, shape [n, 2]."""
+    """Slopes of the height over rest along x and y, shape [n, 2]."""
     displacement_mm: np.ndarray
     """Rise over rest [mm], negative in a dent, shape [n]."""
 

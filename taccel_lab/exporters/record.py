@@ -53,7 +53,8 @@ class ExportRecord:
                 self.left_out[key] = "the format has no place for it"
 
     def dots_stand_still(self, profile: SensorProfile) -> None:
-        """For formats that paint on one background image: the gel's dots are part of it."""
+        """Notes for formats that paint on one background image that the gel's dots stand still:
+        they are part of it."""
         if profile.markers is not None and profile.background_rgb is not None:
             self.left_out["markers"] = (
                 "the format has no place for their motion: dots are in the background, where they "

@@ -28,7 +28,7 @@ MOST_LIGHTS = 8
 UPRIGHT = 0.1
 """Cosine to z below which a face counts as a wall."""
 LEAST_NODES = 20
-"""With fewer in the image, the whole contact face is fitted."""
+"""Least nodes in the image that are fitted alone; with fewer, the whole contact face is fitted."""
 FLAT_M = 2e-5
 """Gels with less sag are exported as flat."""
 _GL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0])
@@ -126,7 +126,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
 
 
 def merged_lights(lights: list[Light]) -> tuple[list[Light], float]:
-    """At most eight lights, and how far the one that moved most has moved [mm].
+    """Lights, eight at most, and how far the one that moved most has moved [mm].
 
     Neighbours are joined pair by pair, nearest first, at the middle of their power.
     """

@@ -24,21 +24,21 @@ from taccel_lab.profile.units import m_from_mm
 
 PEER = "URDF 1.0 (ROS, PyBullet, Isaac Sim, yourdfpy)"
 HOUSING_DENSITY = 1050.0
-"""Of the walls [kg/m^3], printed plastic; no block says it."""
+"""Density of the walls [kg/m^3], printed plastic; no block says it."""
 
 
 @dataclass(frozen=True)
 class UrdfInertia:
-    """Of a body in a frame [kg, m, kg m^2]."""
+    """Inertia of a body in a frame [kg, m, kg m^2]."""
 
     mass: float
     center: np.ndarray
     inertia: np.ndarray
-    """About the centre of mass, shape [3, 3]."""
+    """Inertia tensor about the centre of mass, shape [3, 3]."""
 
 
 FRAME_MASS = UrdfInertia(1e-6, np.zeros(3), 1e-12 * np.eye(3))
-"""Of a link that is a frame only: a milligram. Bullet gives a link without inertia 1 kg."""
+"""Inertia of a link that is a frame only: a milligram. Bullet gives a link without inertia 1 kg."""
 
 
 def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:

@@ -32,16 +32,16 @@ from taccel_lab.processes.process_pool import THREAD_LIMITS
 
 Result = TypeVar("Result")
 MEMORY_BYTES = 2 << 30
-"""That a reader may take."""
+"""Most memory that a reader may take."""
 LIMIT_S = 120.0
 """Seconds that a reader may stay silent."""
 CPU_S, CPU_S_PER_MIB = 10.0, 2.0
-"""Of the processor, that a reader may take for a file, and for each MiB of it: libraries that are
-misled by a small file may never end. To load one takes up to 3 s."""
+"""Seconds of the processor that a reader may take for a file, and for each MiB of it. Libraries
+that are misled by a small file may never end. To load one takes up to 3 s."""
 KEPT_BYTES = 16 << 20
-"""Of the place for arrays, when a reader waits; larger ones are given back."""
+"""Largest place for arrays that is kept while a reader waits; larger ones are given back."""
 MAX_IMAGE_PIXELS = 1 << 26
-"""Of an image; cameras have up to 61 million."""
+"""Most pixels of an image; cameras have up to 61 million."""
 ENVIRONMENT = {
     # Of 64 cores the stacks of the threads of two libraries take half of the memory.
     **dict.fromkeys(THREAD_LIMITS, "1"),
@@ -121,7 +121,7 @@ class _Asked:
     by: str
     limit_s: float
     cpu_s: float | None
-    """Of the processor, for an answer or an item; None: no limit."""
+    """Seconds of the processor for an answer or an item; None: no limit."""
 
     @classmethod
     def of(cls, what: str, by: str, limit_s: float | None) -> _Asked:

@@ -23,7 +23,8 @@ from taccel_lab.files.regular_file import in_bytes, require_regular_file
 from taccel_lab.files.zip_sizes import require_small, require_small_directory
 
 MAX_ARRAY_BYTES = 768 << 20
-"""Of all arrays of a file together: 800 colour images of 640 x 480 px, and room left in 1 GiB."""
+"""Most bytes of all arrays of a file together: 800 colour images of 640 x 480 px, and room left in
+1 GiB."""
 PLAIN_KINDS = "biufcSU"
 """Kinds of NumPy's types that are read: truth values, numbers and texts."""
 _CHUNK_BYTES = 1 << 20

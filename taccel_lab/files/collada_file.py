@@ -46,7 +46,8 @@ _LEFT_OUT = (
 
 
 MAX_PARTS, _PART_BYTES = 10_000, 6_400
-"""Of a scene, each counted as often as it is shown, and bytes of a surface that count as one."""
+"""Most parts of a scene, each counted as often as it is shown, and bytes of a surface that count as
+one."""
 _SHOWS = ("instance_node", "instance_geometry")
 
 

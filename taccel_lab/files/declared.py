@@ -11,7 +11,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import in_bytes
 
 PACKED_TIMES = 1100
-"""Of its packed size, what bytes may have unpacked: deflate's most is 1,032 (zlib, "Technical
+"""Largest ratio of unpacked to packed bytes: deflate's most is 1,032 (zlib, "Technical
 Details"); beyond it, they are packed twice or are not there."""
 
 

@@ -27,7 +27,7 @@ from taccel_lab.files.atomic_file import to_jsonable, write_bytes
 from taccel_lab.processes.cache_place import CACHE_VARIABLE, cache_folder
 
 LARGEST_BYTES = 1 << 30
-"""Of a file; a mesh of a hundred thousand nodes takes a fortieth of it."""
+"""Most bytes of a file; a mesh of a hundred thousand nodes takes a fortieth of it."""
 _HEAD = b"taccel-lab cache\n"
 
 Result = TypeVar("Result")

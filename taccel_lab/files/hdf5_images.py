@@ -38,11 +38,11 @@ UNIVTAC = "tactile"
 MAX_DEPTH, MAX_OBJECTS = 8, 10_000
 """Groups in groups, and objects."""
 BLOCK_BYTES = 384 << 20
-"""That are unpacked at a time: of all frames that a packed chunk goes over."""
+"""Most bytes that are unpacked at a time: those of all frames that a packed chunk goes over."""
 SPARE_BYTES = 512 << 20
-"""That h5py may take to read some frames, besides the size of the file."""
+"""Most memory that h5py may take to read some frames, besides the size of the file."""
 CACHE_BYTES = 64 << 20
-"""Of unpacked chunks that h5py keeps: those of a thousand streams each take 16 KiB."""
+"""Most bytes of unpacked chunks that h5py keeps: those of a thousand streams each take 16 KiB."""
 
 
 def is_hdf5(path: Path) -> bool:
@@ -152,7 +152,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 def _images(
     group: h5py.Group, prefix: str = "", seen: set[Any] | None = None, depth: int = 0
 ) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Those below a group, each once: links may go in circles."""
+    """Images below a group, each once: links may go in circles."""
     import h5py
 
     seen = set() if seen is None else seen

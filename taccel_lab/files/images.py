@@ -35,7 +35,7 @@ _JPEG_PIXELS = 512
 _TIFF_ORDER: dict[bytes, Literal["little", "big"]] = {b"II": "little", b"MM": "big"}
 _TIFF_HEADER_BYTES = 16
 _TIFF_ENTRIES = 0xFFFF
-"""Of a directory: what TIFF 6.0 has room to count. BigTIFF counts in 64 bits."""
+"""Most entries of a directory: what TIFF 6.0 has room to count. BigTIFF counts in 64 bits."""
 _ORIENTATION, _SHORT = 274, 3
 """Number of TIFF's tag, and of the type of its value."""
 LOW_16_BIT = 4096

@@ -16,7 +16,7 @@ from taccel_lab.files.plain_values import (
 from taccel_lab.files.text_file import read_text, shown
 
 JSON_LIMIT_BYTES = 8 << 20
-"""As TOML's; the results of a design have some 100 KiB."""
+"""Most bytes of a file, as TOML's; the results of a design have some 100 KiB."""
 _MAX_DIGITS = 20
 
 

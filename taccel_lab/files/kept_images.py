@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.files.images import read_image
 
 KEPT_BYTES = 512 << 20
-"""Of levels that are held: 2,300 images of 320x240 px, 580 of 640x480 px."""
+"""Most bytes of levels that are held: 2,300 images of 320x240 px, 580 of 640x480 px."""
 
 
 class KeptImages:

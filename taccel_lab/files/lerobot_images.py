@@ -41,9 +41,9 @@ ROWS = 16
 """Rows of a Parquet file that are held at a time: each may have an image."""
 TIME = "timestamp"
 MAX_ROWS = 1 << 22
-"""Of a table: 38 hours at 30 frames a second."""
+"""Most rows of a table: 38 hours at 30 frames a second."""
 MAX_EPISODES = 1 << 17
-"""Of a table."""
+"""Most episodes of a table."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from taccel_lab.files.inner_path import entries_below, require_inner_name
 from taccel_lab.files.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
-"""In every folder that a command wrote: SHA-256 and size of each of its files, by name, as JSON."""
+"""Name of a file in every folder that a command wrote: SHA-256 and size of each of its files, by
+name, as JSON."""
 DESKTOP_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}
 """What file browsers leave behind in folders that are looked at."""
 _EMPTY = hashlib.sha256(b"").hexdigest()

@@ -24,7 +24,7 @@ _MM_PER_UNIT = {
     "MicroMeter": 1e-3, "MilliMeter": 1.0, "CentiMeter": 10.0, "Inch": 25.4, "Foot": 304.8,
     "Meter": 1e3,
 }  # fmt: skip
-"""Of lib3mf's units."""
+"""Lengths of lib3mf's units [mm]."""
 _MODEL = ".model"
 _ELEMENT = re.compile(rb"<(?:[\w.-]+:)?(object|component|item|triangles)\b([^>]*)>")
 _NUMBER = re.compile(rb"""\b(?:object)?id\s*=\s*["']\s*(\d+)""")

@@ -12,10 +12,10 @@ from taccel_lab.files.text_file import shown
 from taccel_lab.printable import printable
 
 MAX_DEPTH = 32
-"""Of tables and lists in one another; our own files reach 6."""
+"""Most levels of tables and lists in one another; our own files reach 6."""
 MAX_VALUES = 250_000
-"""In one file: 30,000 presses with all that can be said of them. It bounds the memory of what is
-made of a file, and of the messages about its faults."""
+"""Most values in one file: 30,000 presses with all that can be said of them. It bounds the memory
+of what is made of a file, and of the messages about its faults."""
 _MAX_WHOLE = 2**63
 """Whole numbers have 64 bits, as TOML has it."""
 _Place = tuple[Any, Any] | None

@@ -14,7 +14,7 @@ class RecordedFrame(NamedTuple):
     """A frame, when it was taken, or why it cannot be read."""
 
     name: str
-    """By which the file tells it from others."""
+    """Name by which the file tells it from others."""
     image: np.ndarray | InputError
     """RGB uint8, shape [height_px, width_px, 3], or why there is none."""
     time_s: float | None = None

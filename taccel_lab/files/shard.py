@@ -16,12 +16,12 @@ class Shard:
     """One of several runs that share the work."""
 
     number: int
-    """From 1."""
+    """Number of this run, from 1."""
     count: int
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Of ``2/8``; raises InputError."""
+        """Shard of a text such as ``2/8``; raises InputError."""
         number, slash, count = text.partition("/")
         if not (slash and number.isascii() and number.isdigit() and count.isdigit()):
             raise InputError(

@@ -42,7 +42,7 @@ _WORDS = {
     "tuple_type": "a list in square brackets is needed",
     "list_type": "a list is needed, of [[tables]] or in square brackets",
 }
-"""In place of pydantic's, for those who write TOML."""
+"""Messages in place of pydantic's, for those who write TOML."""
 MAX_FAULTS = 20
 """Faults of one file that a message lists."""
 

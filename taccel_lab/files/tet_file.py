@@ -15,7 +15,7 @@ from taccel_lab.files.vtk_mesh import QUADRATIC_TETRA, TETRA, cells_of, read_vtk
 
 SUFFIXES = (".msh", ".vtu", ".vtk")
 MAX_TETS = 500_000
-"""Of a gel; those of the catalogue have a tenth of it."""
+"""Most tetrahedra of a gel; those of the catalogue have a tenth of it."""
 
 
 def read_tet_file(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import read_regular_file
 
 SHOWN_CHARACTERS = 80
-"""Of a value that an error message quotes; a damaged file may hold one of megabytes."""
+"""Most characters of a value that an error message quotes; a damaged file may hold one of
+megabytes."""
 
 
 def read_text(path: Path, limit_bytes: int, what: str, *, latin_1: bool = False) -> str:

@@ -21,13 +21,14 @@ from taccel_lab.files.vtk_mesh import read_vtk
 
 SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
 MAX_TRIANGLES = 500_000
-"""Of a surface; scans that are to be touched have a tenth of it, and contact with more is slow."""
+"""Most triangles of a surface; scans that are to be touched have a tenth of it, and contact with
+more is slow."""
 MAX_BYTES = 150 << 20
-"""As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
+"""Bytes of as many triangles in the format that takes the most for each: STL as text, 300 bytes."""
 FLAT = 1e-10
 """Twice the area of a triangle over its longest edge squared, up to which it has none."""
 MAX_CORNERS = 5_000
-"""Of a face: the time to cut one into triangles grows with the square."""
+"""Most corners of a face: the time to cut one into triangles grows with the square."""
 _STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """A triangle of a binary STL file."""
 _PLY_HEAD_BYTES = 1 << 16

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 MAX_FRAME_PIXELS = 1 << 25
-"""Of a frame; 8K has 33.2 million."""
+"""Most pixels of a frame; 8K has 33.2 million."""
 MAX_FRAMES = 1 << 17
-"""Of a video: more than an hour at 30 frames a second."""
+"""Most frames of a video: more than an hour at 30 frames a second."""
 ALLOWED = "AVI, MP4, MOV, MKV or WebM"
 _OPTIONS = {
     # Of what FFmpeg reads, playlists would name other files, and addresses.
@@ -38,7 +38,8 @@ _MOST_STATED = 1 << 31
 """Frames that a header may state; more are none of a video."""
 _TOLD_FRAMES = 50
 _SILENT_S = 20.0
-"""Without a frame. Decoders search a damaged file to its end, gigabytes of it for minutes."""
+"""Longest time without a frame. Decoders search a damaged file to its end, gigabytes of it for
+minutes."""
 
 TimedImage = tuple[float | None, np.ndarray]
 """Presentation time [s], None where the file has none, and levels, RGB uint8, shape

@@ -21,7 +21,7 @@ from taccel_lab.files.declared import require_held
 TETRA, TRIANGLE, QUADRATIC_TETRA = 10, 5, 24
 """VTK's numbers of cells."""
 MAX_COMPONENTS = 64
-"""Of an array's item; a tensor of rank 2 has nine."""
+"""Most components of an array's item; a tensor of rank 2 has nine."""
 _COUNT = re.compile(rb"""NumberOf(Points|Cells|Tuples|Components)\s*=\s*["']\s*(\d+)""")
 _ITEM_BYTES = {b"Points": 12, b"Cells": 17, b"Tuples": 1}
 """Three coordinates; a type and four corners."""

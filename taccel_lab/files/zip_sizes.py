@@ -14,7 +14,7 @@ from taccel_lab.files.regular_file import in_bytes
 from taccel_lab.printable import printable
 
 MAX_DIRECTORY_BYTES = 4 << 20
-"""Of a zip's list of contents, which is read whole: some 50,000 names."""
+"""Most bytes of a zip's list of contents, which is read whole: some 50,000 names."""
 _FAR_END = b"PK\x06\x07"
 """Begins the place of ZIP64's own end (APPNOTE 6.3.10, 4.3.15)."""
 PLENTY_BYTES, PACKED_TIMES = 64 << 20, 200

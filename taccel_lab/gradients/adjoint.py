@@ -48,19 +48,19 @@ class Gradients:
     """dL / d what went into a motion; NaN in environments without gradients."""
 
     young_modulus: Array
-    """By Young's modulus [1/Pa], shape [env_count, gel_count]; contact stiffness that follows it
-    included."""
+    """Gradient by Young's modulus [1/Pa], shape [env_count, gel_count]; contact stiffness that
+    follows it included."""
     poisson_ratio: Array
     """Shape [env_count, gel_count]."""
     friction: Array
-    """By the coefficient of each pair of bodies, symmetric, shape [env_count, body_count,
+    """Gradient by the coefficient of each pair of bodies, symmetric, shape [env_count, body_count,
     body_count]; NaN in a scene without friction, whose solver leaves it out."""
     scale: Array
-    """By the size of a gel, all its rest positions times 1 + ds about the origin of its mesh, shape
-    [env_count, gel_count]; what holds it scales along, tools stay."""
+    """Gradient by the size of a gel, all its rest positions times 1 + ds about the origin of its
+    mesh, shape [env_count, gel_count]. What holds it scales along, tools stay."""
     poses: Array
-    """By the poses of the tools, [step_count + 1, env_count, kinematic_count, 7]: by x, y, z [1/m],
-    and along the unit quaternions x, y, z, w."""
+    """Gradient by the poses of the tools, [step_count + 1, env_count, kinematic_count, 7]: by x, y,
+    z [1/m], and along the unit quaternions x, y, z, w."""
     causes: list[str | None]
     """Why an environment has no gradients, None where it has."""
 
@@ -126,7 +126,7 @@ class _Sweep:
         self.by_poisson = [_by_poisson(model, record.parameters, g) for g in model.elastic]
 
     def state(self, k: int) -> State:
-        """That after step k; at the start for -1. Failed environments are at the start."""
+        """State after step k; at the start for -1. Failed environments are at the start."""
         record, device = self.record, self.model.device
         x, poses = record.start_m, record.poses[0]
         if k >= 0:
@@ -231,7 +231,7 @@ class _Sweep:
     def _of_contact(
         self, k: int, env: int, derivatives: ContactDerivatives, weights: Array
     ) -> None:
-        """By what the forces of collisions depend on beside positions."""
+        """Adds gradients by what the forces of collisions depend on beside positions."""
         power = np.einsum("cix,cix->c", weights, derivatives.forces)
         rubbed = np.einsum("cix,cix->c", weights, derivatives.per_friction)
         first, second = derivatives.bodies.T
@@ -257,8 +257,8 @@ class _Sweep:
             np.add.at(self.turns[at, env], tool[tool >= 0], turned[tool >= 0])
 
     def _of_prescribed(self, at: int, env: int, x: Array, by_x: Array) -> None:
-        """By the poses that carry nodes and the size of what is held, from dL/dx of nodes that are
-        prescribed, and at the start of all."""
+        """Adds gradients by the poses that carry nodes and by the size of what is held. They come
+        from dL/dx of nodes that are prescribed, and at the start of all nodes."""
         poses = self.record.poses[at, env]
         nodes, frames = self.frame_nodes, self.frame_ids
         if at == 0:
@@ -284,7 +284,7 @@ class _Sweep:
     def _of_elements(
         self, k: int, state: State, elastic: Array, multipliers: Array, who: Array
     ) -> None:
-        """By moduli and size, as far as elements feel them."""
+        """Adds gradients by moduli and size, as far as elements feel them."""
         solver, model, x = self.motion.solver, self.model, state.positions.numpy()
         forces = elastic_gradient(solver, state)
         by_poisson = elastic_gradient(solver, state, self.by_poisson)
@@ -306,7 +306,7 @@ class _Sweep:
                 self.scale[env, gel] += 2 * power[env] - pull
 
     def _of_mounts(self, k: int, tangent: Tangent, x: Array, multipliers: Array) -> None:
-        """By the poses of tools that hold gels, as far as elements feel them."""
+        """Adds gradients by the poses of tools that hold gels, as far as elements feel them."""
         mine = multipliers[:, self.free_nodes]
         for tool in {mount for mount in self.mounts if mount is not None}:
             nodes = self.frame_nodes[self.frame_ids == tool]
@@ -322,7 +322,7 @@ class _Sweep:
                     sums[k + 1, :, tool, axis] -= np.einsum("erx,erx->e", mine, pull)
 
     def result(self) -> Gradients:
-        """With the start, and NaN where there are no gradients."""
+        """Gradients with the part of the start, and NaN where there are none."""
         record = self.record
         lost = np.array([cause is not None for cause in self.causes])
         for env in np.flatnonzero(~lost):

@@ -146,7 +146,7 @@ class GelMotion:
         return found
 
     def touched(self, derivatives: ContactDerivatives) -> list[np.ndarray]:
-        """Of each tool the nodes that it touches and that are not its own, bool, [collision, 4]."""
+        """Nodes that each tool touches and that are not its own, bool, [collision, 4]."""
         bodies = self.model.surface.node_bodies.numpy()[derivatives.nodes]
         tools = self.first_kinematic + np.arange(len(self.model.kinematic))
         own = [bodies == tool for tool in tools]

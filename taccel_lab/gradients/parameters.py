@@ -26,7 +26,7 @@ class Parameters:
 
     model: Model
     values: list[Array]
-    """Of each of ``_arrays``, which may have got more rows since."""
+    """Values of each of ``_arrays``, which may have got more rows since."""
     own: list[tuple[Array, Array] | None]
     """Young's moduli [Pa] and Poisson's ratios of each group of elements, [env_count,
     element_count]; None where they were those of the scene."""

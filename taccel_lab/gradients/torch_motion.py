@@ -37,7 +37,7 @@ class TorchMotion:
     """Motions of one model as a function of poses, moduli and friction."""
 
     def __init__(self, model: Model, config: SolverConfig = TIGHT) -> None:
-        """As ``GelMotion``, whose errors it raises."""
+        """Makes a ``GelMotion``, whose errors it raises."""
         self.motion = GelMotion(model, config)
 
     def __call__(

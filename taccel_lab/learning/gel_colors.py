@@ -22,8 +22,8 @@ STOCK = "gelsight_mini"
 
 
 def default_colors(sensor: SensorProfile | None) -> Colors:
-    """Those that a sensor was calibrated with, else those of its family's starter profile; of the
-    starter of ``STOCK`` for the gels of a task, which its image fills.
+    """Colours that a sensor was calibrated with, else those of its family's starter profile. The
+    gels of a task, which its image fills, have those of the starter of ``STOCK``.
 
     Raises:
         InputError: A sensor without a colour model, of a family without a starter.

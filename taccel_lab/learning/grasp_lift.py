@@ -84,7 +84,7 @@ class JointControl:
             f"{name}_{'mm' if slide else 'deg'}"
             for name, slide in zip(robot.dof_names, slides, strict=True)
         )
-        """Of the coordinates as ``told``."""
+        """Names of the coordinates as of ``in_mm_and_deg``."""
         self._shown = np.where(slides, 1e3, np.degrees(1.0))
 
     def attach(self, env_count: int, device: torch.device | str) -> None:

@@ -49,8 +49,8 @@ def sensor_ranges(
     scene: Scene,
     given: Given,
 ) -> tuple[DrawnRange, ...]:
-    """As ``ranges_of``, where gels are those of a sensor: their modulus, Poisson's ratio and
-    friction by what its profile states.
+    """Ranges as of ``ranges_of``, where gels are those of a sensor: their modulus, Poisson's ratio
+    and friction by what its profile states.
 
     Friction of a pair follows from that of the gel as the scene's does. Poisson's ratio is drawn
     where the profile states its spread or a range is given, whether it is listed or not.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a Scene to a Model: node numbers, masses, matrix pattern; see ``Scene.finalize``."""
+"""Builds a Model from a Scene: node numbers, masses, matrix pattern; see ``Scene.finalize``."""
 
 from __future__ import annotations
 

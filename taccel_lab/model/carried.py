@@ -50,7 +50,8 @@ def carried_blocks(
     parents: np.ndarray,
     put: Put,
 ) -> CarriedBlocks | None:
-    """Of parts d^2E / dx_first dx_second, both int, shape [part_count]; None without carried nodes.
+    """Carried blocks of parts d^2E / dx_first dx_second, both int, shape [part_count]; None without
+    carried nodes.
 
     ``free_index``, ``parents``: row of each node or -1, and first control node of the body that
     carries it or -1, shape [node_count].

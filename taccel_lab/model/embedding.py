@@ -49,7 +49,7 @@ def embedded_node(body: int, i: int, e: Embedded) -> int:
 
 
 def embedded(model: Model) -> Embedded:
-    """Those of a model."""
+    """Embedded nodes of a model."""
     result = Embedded()
     result.vertex_starts = model.affine.vertex_starts
     result.carried_starts = model.affine.carried_starts

@@ -153,5 +153,6 @@ def place_kinematic_nodes(
 def place_at_start(
     model: Model, poses: wp.array, positions: wp.array, mask: wp.array | None = None
 ) -> None:
-    """As ``place_kinematic_nodes``, and mounted gels with all their nodes, in their rest shape."""
+    """Places nodes as ``place_kinematic_nodes`` does, and mounted gels with all their nodes, in
+    their rest shape."""
     _place(model, (model.start_nodes, model.start_frames), poses, positions, mask)

@@ -72,7 +72,7 @@ class Turns:
     def __init__(self) -> None:
         self.lock = threading.RLock()
         self.default_streams: dict[str, wp.Stream] = {}
-        """Of the devices that are watched, by alias."""
+        """Default streams of the devices that are watched, by alias."""
         self._depth = 0
         self._threads: set[int] = set()
         self._devices: list[wp.Device] = []
@@ -127,7 +127,7 @@ class Turns:
             self._make_current()
 
     def _make_current(self) -> None:
-        """Below Warp's devices, too."""
+        """Makes the thread's streams current below Warp's devices, too."""
         if len(self._threads) > 1:
             for device in self._devices:
                 device.set_stream(device.stream, False)
@@ -154,7 +154,7 @@ class Turns:
 
 
 TURNS = Turns()
-"""Of this process."""
+"""Turns of this process."""
 
 
 def in_turn(function: Callable[P, T]) -> Callable[P, T]:

@@ -22,7 +22,7 @@ class PreviewImage:
     """A rendered frame; every array has a leading axis of environments when positions had one."""
 
     rgb: np.ndarray
-    """As the camera would deliver it, uint8, shape [H, W, 3]."""
+    """Image as the camera would deliver it, uint8, shape [H, W, 3]."""
     linear: np.ndarray
     """Radiance in relative units, float32, shape [H, W, 3]."""
     mask: np.ndarray

@@ -15,7 +15,8 @@ import numpy as np
 from taccel_lab.profile.optical_design import Light
 
 _LEAST_CELL_MM = 1.0
-"""Of lights beside the contact face, where depth says nothing of how far the gel is."""
+"""Smallest cell of lights beside the contact face, where depth says nothing of how far the gel
+is."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ class Photometry:
     """Independent directions of light, over at least half of the gel: 3 lets one picture tell
     every slope, 2 leaves a line of slopes alike, 1 is a grey or single-sided sensor."""
     condition_number: Spread | None
-    """Of the channels' light directions; None when they do not span space (``light_rank`` < 3)."""
+    """Condition number of the channels' light directions; None when they do not span space
+    (``light_rank`` < 3)."""
     visible_fraction: float
     """Area of the contact face that the image shows over its whole area."""
     mm_per_px_x: Spread

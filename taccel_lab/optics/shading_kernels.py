@@ -62,7 +62,7 @@ class Arrival:
     direction: wp.vec3
     """Unit, from the point to where the light comes from."""
     irradiance: wp.float32
-    """Across the ray, per unit of axial intensity."""
+    """Irradiance across the ray, per unit of axial intensity."""
 
 
 @wp.kernel

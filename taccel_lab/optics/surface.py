@@ -166,7 +166,8 @@ def _is_flat(face: FineFace) -> bool:
 
 
 def _left_out(drawn: FineFace, designed: FineFace, device: Any) -> tuple[np.ndarray, np.ndarray]:
-    """From a drawn face to a designed one: points [mm] and unit normals, each [vertex, 3].
+    """Differences from a drawn face to a designed one: points [mm] and unit normals, each [vertex,
+    3].
 
     The two are compared along rays from below their middle, which meet a flat pad once, and the
     sides of a dome, too; nothing is left out where a ray misses the design.

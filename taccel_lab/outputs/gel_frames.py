@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class _Mounts:
-    """Of each soft body: kinematic index of its mount or -1, index of the affine body or -1, and
+    """Mount of each soft body: its kinematic index or -1, index of the affine body or -1, and
     principal_from_mesh there."""
 
     frames: wp.array(dtype=wp.int32)
@@ -105,8 +105,8 @@ class GelFrames:
         return result
 
     def of(self, gel: int, state: State) -> wp.array | None:
-        """That of one soft body, transformd, [env_count], as signals take it; of a kinematic mount
-        the state's own array. None without a mount."""
+        """Pose world_from_mesh of one soft body, transformd, [env_count], as signals take it; of a
+        kinematic mount the state's own array. None without a mount."""
         if self.carriers[gel] >= 0:
             return self.read(state)[:, gel]
         check_state(state, self._model)

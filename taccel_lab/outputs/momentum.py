@@ -68,12 +68,14 @@ def _height_kernel(
 
 @dataclass(frozen=True)
 class Momentum:
-    """Per body; sums over axis 1 are those of the environment. Kinematic bodies count zero."""
+    """Momenta and energies of each body; sums over axis 1 are those of the environment. Kinematic
+    bodies count zero."""
 
     linear: wp.array
     """[kg m/s], vec3d, shape [env_count, body_count]."""
     angular: wp.array
-    """About the point asked for [kg m^2/s], vec3d, shape [env_count, body_count]."""
+    """Angular momentum about the point asked for [kg m^2/s], vec3d, shape [env_count,
+    body_count]."""
     kinetic_energy: wp.array
     """[J], float64, shape [env_count, body_count]."""
 

@@ -71,7 +71,8 @@ def _mean_sliding_kernel(
 
 @dataclass(frozen=True)
 class Sliding:
-    """By node, shape [env_count, node_count]; zero where a node has no contact with friction."""
+    """Sliding by node, shape [env_count, node_count]; zero where a node has no contact with
+    friction."""
 
     slips: wp.array
     """How far the node slid over what it touches, in the last step or its last part where it was

@@ -31,7 +31,8 @@ def _soft_wrench_kernel(
     envs: wp.array(dtype=wp.int32),
     wrenches: wp.array2d(dtype=vec6d),
 ):
-    """Of the gradients of the energies of contact and friction, which are minus the forces."""
+    """Sums wrenches of the gradients of the energies of contact and friction, which are minus the
+    forces."""
     row, body = wp.tid()
     env = chosen_env(envs, row)
     mount = mounts[body]

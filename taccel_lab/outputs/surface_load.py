@@ -147,7 +147,7 @@ def _traction_kernel(
 
 @dataclass(frozen=True)
 class SurfaceLoad:
-    """By node, shape [env_count, node_count]; zero where a node has no collision face.
+    """Load by node, shape [env_count, node_count]; zero where a node has no collision face.
 
     The sum of areas times tractions is the force on the surface, to rounding.
     """

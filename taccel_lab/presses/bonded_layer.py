@@ -151,7 +151,8 @@ def _solve(
 
 @cache
 def _gauss_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of [-1, 1]; a ball's curve asks for the same few counts at each of its contacts."""
+    """Gauss nodes and weights of [-1, 1]; a ball's curve asks for the same few counts at each of
+    its contacts."""
     return np.polynomial.legendre.leggauss(count)
 
 

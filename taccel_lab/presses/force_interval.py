@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In what interval the force of a press lies, by all that is known to be uncertain; and how far a
-gel may be from what its profile says.
+"""Interval of a press's force, by all that is known to be uncertain, and ranges of a gel about what
+its profile says.
 
 Each cause gives factors of the force at the ends of its 95 % interval; as independent causes they
 are put together by the squares of their logarithms.
@@ -25,15 +25,16 @@ if TYPE_CHECKING:
     from taccel_lab.profile import Provenance, SensorProfile
 
 FRICTION_SHARE = 0.13
-"""Of the normal force, by a coefficient that nobody measured: the largest of balls, a punch and an
-edge in pads of 1 to 6 mm, without friction beside 0.3 (a 4 mm ball 0.3 mm deep in 1 mm of gel)."""
+"""Share of the normal force that hangs on a coefficient which nobody measured. It is the largest of
+balls, a punch and an edge in pads of 1 to 6 mm, without friction beside 0.3. A 4 mm ball 0.3 mm
+deep in 1 mm of gel has it."""
 ROUGHER = 0.5
 """What a coefficient of 1 adds over what one of 0 takes: 0.4 to 0.57 of those presses."""
 _LARGEST_RATIO = 0.4999
 """Poisson's ratio up to which a layer's force is asked for."""
 
 QUANTITIES = ("young_modulus_pa", "poisson_ratio", "friction_coefficient")
-"""Of the material block, that a profile may state a spread of."""
+"""Quantities of the material block that a profile may state a spread of."""
 _MEASURED = ("measured", "calibrated")
 """Kinds of blocks whose spread says something about the sensor."""
 
@@ -58,7 +59,7 @@ class ForceInterval:
 
     @classmethod
     def of(cls, force_n: float, causes: tuple[Cause, ...]) -> ForceInterval:
-        """That of a force [N] with independent causes."""
+        """Interval of a force [N] with independent causes."""
         low = math.exp(-math.hypot(*(_log(each.low) for each in causes)))
         high = math.exp(math.hypot(*(_log(each.high) for each in causes)))
         ends = sorted((low * force_n, high * force_n))
@@ -169,7 +170,7 @@ class _Layer:
         self._radius_mm = ball_mm if self._ball else max(1e3 * outcome.contact_radius_m, 0.05)
 
     def at(self, thickness_mm: float, poisson_ratio: float) -> float:
-        """For a modulus of 1 Pa [N]."""
+        """Force for a modulus of 1 Pa [N]."""
         kind = "sphere" if self._ball else "cylinder"
         found = layer_force_n(kind, self._depth_mm, self._radius_mm, thickness_mm, poisson_ratio)
         return float(np.ravel(found)[0])
@@ -182,11 +183,11 @@ class MeasuredRange:
     low: float
     high: float
     rests_on: str
-    """For people."""
+    """Sources of the range, for people."""
 
 
 def measured_ranges(profile: SensorProfile) -> dict[str, MeasuredRange]:
-    """Of each of ``QUANTITIES`` whose spread the profile states the range that holds 95 % of it.
+    """Range that holds 95 % of each of ``QUANTITIES`` whose spread the profile states.
 
     The calibration's 95 % interval, or two standard deviations where it states none, and two
     standard deviations between units (block ``perturbation``), added as what is independent is: the
@@ -214,7 +215,7 @@ def measured_ranges(profile: SensorProfile) -> dict[str, MeasuredRange]:
 
 
 def measured_range(profile: SensorProfile, name: str) -> MeasuredRange | None:
-    """That of one of ``QUANTITIES``, whether a gel has such values or not; None without a spread
+    """Range of one of ``QUANTITIES``, whether a gel has such values or not; None without a spread
     that was measured."""
     value = float(getattr(profile.material, name))
     widths = [

@@ -46,7 +46,8 @@ _LEAST_PART_MM = 0.1
 _LARGEST_PART_MM = 1e3
 """Largest size of a mesh that is no file's."""
 _MIN_THICKNESS_MM = 1e-3
-"""Of a mesh: volume over half of its surface; coordinates of single precision hold 1e-5 mm."""
+"""Least thickness of a mesh: volume over half of its surface; coordinates of single precision hold
+1e-5 mm."""
 _ANGLE_LIMITS_DEG = (10.0, 170.0)
 _RIDGE_LIMITS = (2, 100)
 _INTO_GEL = {
@@ -66,7 +67,7 @@ class Indenter:
     but meshes from files are centred on it."""
 
     name: str
-    """As given on the command line."""
+    """Name as given on the command line."""
     shape: Ball | TriangleMesh
     texture: Texture | None = None
     """What stands out of the shape, whose surface is its mean; depths count from first touch of its
@@ -75,8 +76,8 @@ class Indenter:
     """What was changed to read it, a sentence each."""
 
     def contact(self, depth_mm: float) -> float | ToolSection:
-        """About what of a gel a press touches, by the shape's section at half of the depth: a
-        ball's radius there [mm], which is Hertz's, else the section itself."""
+        """Estimates what of a gel a press touches, by the shape's section at half of the depth. It
+        is a ball's radius there [mm], which is Hertz's, else the section itself."""
         self.require_size(depth_mm)
         if not isinstance(self.shape, Ball):
             with naming(self.name):

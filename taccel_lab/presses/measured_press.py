@@ -39,7 +39,7 @@ LEFT = {
     Accuracy.DEFAULT: Shares(0.007, 0.026),
     Accuracy.REFERENCE: Shares(0.003, 0.01),
 }
-"""Of the force, beside that: what 19 of 20 presses of the battery need."""
+"""Shares of the force, beside that: what 19 of 20 presses of the battery need."""
 LEFT_OF_DEPTH = 0.002
 """The same of the heights, over the depth; beside it the whole change is stated."""
 UNKNOWN_GUARD = 0.01
@@ -71,7 +71,7 @@ class Resolution:
 
     @classmethod
     def of(cls, level: int, remembers: bool = True) -> Resolution:
-        """That of a level; 0 is that of the options. Where the path does not matter
+        """Resolution of a level; 0 is that of the options. Where the path does not matter
         (``remembers`` is False) finer levels keep its steps."""
         steps = 2.0**level if remembers or level < 0 else 1.0
         return cls(FINER**level, 2.0**-level, steps)
@@ -89,13 +89,13 @@ class NumericalError:
     share: float
     """Numerical error of the stated force, over it [1]."""
     height_error_m: float
-    """Of the heights, root mean square [m]."""
+    """Error of the heights, root mean square [m]."""
     guard_share: float
     """Part of ``share`` that hangs on the guard against inside-out tets [1]."""
     changes: tuple[float, ...]
     """Solved forces less that of the finest level, over it, coarsest first [1]."""
     level: int
-    """Of the press; 0 is that of the options."""
+    """Level of the press; 0 is that of the options."""
     presses: int
     asked: float | None = None
     """Relative error that was asked for [1]; None of a grade."""
@@ -103,7 +103,7 @@ class NumericalError:
     """Why the error is not measured, or larger than asked for, in a sentence."""
 
     def figures(self) -> dict[str, Any]:
-        """As JSON."""
+        """Figures as JSON."""
         return asdict(self)
 
     def words(self) -> str:
@@ -145,7 +145,7 @@ class MeasuredPress:
     outcome: PressOutcome
     error: NumericalError
     below: PressOutcome | None
-    """That of the level below; None where it failed."""
+    """Outcome of the level below; None where it failed."""
 
 
 PressAt = Callable[[Resolution], PressOutcome]
@@ -265,9 +265,9 @@ class SignalError:
     """Root mean square error over the pressed pixels, in the signal's unit."""
 
     numerical: float
-    """By mesh, contact range and steps."""
+    """Error by mesh, contact range and steps."""
     total: float
-    """With a depth and place that were read, and with the colours' own error."""
+    """Error with a depth and place that were read, and with the colours' own error."""
 
 
 def height_error_mm(outcome: PressOutcome, depth_sigma_mm: float) -> SignalError:

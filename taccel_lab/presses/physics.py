@@ -89,7 +89,7 @@ class PressPhysics:
         )
 
     def record(self) -> dict[str, Any]:
-        """As JSON: for caches, results and the profile's material block."""
+        """Record as JSON: for caches, results and the profile's material block."""
         record = dataclasses.asdict(self)
         for kind in ("outline", "scattered"):
             options = record["mesh"].pop(kind)
@@ -119,13 +119,13 @@ PHYSICS: dict[Accuracy, PressPhysics] = {
 
 
 class Shares(NamedTuple):
-    """Of smooth tools, and of tools that may have rims."""
+    """Shares of smooth tools, and of tools that may have rims."""
 
     smooth: float
     rims: float
 
     def of(self, shape: Ball | TriangleMesh) -> float:
-        """That of a tool."""
+        """Share of a tool."""
         return self.smooth if isinstance(shape, Ball) else self.rims
 
 
@@ -144,9 +144,10 @@ HEIGHT_SHARE = {
 COARSE_ORDER = 5
 """How errors grow on meshes coarser than the grade's, by elements along a side."""
 GAP_SHARE = 0.06
-"""Of the force, by what ``dhat`` is larger than the grade's, over the depth."""
+"""Error over the force, by what ``dhat`` is larger than the grade's, over the depth."""
 LINEAR_SHARE = 0.6
-"""Of the force by linear elements on the default mesh; of first order in the elements' size."""
+"""Error over the force of linear elements on the default mesh; of first order in the elements'
+size."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +155,9 @@ class PressError:
     """Numerical error of presses."""
 
     force_n: np.ndarray
-    """Of the force along the press [N], shape [env_count]."""
+    """Error of the force along the press [N], shape [env_count]."""
     height_m: np.ndarray
-    """Of the heights of the contact face, root mean square [m], shape [env_count]."""
+    """Error of the heights of the contact face, root mean square [m], shape [env_count]."""
 
 
 def expected_error(

@@ -167,8 +167,8 @@ class PressEnv:
         self.depth_m = np.full(env_count, -dhat - START_CLEARANCE_M)
         """Where the indenters are: depth past first touch [m], shape [env_count]."""
         self.setback_m = np.full(env_count, dhat)
-        """By how much each indenter is held back [m]: the mean gap of its contact, dhat without
-        one; shape [env_count]."""
+        """Distance by which each indenter is held back [m]: the mean gap of its contact, dhat
+        without one; shape [env_count]."""
         self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
         self.state = initial_state(self.model, self._start)
         require_separated(self.model, self.state)

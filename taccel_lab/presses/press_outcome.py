@@ -55,7 +55,7 @@ class PressStep:
     """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
     report: StepReport
     time_s: float | None = None
-    """Since first touch [s]; None of a gel that does not relax."""
+    """Time since first touch [s]; None of a gel that does not relax."""
 
 
 @dataclass(frozen=True)

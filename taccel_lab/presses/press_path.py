@@ -14,13 +14,13 @@ from taccel_lab.bodies.scene_description import LONGEST_HOLD_S
 from taccel_lab.errors import InputError
 
 SPEED_MM_S = 1.0
-"""Of an indenter of which nothing is known: as by hand."""
+"""Speed of an indenter of which nothing is known: as by hand."""
 HOLD_STEPS = 8
 """Steps of a hold; their ends lie evenly over the root of time, as a force falls fast at first."""
 MAX_STEPS = 10_000
 """Longest path: a step length mistaken for another unit would keep a machine busy for days."""
 TIME_SHARE = 0.004
-"""Of the force, that steps in time may add by this rule; a press measures what they do."""
+"""Share of the force that steps in time may add by this rule; a press measures what they do."""
 LEAST_STEPS = 2
 """Down, of gels that rub or relax."""
 MOST_TIMES = 64
@@ -49,8 +49,8 @@ class PressPath:
     back: bool = False
     """Whether the indenter then goes back the way it came, to first touch."""
     speed_mm_s: float = SPEED_MM_S
-    """Of all motions [mm/s]; a turn by ``step_deg`` takes as long as ``step_mm``. Only of gels that
-    relax."""
+    """Speed of all motions [mm/s]; a turn by ``step_deg`` takes as long as ``step_mm``. Only of
+    gels that relax."""
     hold_s: float = 0.0
     """How long the indenter then rests at full depth [s], before it goes back."""
 

@@ -53,7 +53,7 @@ class PressStates:
     moved_m: list[np.ndarray] = field(default_factory=list)
     """Displacement of every node, float32 [node, 3], a step."""
     contact_forces_n: list[np.ndarray] = field(default_factory=list)
-    """Of the indenter on the nodes, float32 [node, 3]."""
+    """Forces of the indenter on the nodes, float32 [node, 3]."""
     contact_pressures_pa: list[np.ndarray] = field(default_factory=list)
     """Float32 [node]."""
     von_mises_pa: list[np.ndarray] = field(default_factory=list)

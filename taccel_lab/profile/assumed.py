@@ -16,13 +16,13 @@ from collections.abc import Mapping
 from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock, Provenance
 
 MODULUS_FACTOR = 2.0
-"""Of Young's modulus, each way."""
+"""Factor of Young's modulus, each way."""
 THICKNESS_SHARE = 0.05
-"""Of the gel's thickness, each way."""
+"""Share of the gel's thickness, each way."""
 SCALE_SHARE: Mapping[str, float] = {"stated": 0.02, "measured": 0.02, "calibrated": 0.02}
-"""Of a scale of this kind, each way."""
+"""Share of a scale of this kind, each way."""
 OTHER_SCALE_SHARE = 0.05
-"""Of a published or assumed one."""
+"""Share of a published or assumed one."""
 
 
 def modulus_interval_pa(material: MaterialBlock) -> tuple[float, float]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between which values the figures of a sensor lie, and why: the one place that says so.
+"""Bounds between which values the figures of a sensor lie, and why: the one place that says so.
 
 Wide enough for every sensor that we know of, and for what a calibration may find; narrow enough
 that a wrong unit, a factor of 1,000, is rejected wherever a figure's own range allows that. Where a
@@ -148,9 +148,9 @@ _TABLE: dict[str, dict[str, Bound]] = {
     },
 }
 MOST_BRANCHES = 3
-"""Of a viscoelastic gel, as the solver has it (``bodies.maxwell``)."""
+"""Most branches of a viscoelastic gel, as the solver has it (``bodies.maxwell``)."""
 BOUNDS: Mapping[str, Mapping[str, Bound]] = MappingProxyType(_TABLE)
-"""By the table of ``profile.toml`` and the key in it; of lists and triples each entry."""
+"""Bounds by the table of ``profile.toml`` and the key in it; of lists and triples each entry."""
 # Residuals, spreads and intervals. Names carry the unit (``heldout_crop_psnr_db``), and what has a
 # unit has a range. What is named as a figure of the block has that figure's: a spread is no wider,
 # and an interval is of its size.
@@ -170,7 +170,7 @@ _UNITS = (
     ("_n", Bound(-1000, 1000, "N", "no gel is pressed harder")),
     ("_s", Bound(-1e6, 1e6, "s", "gels settle in a day")),
 )
-"""By the end of the name; a residual may be of either sign, as an offset is."""
+"""Bounds by the end of the name; a residual may be of either sign, as an offset is."""
 _ANY = Bound(-1e9, 1e9, "", "what has no unit in its name is a ratio or a count")
 
 

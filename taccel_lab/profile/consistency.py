@@ -34,8 +34,8 @@ _VIEW = (0.25, 0.75)
 """Middle of the image, where no sensor has a lamp before its lens."""
 _GLOW_NODES = 200
 _SLACK = 0.1
-"""Of the thickness: chords of a coarse mesh miss a curved face by some per cent, a wrong unit by a
-factor of 25 or more."""
+"""Largest difference over the thickness. Chords of a coarse mesh miss a curved face by some per
+cent, a wrong unit by a factor of 25 or more."""
 MAX_EXTENT_MM = 1000.0
 """Largest extent of a gel along an axis; the largest that the catalogue's bounds allow has 160."""
 _SLIPS = {

@@ -118,7 +118,7 @@ def _write(profile: SensorProfile, folder: Path, only: Collection[str] | None) -
 
 
 MOST_LINES = 12
-"""Of a refusal; ``validate`` lists all faults."""
+"""Most lines of a refusal; ``validate`` lists all faults."""
 
 
 def load_profile(path: Path | str, onto: SensorProfile | None = None) -> SensorProfile:

@@ -182,7 +182,7 @@ class Window:
     refractive_index: float = 1.49
     shape: Literal["plate", "dome"] = "plate"
     outer_radius_mm: float = 0.0
-    """Of a dome: radius of the face that the gel is glued to."""
+    """Radius of the face of a dome that the gel is glued to."""
 
     def __post_init__(self) -> None:
         require_within("window", self)

@@ -150,7 +150,7 @@ class WindowBlock(Block):
     size_mm: tuple[Number, Number]
     refractive_index: Number = 1.49
     outer_radius_mm: Number = 0.0
-    """Of a dome: radius of the face that the gel is glued to."""
+    """Radius of the face of a dome that the gel is glued to."""
 
     @model_validator(mode="after")
     def _check_window(self) -> Self:

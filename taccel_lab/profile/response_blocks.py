@@ -84,21 +84,21 @@ class PerturbationBlock(Block):
     key: ClassVar[str] = "perturbation"
 
     gain_rgb: Triple = (0.0, 0.0, 0.0)
-    """Of the per-frame gain of each channel."""
+    """Standard deviation of the per-frame gain of each channel."""
     pivot_rgb: Triple = (0.0, 0.0, 0.0)
     """Level of each channel that its gain leaves as it is, usually the mean of the background:
     about it gain and offset vary independently [levels]; not a spread."""
     offset_rgb: Triple = (0.0, 0.0, 0.0)
-    """Of the per-frame offset of each channel, at the pivot [levels]."""
+    """Standard deviation of the per-frame offset of each channel, at the pivot [levels]."""
     gradient_rgb: Triple = (0.0, 0.0, 0.0)
-    """Of a linear gradient of the light over half the image [levels]."""
+    """Standard deviation of a linear gradient of the light over half the image [levels]."""
     noise_levels: Number = 0.0
-    """Of one pixel between frames [levels]."""
+    """Standard deviation of one pixel between frames [levels]."""
     mm_per_px_relative: Number = 0.0
-    """Of the scale, as a part of it."""
+    """Standard deviation of the scale, as a part of it."""
     center_px: Number = 0.0
-    """Of the gel's place in the image [px]."""
+    """Standard deviation of the gel's place in the image [px]."""
     young_modulus_relative: Number = 0.0
-    """Of Young's modulus, as a part of it."""
+    """Standard deviation of Young's modulus, as a part of it."""
     friction_coefficient: Number = 0.0
-    """Of the coefficient of friction."""
+    """Standard deviation of the coefficient of friction."""

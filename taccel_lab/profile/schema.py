@@ -210,7 +210,7 @@ class BranchEntry(StrictModel):
     """A Maxwell branch of the gel (``bodies.maxwell.MaxwellBranch``)."""
 
     relative_modulus: Number
-    """Over the modulus of the relaxed gel."""
+    """Modulus over that of the relaxed gel."""
     time_s: Number
     """Relaxation time [s]."""
 
@@ -225,11 +225,11 @@ class FittedWith(StrictModel):
     physics: dict[Name, Scalar | dict[Name, Scalar]]
     """``PressPhysics.record()``."""
     friction_coefficient: Number
-    """Between tool and gel."""
+    """Coefficient of friction between tool and gel."""
     friction_measured: Flag
     """Whether a record told it; otherwise it was held, or is the one that fits best."""
     indenters: tuple[Name, ...] = ()
-    """Of the indentations, as ``taccel-lab press --indenter`` takes them."""
+    """Indenters of the indentations, as ``taccel-lab press --indenter`` takes them."""
     touch_shift_mm: dict[Name, Number] = Field(default_factory=dict)
     """How much later the tool touched than each record says [mm]: a press reproduces a force at
     the recorded depth minus this."""

@@ -35,7 +35,7 @@ class SensorView:
     """A further camera of a sensor; fields as of ``SensorProfile``."""
 
     sensor: SensorBlock
-    """Of this camera: how its images were recorded, and its own parameters."""
+    """Sensor block of this camera: how its images were recorded, and its own parameters."""
     camera: CameraBlock
     optics: OpticsBlock | None = None
     background: BackgroundBlock | None = None
@@ -63,7 +63,7 @@ _FIELDS = tuple(f.name for f in dataclasses.fields(SensorView))
 VIEW_KEYS = tuple(name for name in _FIELDS if not name.endswith(("_rgb", "_weights")))
 """Blocks of a view."""
 OWN_KEYS = ("sensor", "camera")
-"""Those that every view has."""
+"""Blocks that every view has."""
 
 
 def require_view_name(name: object) -> str:

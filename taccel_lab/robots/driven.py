@@ -74,8 +74,8 @@ class DrivenRobot:
     """The robot with the shapes and gels alone of what does not move."""
 
     def poses(self, env_count: int, world_from_base: Any = None) -> np.ndarray:
-        """Of ``kinematic_bodies``, [env_count, body, 7]: ``Control.target_poses``. They stay, or
-        take all that hangs on them to ``world_from_base``, [7] or [env_count, 7]."""
+        """Poses of ``kinematic_bodies``, [env_count, body, 7]: ``Control.target_poses``. They stay,
+        or take all that hangs on them to ``world_from_base``, [7] or [env_count, 7]."""
         if world_from_base is None:
             world_from_base = self.robot.world_from_base
         at = np.asarray(world_from_base, dtype=np.float64)

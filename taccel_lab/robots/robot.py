@@ -189,12 +189,12 @@ class Robot:
     # Other robots --------------------------------------------------------------------------------
 
     def placed(self, world_from_base: Any) -> Robot:
-        """With its base elsewhere, [7]."""
+        """Robot with its base elsewhere, [7]."""
         return replace(self, world_from_base=world_from_base)
 
     def attach(self, link: str, other: Robot, link_from_base: Any, prefix: str = "") -> Robot:
-        """With another robot fixed to a link; names of its links and joints get a prefix. It does
-        not touch itself until asked to.
+        """Robot with another robot fixed to a link; names of its links and joints get a prefix. It
+        does not touch itself until asked to.
 
         Args:
             link: What carries it.
@@ -259,7 +259,8 @@ class Robot:
         return other == link or any(self.joints[i].parent == link for i in path)
 
     def touching(self, links: Iterable[str]) -> Robot:
-        """With the collision shapes of these links alone: the others pass through everything."""
+        """Robot with the collision shapes of these links alone: the others pass through
+        everything."""
         kept = list(links)
         for link in kept:
             self.link_id(link)
@@ -271,7 +272,8 @@ class Robot:
         )
 
     def touching_itself(self, apart: Iterable[tuple[str, str]] = (), at: Any = None) -> Robot:
-        """With gels that touch its links, and links that touch one another where they move freely.
+        """Robot with gels that touch its links, and links that touch one another where they move
+        freely.
 
         A gel touches all links but those that are one with what carries it. Links that a joint
         connects, or fixed joints do, do not touch. Links that are prescribed do not touch either:
@@ -295,7 +297,7 @@ class Robot:
         return made
 
     def with_hulls(self, links: Iterable[str] | None = None) -> Robot:
-        """With the convex hulls of the meshes of these links, or of all when None."""
+        """Robot with the convex hulls of the meshes of these links, or of all when None."""
         chosen = self.link_names if links is None else list(links)
         for link in chosen:
             self.link_id(link)
@@ -308,7 +310,7 @@ class Robot:
     def mount(
         self, link: str, gel: SensorProfile | SoftBody, pose: Any = IDENTITY_POSE, name: str = ""
     ) -> Robot:
-        """With a gel on a link, whose bonded nodes follow the link exactly.
+        """Robot with a gel on a link, whose bonded nodes follow the link exactly.
 
         Args:
             link: What carries it.

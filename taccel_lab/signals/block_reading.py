@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import torch
 
 HALVINGS = 2
-"""From pixels to the largest blocks, of 4 x 4 of them."""
+"""Halvings from pixels to the largest blocks, of 4 x 4 of them."""
 BEND = 0.035
 """Second difference of the slope between neighbouring blocks from which on smaller ones are read.
 Presses of three sensors (RVSATHU, FOTS, Taxim) are then read as by all pixels to 0.003 mm."""
@@ -149,7 +149,7 @@ def _texture(fine: torch.Tensor, coarse: torch.Tensor, times: int) -> torch.Tens
 
 
 def _limit(values: torch.Tensor, least: float) -> torch.Tensor:
-    """Above noise, of values [image, h, w], shape [image, 1, 1]."""
+    """Limits above noise, of values [image, h, w], shape [image, 1, 1]."""
     flat = values.flatten(1)
     quiet = flat.kthvalue(max(1, round(QUIET * flat.shape[1])), dim=1).values
     return (OVER_NOISE * quiet).clamp(least, MOST_NOISE * least)[:, None, None]

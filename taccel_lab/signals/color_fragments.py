@@ -76,11 +76,12 @@ class PackedNetwork:
     biases: np.ndarray
     """Biases of the hidden layers, padded, float32, scaled like the fragments."""
     plain: np.ndarray
-    """For other devices: bias [out] and weights [in, out] of each layer in turn, float32."""
+    """Parameters for other devices: bias [out] and weights [in, out] of each layer in turn,
+    float32."""
     normalization: np.ndarray
-    """As ``normalization`` says, float32, shape [15]."""
+    """Numbers as ``normalization`` says, float32, shape [15]."""
     place: np.ndarray
-    """As ``place_sums`` says; empty without a positional encoding."""
+    """Sums as ``place_sums`` says; empty without a positional encoding."""
 
 
 def canonical_weights(model: ColorModel) -> list[np.ndarray]:

@@ -164,7 +164,7 @@ class DeformedFace:
     def sample(
         self, positions: wp.array, frames: wp.array | None = None, envs: wp.array | None = None
     ) -> wp.array:
-        """As of ``SurfaceSampler``."""
+        """Samples the face as of ``SurfaceSampler``."""
         frames = self._no_frames if frames is None else frames
         envs = self._all_envs[: positions.shape[0]] if envs is None else envs
         if self._net is None:

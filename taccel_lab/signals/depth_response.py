@@ -43,7 +43,8 @@ class DepthMap:
     sigma_mm: np.ndarray | None
     """Standard deviation of the depth [mm]; None where the calibration does not know."""
     reading_sigma_mm: np.ndarray | None
-    """That of the reading alone, without the zero and the scale that all depths share."""
+    """Standard deviation of the reading alone, without the zero and the scale that all depths
+    share."""
 
     @property
     def height_m(self) -> np.ndarray:

@@ -94,7 +94,7 @@ def _into_gel(eye: Eye, direction: wp.vec3d) -> _Ray:
 def _miss(
     eye: Eye, direction: wp.vec3d, point: wp.vec3d, first: wp.vec3d, second: wp.vec3d
 ) -> wp.vec2d:
-    """By how much a sight line passes a point, along two directions [mm]."""
+    """Distances at which a sight line passes a point, along two directions [mm]."""
     ray = _into_gel(eye, wp.normalize(direction))
     away = ray.point + wp.dot(point - ray.point, ray.direction) * ray.direction - point
     return wp.vec2d(wp.dot(away, first), wp.dot(away, second))

@@ -52,7 +52,7 @@ class ForceReading:
     force_n: np.ndarray
     """[3]."""
     moment_nmm: np.ndarray
-    """About the gel's origin, [3]."""
+    """Moment about the gel's origin, [3]."""
     area_mm2: float
     sigma: np.ndarray
     """Standard deviations of ``TARGETS``, [7]."""
@@ -61,7 +61,7 @@ class ForceReading:
     patch_centers_mm: np.ndarray
     """Gel xy, [row, column, 2]."""
     distances: np.ndarray
-    """Of features, statistics and colours from the training's, over their limits, [3]."""
+    """Distances of features, statistics and colours from the training's, over their limits, [3]."""
     outside: tuple[str, ...]
     """Why the image is not like those of the training, in sentences; empty when it is."""
 

@@ -131,9 +131,9 @@ def color_reach(levels: torch.Tensor) -> torch.Tensor:
 def distances(
     levels: torch.Tensor, features: torch.Tensor, tensors: Mapping[str, torch.Tensor]
 ) -> torch.Tensor:
-    """From the training's, of changes of colour [levels], [n, 3, h, w], whose features [n, hidden]
-    the network told: Mahalanobis distances of features and of statistics, and colours over the
-    farthest that were trained, [n, 3]; before limits."""
+    """Distances from the training's of changes of colour [levels], [n, 3, h, w], whose features
+    [n, hidden] the network told. They are Mahalanobis distances of features and of statistics, and
+    colours over the farthest that were trained, [n, 3]; before limits."""
     import torch
 
     return torch.stack(

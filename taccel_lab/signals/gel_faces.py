@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from taccel_lab.signals.color_model import ColorModel
 
 Colors = Callable[[PixelGrid], "tuple[ColorModel, np.ndarray]"]
-"""Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
+"""Function from the pixels of a gel to its colour network and its image untouched, levels [height,
+width, 3]."""
 MARKERS = (8, 6)
 """Columns and rows of markers on a gel that has none."""
 

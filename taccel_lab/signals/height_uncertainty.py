@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
 POINTS_PER_LENGTH = 2.0
-"""Of the grid that errors are integrated on."""
+"""Points per error length of the grid that errors are integrated on."""
 TRIAL_TOLERANCE = 1e-5
-"""Of trials with masked pixels: far below what so few of them leave open."""
+"""Tolerance of trials with masked pixels: far below what so few of them leave open."""
 TINY_SLOPE = 1e-9
 SMOOTHING_PX = 6.0
 """The spread of few trials is uneven; its square is averaged over this many pixels."""

@@ -39,7 +39,7 @@ import numpy as np
 from taccel_lab.geometry import PixelGrid
 
 ITERATIONS = 10
-"""Of conjugate gradients: with 20 contact radii change by 1e-3 and images by 0.1 dB."""
+"""Iterations of conjugate gradients: with 20 contact radii change by 1e-3 and images by 0.1 dB."""
 SHARPENING_ITERATIONS = 5
 """The same of each sharpening, which need not end: with 10 radii of balls change by 1e-3."""
 SHARPENINGS = 2

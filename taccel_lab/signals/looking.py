@@ -84,7 +84,7 @@ def _place(
 
 @wp.func
 def _height(samples: wp.array3d(dtype=wp.vec3f), row: int, place: wp.vec2f) -> float:
-    """As ``between``, of the height alone."""
+    """Height alone, as ``between`` has it."""
     i = int(wp.floor(place[0]))
     j = int(wp.floor(place[1]))
     if i < 0 or j < 0 or i + 1 >= samples.shape[2] or j + 1 >= samples.shape[1]:

@@ -112,12 +112,12 @@ class FeatureWindows:
     block_px: int
     """Pixels along a block."""
     averages: torch.Tensor
-    """Of the change [units], shape [3 scale, image, h, w] in blocks."""
+    """Averages of the change [units], shape [3 scale, image, h, w] in blocks."""
     across: torch.Tensor
-    """Of the wider windows, by rows of blocks and columns of pixels, shape [3 scale, image, h,
-    width_px]."""
+    """Averages of the wider windows, by rows of blocks and columns of pixels, shape [3 scale,
+    image, h, width_px]."""
     down: torch.Tensor
-    """By rows of pixels and columns of blocks, shape [3 scale, image, height_px, w]."""
+    """Averages by rows of pixels and columns of blocks, shape [3 scale, image, height_px, w]."""
     reach: torch.Tensor
     """Pixels over which a variation is stated, shape [3 scale, 1]."""
     known: torch.Tensor
@@ -135,7 +135,7 @@ class FeatureWindows:
         background: torch.Tensor | None = None,
         zoom: float = 1.0,
     ) -> FeatureWindows:
-        """Of changes [levels] of shape [image, h, w, 3], by pixels; the rest as of
+        """Windows of changes [levels] of shape [image, h, w, 3], by pixels; the rest as of
         ``local_features``."""
         import torch
 
@@ -170,7 +170,7 @@ class FeatureWindows:
         return self.averages.shape[1:]
 
     def halved(self) -> FeatureWindows:
-        """Those of blocks twice as wide."""
+        """Windows of blocks twice as wide."""
         return replace(
             self,
             block_px=2 * self.block_px,
@@ -241,7 +241,7 @@ def halved(values: torch.Tensor, axis: int) -> torch.Tensor:
 
 
 def extended(values: torch.Tensor, axis: int) -> torch.Tensor:
-    """With one more at either end of an axis, on the line through the two at that end."""
+    """Values with one more at either end of an axis, on the line through the two at that end."""
     import torch
 
     last = values.shape[axis] - 1

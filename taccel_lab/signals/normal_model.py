@@ -83,7 +83,7 @@ class NormalMap(Generic[Array]):
         return as_given(-normals[..., :2] / upright, self.normals)
 
     def like(self, given: Given) -> NormalMap[Given]:
-        """With arrays where ``given`` is one, with tensors otherwise."""
+        """Map with arrays where ``given`` is one, with tensors otherwise."""
         maps = (self.normals, self.tilt_rad, self.sigma_deg, self.radius95_deg)
         return NormalMap(*(as_given(tensor_of(values), given) for values in maps))
 
@@ -202,7 +202,8 @@ class NormalModel:
         return found.like(image)
 
     def _width(self, scale: int) -> float:
-        """Of a window, to sort them by; a single pixel, all of whose noise shows, comes last."""
+        """Width of a window, to sort them by; a single pixel, all of whose noise shows, comes
+        last."""
         return self.config.scales_px[scale] or math.inf
 
     def _windows(
@@ -245,7 +246,7 @@ class NormalModel:
 
     @cached_property
     def _tilts_at_rest(self) -> tuple[TiltsAtRest, ...]:
-        """Of the blocks of each number of halvings from pixels."""
+        """Tilts at rest of the blocks of each number of halvings from pixels."""
         digest = hashlib.sha256(b"".join(self.weights[name].tobytes() for name in self.weights))
         return tilts_at_rest(self.config, digest.digest(), self.device)
 

@@ -46,7 +46,7 @@ _WALL = wp.constant(wp.float64(math.cos(math.radians(82.0))))
 """z of normals of faces that are too steep to be followed, at most: a pixel spans as much of them
 as an element of the gel does."""
 _LEAST_DOWN = wp.constant(wp.float64(0.05))
-"""Of interpolated normals, whose z is below zero: slopes up to 87 degrees."""
+"""Least size of z of interpolated normals, which is below zero: slopes up to 87 degrees."""
 
 
 @wp.kernel
@@ -90,7 +90,8 @@ def _ball_heights_kernel(
 
 @wp.func
 def _turned(v: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """From the axes of a triangle, its first side, across it and normal, to those it lies in."""
+    """Turns a vector from the axes of a triangle, its first side, across it and normal, to those it
+    lies in."""
     along = wp.normalize(b - a)
     normal = wp.normalize(wp.cross(b - a, c - a))
     return v[0] * along + v[1] * wp.cross(normal, along) + v[2] * normal

@@ -84,9 +84,9 @@ class Perturbation:
     noise_levels: float
     """Standard deviation of a pixel's noise [levels]."""
     scale_factor: np.ndarray
-    """Of mm_per_px_x and mm_per_px_y, shape [env_count]."""
+    """Factor of mm_per_px_x and mm_per_px_y, shape [env_count]."""
     center_shift_px: np.ndarray
-    """Of the gel in the image (u, v) [px], shape [env_count, 2]."""
+    """Shift of the gel in the image (u, v) [px], shape [env_count, 2]."""
     young_modulus_factor: np.ndarray
     """Shape [env_count]."""
     friction_shift: np.ndarray
@@ -97,7 +97,7 @@ class Perturbation:
     """Patch of worn coating: place across and down (-1 to 1), radius, and the part of the light
     that is lost in its middle, shape [env_count, 4]."""
     seeds: np.ndarray
-    """From which pixels are drawn, int32, shape [env_count]."""
+    """Seeds from which pixels are drawn, int32, shape [env_count]."""
     faults: SensorFaults
 
     @property

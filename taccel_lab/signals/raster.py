@@ -189,7 +189,7 @@ def rasterize(
 
 
 class FaceRaster:
-    """For each pixel the first triangle that a ray from the camera meets.
+    """Finds for each pixel the first triangle that a ray from the camera meets.
 
     Construct with the triangulation and the pixel grid, call ``update(positions)``, read
     ``lowest_z`` [m] (infinite where there is no triangle) and ``face_at_pixel`` (-1 there), both

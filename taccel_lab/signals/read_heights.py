@@ -40,7 +40,7 @@ class ReadHeights(Generic[Array]):
     """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
     None where the model does not know."""
     reading_sigma_m: Array | None
-    """That of the reading alone, which tells places of one image apart."""
+    """Standard deviation of the reading alone, which tells places of one image apart."""
 
 
 def read_heights(

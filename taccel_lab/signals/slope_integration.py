@@ -170,7 +170,7 @@ def solve_poisson(right_side: torch.Tensor, steps_m: tuple[float, float]) -> tor
 
 @lru_cache(maxsize=16)
 def _inverse_laplacian(height: int, width: int, steps_m: tuple[float, float]) -> np.ndarray:
-    """Of cosines, shape [height, width]; 0 for the mean."""
+    """Inverse of the Laplacian of cosines, shape [height, width]; 0 for the mean."""
     along_x = (2 * np.cos(np.pi * np.arange(width) / width) - 2) / steps_m[0] ** 2
     along_y = (2 * np.cos(np.pi * np.arange(height) / height) - 2) / steps_m[1] ** 2
     eigenvalues = along_y[:, None] + along_x[None, :]

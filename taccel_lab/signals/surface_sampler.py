@@ -123,7 +123,8 @@ class SurfaceSampler:
     def place(
         self, positions: wp.array, frames: wp.array | None = None, envs: wp.array | None = None
     ) -> int:
-        """As ``sample``, for fields to be sampled on the surface next; returns their rows."""
+        """Places the surface as ``sample`` does, for fields to be sampled on it next; returns their
+        rows."""
         count = positions.shape[0] if envs is None else len(envs)
         envs = self._all_envs if envs is None else envs
         points, height = self._points[:count], self._height[:count]

@@ -27,9 +27,9 @@ class Texture:
     heights: np.ndarray
     """What stands out, 0 for the deepest and 1 for the highest, [row, column]."""
     depth_m: float
-    """From the deepest to the highest [m]."""
+    """Height from the deepest to the highest [m]."""
     width_m: float
-    """That all columns span together [m]; pixels are square."""
+    """Width that all columns span together [m]; pixels are square."""
 
     def __post_init__(self) -> None:
         heights = np.asarray(self.heights)

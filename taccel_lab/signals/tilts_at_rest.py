@@ -48,5 +48,6 @@ class TiltsAtRest:
 def tilts_at_rest(
     config: NormalModelConfig, weights_sha256: bytes, device: str
 ) -> tuple[TiltsAtRest, ...]:
-    """Those of a model, by pixels and by blocks, kept from one reader of a profile to the next."""
+    """Tilts at rest of a model, by pixels and by blocks, kept from one reader of a profile to the
+    next."""
     return tuple(TiltsAtRest(config, halvings, device) for halvings in range(HALVINGS + 1))

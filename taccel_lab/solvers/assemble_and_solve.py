@@ -47,7 +47,7 @@ solved as well as that in the first iteration, after which smooth motion has nea
 while frames are on their way: the load of a few stiff contacts is all that a looser solve sees
 then, and the gel would not follow."""
 BOOST = 4.0
-"""By how much each step on the way down from a saddle is longer than the last one."""
+"""Factor by which each step on the way down from a saddle is longer than the last one."""
 LARGEST_BOOST = 64.0
 """Longest step along Newton's direction."""
 STUCK_ABOVE = 0.7
@@ -170,8 +170,8 @@ def _count_solve_kernel(
     curvature: Curvature,  # out
     flags: Flags,  # out
 ):
-    """After a breakdown the last iterate still descends, unless there is none: then an exact matrix
-    is projected in the next iteration, and this one stays where it is."""
+    """Counts the solve. After a breakdown the last iterate still descends, unless there is none.
+    Then an exact matrix is projected in the next iteration, and this one stays where it is."""
     env = wp.tid()
     if phases.active[env] == 0:
         return

@@ -168,7 +168,7 @@ def _settle_kernel(
     flags: Flags,  # out
     r: Rules,
 ):
-    """After the joints were looked at."""
+    """Settles environments after the joints were looked at."""
     env = wp.tid()
     if phases.active[env] != 0 and mask[env] != 0:
         weigh(env, elements, balance, r)

@@ -353,7 +353,7 @@ class EnvProgress:
         self.underway = np.zeros(env_count, dtype=bool)
         """Environments whose step goes on in the next call (``ready_steps``), on the host."""
         self.again = np.zeros(env_count, dtype=bool)
-        """Of these, those that begin it anew: there was no room for their contacts."""
+        """Environments of these that begin it anew: there was no room for their contacts."""
 
     def drop(self, who: np.ndarray, mask: wp.array) -> None:
         """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""

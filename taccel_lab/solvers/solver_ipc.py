@@ -80,7 +80,7 @@ class SolverIPC(SolverParts):
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
         self._changes, self._moves = -1, model.moves
-        """Of the parameters of the model, as they were followed last."""
+        """Counts of changes and moves of the model's parameters, as they were followed last."""
         self._torn = False
         """Whether a step is at work, or was interrupted."""
         self._latest: Callable[[], State | None] | None = None

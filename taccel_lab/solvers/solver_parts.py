@@ -40,7 +40,8 @@ class SolverParts:
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
-        """Those whose energy bears elements that are inside out, at the start and at the end."""
+        """Potentials whose energy bears elements that are inside out, at the start and at the
+        end."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
         self.maxwell = self._maxwell()
         """One for each Maxwell branch of a group of elements."""

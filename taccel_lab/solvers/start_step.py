@@ -88,7 +88,7 @@ def _keep_free_kernel(
     clearance: Clearance,  # out
     search: Search,
 ):
-    """Of the chosen, keep those with nothing in the way; aim their frames at the end. Where frames
+    """Keeps those of the chosen with nothing in the way; aims their frames at the end. Where frames
     turned out not to be steady the mask alone was cleared."""
     env = wp.tid()
     if phases.fresh[env] == 0:
@@ -115,7 +115,7 @@ def _accept_kernel(
     prescribed: Prescribed,  # out
     search: Search,  # out
 ):
-    """Of the chosen, keep those without an inverted element; free flight must lower the energy."""
+    """Keeps those of the chosen without an inverted element; free flight must lower the energy."""
     env = wp.tid()
     if phases.inner[env] == 0:
         return

@@ -83,7 +83,7 @@ class StateRows:
         return changed
 
     def read(self, mask: wp.array) -> None:
-        """Into ``work`` in the environments of ``mask``, int32, [env_count]."""
+        """Reads into ``work`` in the environments of ``mask``, int32, [env_count]."""
         count = len(self._work.motion()) + len(self._work.asked())
         self._move(mask, mask, count, self._theirs, self._mine)
 

@@ -32,7 +32,8 @@ from taccel_lab.solvers.step_launches import StepLaunches
 
 
 def take_step(run: StepLaunches) -> None:
-    """From the state at the start of the step to that at its end, in ``progress.roster.who``."""
+    """Goes from the state at the start of the step to that at its end, in
+    ``progress.roster.who``."""
     begin_step(run)
     start_step(run)
     measure_and_judge(run, run.p.phases.fresh)

@@ -98,7 +98,7 @@ class ReportBlock:
 
 @dataclass(frozen=True, repr=False)
 class StepReport:
-    """Per-environment arrays of shape [env_count], unless said otherwise.
+    """Arrays by environment, of shape [env_count], unless said otherwise.
 
     Of a step that went through at once, what is not read stays on the device: ``on`` has it there.
     """

@@ -25,7 +25,7 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, check_state
 
 LINEAR_TOLERANCE = 1e-10
-"""Of the solves."""
+"""Tolerance of the solves."""
 INDEFINITE = (
     "the Hessian of the energy is not positive definite: the gel is about to buckle, or to slip "
     "over an edge"
@@ -44,7 +44,7 @@ class Solved:
     causes: list[str | None]
     """Why there is none, by environment."""
     iterations: np.ndarray
-    """Of conjugate gradients; 0 of a factorisation, [env_count]."""
+    """Iterations of conjugate gradients; 0 of a factorisation, [env_count]."""
 
 
 class Tangent:
@@ -128,7 +128,7 @@ class Tangent:
         return linear.rhs.numpy()
 
     def add_contact(self, friction: StepMotion | None = None) -> None:
-        """That of the barrier, likewise, and of friction frozen at the end of a motion."""
+        """Adds the barrier's part, likewise, and that of friction frozen at the end of a motion."""
         solver, linear = self.solver, self.solver.linear
         while True:
             system = newton_system(solver.model, linear, solver.displacements)

@@ -71,7 +71,7 @@ class Finger(StrictModel):
     """Coordinates of the joints [rad or m] from open to closed; straight lines between."""
     gels: Annotated[tuple[PadSeat, ...], Field(min_length=1)]
     links: tuple[str, ...]
-    """Those that touch objects; other links of the robot pass through them."""
+    """Links that touch objects; other links of the robot pass through them."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

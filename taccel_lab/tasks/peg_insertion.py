@@ -87,7 +87,7 @@ class PegInsertionParameters(PegParameters):
 
     kind: Literal["peg-insertion"]
     meshes: Literal["published", "generated"]
-    """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
+    """Meshes of Taccel's example, from the data folder, or ours of the same dimensions."""
     learning: LearningParameters
     """Actions from when the gels have closed."""
 

@@ -42,7 +42,8 @@ FRICTION_SPEED_M_S = 1e-2
 """Sliding speed below which friction is static, as published."""
 GRAVITY = (0.0, 0.0, -9.81)
 PEG_MASS_KG = 0.0205
-"""As published: half of what its volume weighs at the density of 1000 kg/m^3 that is given, too."""
+"""Mass of the peg as published: half of what its volume weighs at the density of 1000 kg/m^3 that
+is given, too."""
 GEL = Material(young_modulus_pa=1e5, poisson_ratio=0.4, density_kg_m3=1000.0)
 GEL_FRICTION, STIFF_FRICTION = 1.0, 0.2
 
@@ -84,8 +85,8 @@ PUBLISHED = PegPath(
         ]
     ),
 )
-"""As published. The peg falls 1 mm onto the rim before the gels have it, and lies there askew; the
-gels drag it along, turning in their grip, and push it into the hole still askew."""
+"""Path as published. The peg falls 1 mm onto the rim before the gels have it, and lies there askew;
+the gels drag it along, turning in their grip, and push it into the hole still askew."""
 _HALF = np.sqrt(0.5)
 TURNS = np.array([(_HALF, 0.0, _HALF, 0.0), (0.0, -_HALF, 0.0, _HALF)])
 """Quaternions of both gels: their faces look at each other."""

@@ -47,7 +47,7 @@ class TaskReplay:
     forces_n: dict[str, np.ndarray]
     """Forces by name, [frame]."""
     depth_m: np.ndarray
-    """As of ``GelSnapshot``, float32 [frame, height_px, width_px]."""
+    """Depths as of ``GelSnapshot``, float32 [frame, height_px, width_px]."""
     pressure_pa: np.ndarray
     """Float32 [frame, height_px, width_px]."""
     markers_px: np.ndarray

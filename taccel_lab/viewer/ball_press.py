@@ -43,7 +43,7 @@ class BallPress:
     depth_mm: float = 0.5
 
     def limited(self, thickness_mm: float) -> BallPress:
-        """As deep as the page presses a gel of that thickness."""
+        """Press no deeper than the page presses a gel of that thickness."""
         return replace(self, depth_mm=min(self.depth_mm, DEPTH_SHARE * thickness_mm))
 
 

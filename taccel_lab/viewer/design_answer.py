@@ -63,7 +63,7 @@ class DesignAnswer:
 
     parameters: FamilyParameters
     press: BallPress
-    """As deep as the gel allows."""
+    """Press no deeper than the gel allows."""
     formula_n: float = math.nan
     mesh: TetMesh | None = None
     quick: PressAnswer | None = None
@@ -195,7 +195,7 @@ class DesignAnswers:
         return found
 
     def _sound_mesh(self, pad: Pad) -> SoundMesh:
-        """As ``taccel-lab design`` writes it; the catalogue's comes from an earlier run."""
+        """Mesh as ``taccel-lab design`` writes it; the catalogue's comes from an earlier run."""
         if pad == self._catalogue.parameters.pad():
             return kept_mesh(pad, sound_gel_mesh)
         return sound_gel_mesh(pad)

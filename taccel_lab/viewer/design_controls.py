@@ -71,7 +71,7 @@ class DesignControls:
         return found
 
     def set(self, name: str, value: Any) -> None:
-        """As if a user had moved a control."""
+        """Sets a control as if a user had moved it."""
         self._handles[name].value = value
 
     def set_all(self, overrides: Mapping[str, Any]) -> None:

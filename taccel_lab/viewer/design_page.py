@@ -56,8 +56,8 @@ PRESS, SOLID = "press", "solid"
 BLANK = np.full((4, 4, 3), 255, dtype=np.uint8)
 NO_HEIGHTS = (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 WIDE_MODAL = PageText("<style>.mantine-Modal-content { flex: 0 0 min(95vw, 100vh); }</style>")
-"""As wide as an A4 sheet fits the page: viser's modals are hardly wider than its panels, and have
-no width to set."""
+"""Style of modals as wide as an A4 sheet fits the page: viser's are hardly wider than its panels,
+and have no width to set."""
 
 
 @contextmanager
@@ -179,7 +179,7 @@ class DesignPage:
     # Changes and answers ---------------------------------------------------------------------
 
     def go(self, button: str) -> None:
-        """As the buttons do: Undo, Redo, Reset."""
+        """Acts as the buttons do: Undo, Redo, Reset."""
         if button == "Reset":
             self.controls.set_all({})
             return

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 COLORS = {"soft": (127, 178, 217), "affine": (224, 164, 88), "kinematic": (184, 184, 184)}
-"""As in the pictures of benchmarks."""
+"""Colours as in the pictures of benchmarks."""
 CLEAR = {"kinematic": 0.35, "soft": 0.8}
 
 
@@ -155,7 +155,7 @@ class LiveScene:
         self._thread.start()
 
     def press(self, button: str) -> None:
-        """As if the button was pressed: play, pause, step, restart."""
+        """Acts as if the button was pressed: play, pause, step, restart."""
         if button == "play":
             self._play.set()
         else:

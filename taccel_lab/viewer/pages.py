@@ -141,7 +141,7 @@ def serve_source(
     device: str = "cpu",
     stop: threading.Event | None = None,
 ) -> None:
-    """As ``source_page``, until KeyboardInterrupt or ``stop``."""
+    """Serves the page of ``source_page`` until KeyboardInterrupt or ``stop``."""
     with source_page(source, options, say, seed=seed, device=device):
         serve_until_stopped(stop)
 

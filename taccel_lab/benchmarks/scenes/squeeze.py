@@ -88,7 +88,8 @@ def without_pinches(inside: np.ndarray) -> np.ndarray:
 
 
 def _fill_corners(inside: np.ndarray) -> None:
-    """Around a corner where opposite cells are all there is, fill a way from one to the other."""
+    """Fills a way from one cell to the other around a corner where opposite cells are all there
+    is."""
     n = [size - 1 for size in inside.shape]
 
     def at(i: int, j: int, k: int) -> np.ndarray:

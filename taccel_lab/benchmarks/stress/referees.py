@@ -145,7 +145,7 @@ class Taken:
     energies: dict[str, np.ndarray]
     """Stored and kinetic energies by name [J], [env_count] each; empty when not watched."""
     energies_before: dict[str, np.ndarray]
-    """Those after the step before; empty for the first one."""
+    """Energies after the step before; empty for the first one."""
 
 
 class Referees:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from taccel_lab.report.page import Page
 
 _MOST_ROWS = 24
-"""Of the table that is printed."""
+"""Most rows of a table that are printed."""
 
 
 def report_folder(out: Path, report: Path | None) -> Path:
@@ -83,7 +83,7 @@ class BlockCommand(CalibrationFiles):
         """Refuse options that cannot be used before anything is read."""
 
     def options(self, base: SensorProfile) -> Any:
-        """Of the fit that extends ``base``."""
+        """Options of the fit that extends ``base``."""
         return self
 
     def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
@@ -122,7 +122,7 @@ class Sayings:
     """What a command says of a calibration, and where."""
 
     name: str
-    """Of the block."""
+    """Name of the block."""
     notes: Console
     json: bool
     """Figures as JSON in place of the page's summary."""

@@ -39,8 +39,8 @@ class _Session(CameraFlags):
     mm_per_px_y: float | None = None
     """Scale along the image's columns [mm/px]. Default: that of the rows."""
     scale: Literal["stated", "catalogue", "later"] = "stated"
-    """Without a stated scale: catalogue uses the sensor's usual one, noted as assumed; later
-    leaves it open, for an edge or a board."""
+    """Source of the scale where none is stated: catalogue uses the sensor's usual one, noted as
+    assumed; later leaves it open, for an edge or a board."""
     unit: str | None = None
     """Serial number or nickname of this sensor. Default: the camera's."""
     page: bool = True

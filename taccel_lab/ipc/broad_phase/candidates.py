@@ -32,7 +32,7 @@ class PairList(GrowingList):
 
     columns: ClassVar = {"pairs": wp.vec2i}
     pairs: wp.array
-    """Of all environments, vec2i, shape [capacity]."""
+    """Pairs of all environments, vec2i, shape [capacity]."""
 
 
 class Candidates:

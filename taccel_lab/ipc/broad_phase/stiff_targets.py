@@ -29,8 +29,8 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 
 _SEARCH_THREADS = 64
-"""Of a block: one that waits for its longest query holds up few. A fifth quicker than 256 where an
-H200 searches 4,096 pegs."""
+"""Threads of a block: one that waits for its longest query holds up few. A fifth quicker than 256
+where an H200 searches 4,096 pegs."""
 wp.set_module_options({"enable_backward": False, "block_dim": _SEARCH_THREADS})
 
 _BIG = wp.constant(wp.float64(1.0e30))

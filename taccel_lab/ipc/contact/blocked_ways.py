@@ -76,14 +76,14 @@ class _Tool:
     frame: int
     shape: Ball | TriangleMesh
     vertices: np.ndarray
-    """In its own frame [m], [n, 3]; of a ball its centre."""
+    """Vertices in its own frame [m], [n, 3]; of a ball its centre."""
     faces: np.ndarray
     edges: np.ndarray
     closed: bool
     box: np.ndarray
     """Corners of the box around its vertices, [8, 3]."""
     around_m: float
-    """Of a ball its radius, else 0."""
+    """Radius of a ball, else 0."""
     reach_m: float
     """Largest distance of its surface from its origin."""
     least_m: float
@@ -98,9 +98,9 @@ class _Held:
     mount: int
     """Kinematic index of what carries it, -1 for the world."""
     corners: np.ndarray
-    """In that frame [m], [rest_count or env_count, face, 3, 3]."""
+    """Corners of the faces in that frame [m], [rest_count or env_count, face, 3, 3]."""
     low: np.ndarray
-    """Of the box around all of them, [3]."""
+    """Lower corner of the box around all of them, [3]."""
     high: np.ndarray
     thickness_m: float
     tools: list[_Tool]

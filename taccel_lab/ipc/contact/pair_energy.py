@@ -52,7 +52,7 @@ from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 wp.set_module_options({"enable_backward": False})
 
 GAUSS_NEWTON = 2
-"""Of a pair alone, beside PSD_*: max(E'', 0) grad d grad d^T."""
+"""Mode of a pair alone, beside PSD_*: max(E'', 0) grad d grad d^T."""
 
 
 @wp.struct

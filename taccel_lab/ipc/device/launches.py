@@ -77,7 +77,7 @@ class Branches:
     def __init__(self, device: wp.Device) -> None:
         self._device = device
         self.main: wp.Stream | None = None
-        """That of a capture, which the others are beside."""
+        """Stream of a capture, which the others are beside."""
         self._streams: list[wp.Stream] = []
         self._done: list[wp.Event] = []
         if device.is_cuda:

@@ -46,7 +46,7 @@ def free_memory(device: wp.Device) -> int | None:
 
 
 MOST_ENTRIES = 2**31 - 1
-"""Of a list, all environments together: Warp counts places in an array by int32."""
+"""Most entries of a list, all environments together: Warp counts places in an array by int32."""
 _SHARE = 0.9
 """Part of the free memory that a list may grow into; others need some, too."""
 
@@ -203,7 +203,7 @@ class GrowingList:
     columns: ClassVar[dict[str, type]]
     """Arrays by name, with the type of an entry; all of shape [capacity]."""
     most_entries: ClassVar[int] = MOST_ENTRIES
-    """Of all environments together."""
+    """Most entries of all environments together."""
 
     def __init__(self, env_count: int, device: wp.Device, room: int, limit: int) -> None:
         """``room``: entries that there is room for at first, in each environment."""
@@ -237,7 +237,7 @@ class GrowingList:
             moved = move_entries(getattr(self, name), self.counts, old_starts, self.starts)
             setattr(self, name, moved)
         self.room = ListRoom()
-        """For kernels; of the list as it is now."""
+        """Room of the list as it is now, for kernels."""
         self.room.counts, self.room.starts, self.room.peaks = self.counts, self.starts, self.peaks
 
     def renew(self) -> None:

@@ -34,7 +34,7 @@ CCD_HIT = wp.constant(1)
 CCD_CAPPED = wp.constant(2)
 """Iteration cap; toi is free of collision, the true time may be later."""
 CCD_START = wp.constant(3)
-"""Within the thickness, or not separable in FP64, at the start, or not a number; toi = 0."""
+"""Start within the thickness, or not separable in FP64 there, or not a number; toi = 0."""
 
 # Rounding of a distance relative to the lengths of the stencil and its path: about 10 ulp.
 _ROUNDING = wp.constant(wp.float64(2.0e-15))

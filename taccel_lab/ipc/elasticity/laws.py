@@ -103,7 +103,7 @@ class Law:
     hessian: Any
     """``hessian(f, m, i, psd_mode)``: d^2 psi / dF^2, a PrincipalHessian [Pa]."""
     shape_energy: Any
-    """Like ``energy`` with lambda = 0: what is left without the volumetric part."""
+    """Function like ``energy`` with lambda = 0: what is left without the volumetric part."""
     shape_piola: Any
     pressed_hessian: Any
     """``(f, m, i, pressure, psd_mode)``: of the shape energy plus pressure times dilatation."""

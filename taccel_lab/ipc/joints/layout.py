@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the joints of a scene to device arrays: who is coupled, by which weights, how stiffly.
+"""Device arrays of the joints of a scene: who is coupled, by which weights, how stiffly.
 
 Penalties follow the inertia that a joint may have to move. Its multipliers converge by a factor of
 1 / (1 + k s) a round, with s the smallest response dt^2 J M^-1 J^T of the constraints to a force.

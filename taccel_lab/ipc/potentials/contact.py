@@ -270,7 +270,7 @@ class ContactPotential(EnergyTerm):
 
     @property
     def room(self) -> ListRoom:
-        """That of the collisions."""
+        """Room of the collisions."""
         return self.collisions.room
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:

@@ -349,11 +349,11 @@ class ContactDerivatives:
     kinds: np.ndarray
     """int32, shape [collision]."""
     stiffnesses: np.ndarray
-    """Of each collision [N], in which its forces are linear, shape [collision]."""
+    """Stiffness of each collision [N], in which its forces are linear, shape [collision]."""
     bodies: np.ndarray
     """The two bodies, int32, shape [collision, 2]."""
     forces: np.ndarray
-    """On the four nodes, of barrier and friction [N], shape [collision, 4, 3]."""
+    """Forces on the four nodes, of barrier and friction [N], shape [collision, 4, 3]."""
     per_friction: np.ndarray
     """d ``forces`` / d coefficient of friction [N], shape [collision, 4, 3]."""
     columns: np.ndarray

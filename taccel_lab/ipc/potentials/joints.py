@@ -59,7 +59,7 @@ class JointPotential(Potential):
         self.energies = scalars()
         """Energy of each joint [J], shape [env_count, joint_count]."""
         self.state = JointState.at_rest(model)
-        """Of the step at hand: a solver copies it from and to its ``State``."""
+        """State of the step at hand: a solver copies it from and to its ``State``."""
         self.coordinates = self.state.coordinates
         """Angle [rad], whole turns included, or slide [m], shape [env_count, joint_count]."""
         self.rates = scalars()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a data set of touches to a force model: hold out, train, judge.
+"""Fits a force model to a data set of touches: holds out, trains, judges.
 
 It is not fitted to a capture folder as the other blocks are, and so is no part of ``calibrate
 all``: its data set is made with the profile that they gave.
@@ -59,7 +59,7 @@ from taccel_lab.report.remark import Remark
 from taccel_lab.signals.force_network import patch_centers_mm
 
 VALIDATION_SEED, TEST_SEED, WRONG_SEED = 11, 12, 13
-"""Of drawn lights and of noise, beside the options' own."""
+"""Seeds of drawn lights and of noise, beside the options' own."""
 
 
 def calibrate_force(

@@ -26,20 +26,20 @@ class ForceCalibration(BlockResult):
 
     trained: TrainedForces
     config: ForceModelConfig
-    """With factors and limits."""
+    """Configuration with factors and limits."""
     split: Split
     options: ForceOptions
     counts: dict[str, int]
     """Images for training, validation and test."""
     test: ForceSamples
     predicted: Predictions
-    """Of ``test``, in drawn lights."""
+    """Predictions of ``test``, in drawn lights."""
     overall: Errors
-    """Of all touched images of the test."""
+    """Errors of all touched images of the test."""
     at_rest: Errors | None
-    """Of its untouched images."""
+    """Errors of its untouched images."""
     same_light: Errors
-    """As ``overall``, in the background's own light."""
+    """Errors as ``overall``, in the background's own light."""
     unknown_stiffness_n: float
     """Error of the force along z against the touch's own modulus, which no image shows [N, rms]."""
     tables: dict[str, list[Errors]]

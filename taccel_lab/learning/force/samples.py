@@ -35,7 +35,7 @@ LEAST_OBJECTS = 3
 """Objects from which on whole ones are held out."""
 NEEDED = ("rgb", "patch_forces_n", "wrench", "contact_area_mm2")
 ASPECT = 0.01
-"""By how much the ratio of an image's sides may differ from the camera's."""
+"""Largest share by which the ratio of an image's sides may differ from the camera's."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class ForceSamples:
     stiffness: np.ndarray
     """Modulus of the touch over the nominal one, [step]."""
     about: dict[str, np.ndarray]
-    """Of each step: object, unit, motion, depth_mm, shear_mm, off_center_mm, force_error_n."""
+    """Facts of each step: object, unit, motion, depth_mm, shear_mm, off_center_mm,
+    force_error_n."""
 
     def __len__(self) -> int:
         return len(self.touch)
@@ -130,7 +131,7 @@ def split_touches(episodes: Sequence[dict[str, Any]]) -> Split:
 
 
 def _hash(text: str) -> float:
-    """From 0 to 1, by the text alone."""
+    """Number from 0 to 1, by the text alone."""
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") / 2**64
 
 

@@ -40,21 +40,21 @@ class Errors:
     name: str
     images: int
     fz_n: float
-    """Of the force along z."""
+    """Error of the force along z."""
     fz_spread_n: float
     """Root mean square of that force itself: the error of who always says zero."""
     fz_relative: float
     """Median of the error over the force, of images above 0.2 N; NaN without any."""
     shear_n: float
-    """Of the force along the face, root of the sum of both components' squares."""
+    """Error of the force along the face, root of the sum of both components' squares."""
     shear_spread_n: float
     tz_nmm: float
-    """Of the moment about the sensor's axis through the gel's origin."""
+    """Error of the moment about the sensor's axis through the gel's origin."""
     tilt_nmm: float
-    """Of the two moments across it, as ``shear_n``."""
+    """Error of the two moments across it, as ``shear_n``."""
     area_mm2: float
     patch_n: float
-    """Of a patch's force, all components."""
+    """Error of a patch's force, all components."""
     inside95: float
     """Share of components whose error lies within 1.96 of their standard deviations."""
 

@@ -47,7 +47,7 @@ AREA_BIAS = -5.0
 BATCH = 256
 """Images that are predicted at once."""
 RIDGE = 1e-3
-"""Of the covariances, over their mean variance."""
+"""Ridge of the covariances, over their mean variance."""
 BEYOND = 1.05
 """Largest values of the training count up to this factor."""
 COMPARED = ("features.", "statistics.", "colors.")
@@ -72,7 +72,7 @@ class Predictions:
     targets: np.ndarray
     """[step, 7]."""
     sigma: np.ndarray
-    """Before ``sigma_factor``, [step, 7]."""
+    """Standard deviations before ``sigma_factor``, [step, 7]."""
     patches_n: np.ndarray
     """[step, 3, row, column]."""
     features: np.ndarray
@@ -82,11 +82,11 @@ class Predictions:
     colors: np.ndarray
     """``color_reach``, [step, 26]."""
     distances: np.ndarray
-    """Of features, statistics and colours, [step, 3]; before limits."""
+    """Distances of features, statistics and colours, [step, 3]; before limits."""
 
     @classmethod
     def of(cls, predicted: Mapping[str, np.ndarray]) -> Predictions:
-        """From outputs of ``predictions_of``."""
+        """Predictions from outputs of ``predictions_of``."""
         return cls(
             **{name: predicted[_OUTPUTS.get(name, name)] for name in cls.__dataclass_fields__}
         )

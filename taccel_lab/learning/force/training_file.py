@@ -55,7 +55,7 @@ class TrainingFile:
 
     @classmethod
     def beside(cls, out: Path, say: Callable[[str], None]) -> TrainingFile:
-        """Of the profile folder ``out``, which may hold nothing but a profile."""
+        """Training file of the profile folder ``out``, which may hold nothing but a profile."""
         out = real_path(out)
         return cls(out.with_name(f".{out.name}.training.pt"), say)
 

@@ -105,7 +105,7 @@ Pool = ProcessPool[DesignBatch, None]
 
 
 class _LimitReached(Exception):
-    """As many new designs as the caller wanted."""
+    """Stops a study after as many new designs as the caller wanted."""
 
 
 def default_kit() -> Kit:

@@ -18,8 +18,8 @@ from taccel_lab.tasks.catalogue import Task, named
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
 
 _INWARD, _MOST_INWARD = 0.98, 40
-"""Beside a face with round corners its height is read at 0.98, 0.98^2, ... of the way from its
-middle, down to less than half."""
+"""Factor of a step inward, and their number. Beside a face with round corners its height is read at
+0.98, 0.98^2, ... of the way from its middle, down to less than half."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class PressJob:
     press: StandardPress
     indenter: str
     place: tuple[float, float]
-    """As in ``StandardPress.places``."""
+    """Place as in ``StandardPress.places``."""
     mesh: TetMesh
     gel_from_press: np.ndarray
     """Origin on the contact face, z along its normal, [7]."""

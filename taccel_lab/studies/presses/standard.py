@@ -36,7 +36,7 @@ class StandardPress:
 
     name: str
     indenters: tuple[str, ...]
-    """As ``parse_indenter`` reads them; each one is a separate simulation."""
+    """Indenters as ``parse_indenter`` reads them; each one is a separate simulation."""
     depth_fraction: float = 0.0
     """Full depth as a part of the gel's thickness under the press; or else ``depth_mm``."""
     depth_mm: float = 0.0

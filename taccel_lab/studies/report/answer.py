@@ -93,7 +93,8 @@ def answer(
 def _constraints_in_the_way(
     best: DesignRow, rows: Sequence[DesignRow], goal: Objective, constraints: Sequence[Constraint]
 ) -> list[Constraint]:
-    """Those that every design with a better goal breaks; where none is common, all of theirs."""
+    """Constraints that every design with a better goal breaks; where none is common, all of
+    theirs."""
     sets = [
         set(violations(row, constraints))
         for row in rows

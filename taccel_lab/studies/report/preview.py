@@ -51,7 +51,7 @@ class DesignPreview:
     record: PressRecord | None
     result: DesignFigures
     metrics: tuple[Metric, ...]
-    """Those that the presses feed, in order."""
+    """Metrics that the presses feed, in order."""
 
     def to_json(self) -> dict[str, Any]:
         """Figures with units, causes of missing ones, photometry, force curves."""

@@ -38,7 +38,8 @@ class Kit:
     """Frozen dataclasses by name; their fields are what ``[press.NAME]`` may set."""
     metrics: Mapping[str, Metric]
     evaluate: Callable[..., list[DesignFigures]]
-    """As ``evaluate.evaluate_designs``; a function of a module, so that other processes find it."""
+    """Evaluation as ``evaluate.evaluate_designs``; a function of a module, so that other processes
+    find it."""
 
 
 @dataclass(frozen=True)

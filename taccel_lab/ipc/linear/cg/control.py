@@ -45,7 +45,7 @@ class CgState:
 
 @wp.func
 def new_solve() -> CgState:
-    """Before the first pass."""
+    """State before the first pass."""
     state = CgState()
     state.mode = START
     state.running = 1
@@ -57,7 +57,7 @@ def new_solve() -> CgState:
 
 @wp.func
 def state_load(state: CgState, b_sq: wp.float64, tolerance: wp.float64) -> CgState:
-    """After the first pass: the load, and how small the residual has to become."""
+    """State after the first pass: the load, and how small the residual has to become."""
     state.b_sq = b_sq
     state.r_sq = b_sq
     state.goal = tolerance * tolerance * b_sq
@@ -66,8 +66,8 @@ def state_load(state: CgState, b_sq: wp.float64, tolerance: wp.float64) -> CgSta
 
 @wp.func
 def next_step(state: CgState, sums: wp.vec3d, verifies: bool, max_iterations: int) -> CgState:
-    """After (r, u), (w, u) and (r, r), with u = M^-1 r and w = A u. ``verifies``: whether the
-    residual that the recurrence updates is believed only after a fresh start."""
+    """State after the sums (r, u), (w, u) and (r, r), with u = M^-1 r and w = A u. ``verifies``:
+    whether the residual that the recurrence updates is believed only after a fresh start."""
     zero = wp.float64(0.0)
     infinity = wp.float64(wp.inf)
     fresh = state.mode != STEP

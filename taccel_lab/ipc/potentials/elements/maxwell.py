@@ -179,7 +179,7 @@ def _point_inverse(env: int, tet: int, q: int, d: ElementData) -> wp.mat33d:
 
 @cache
 def _quadratic_kernels(model: MaterialModel) -> ElementKernels:
-    """Those of the law at F F_v^-1."""
+    """Kernels of the law at F F_v^-1."""
     law = elastic_point_law(model)
     law_energy, law_piola, law_hessian = law.energy, law.piola, law.hessian
     law_dilatation, law_slope = law.dilatation, law.dilatation_slope

@@ -158,7 +158,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
     ) -> mat103d:
-        """Of the mean dilatation in the nodes."""
+        """Slope of the mean dilatation in the nodes."""
         slope = mat103d()
         q = int(0)
         while q < 4:

@@ -55,7 +55,7 @@ def _pressure_of_matrix(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.f
 
 @wp.func
 def _whole_pressure(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.float64:
-    """For the trace of the strain, whose integral does depend on the inside."""
+    """Pressure as it is, for the trace of the strain, whose integral does depend on the inside."""
     return pressure
 
 

@@ -26,8 +26,9 @@ from taccel_lab.ipc.potentials.elements.data import ElementData
 wp.set_module_options({"enable_backward": False})
 
 OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
-"""Of four quadrature points q has barycentric coordinate (5 + 3 sqrt(5)) / 20 at corner q and this
-one at the others, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table 9.2]."""
+"""Barycentric coordinate of quadrature point q at the corners other than q; at corner q it is
+(5 + 3 sqrt(5)) / 20. The four points are exact for quadratic integrands [Zienkiewicz and Taylor
+2000, table 9.2]."""
 OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)
@@ -150,13 +151,13 @@ def needs_guard(env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: El
 
 @wp.func
 def needs_none(env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData) -> bool:
-    """For energies that bear inversion."""
+    """Tells that no guard is needed, for energies that bear inversion."""
     return False
 
 
 @wp.func
 def corner_gradients(env: int, tet: int, corner: int, turn: wp.mat33d, d: ElementData) -> mat103d:
-    """As ``shape_gradients``, at a corner."""
+    """Gradients as of ``shape_gradients``, at a corner."""
     return shape_gradients(env, tet, corner, wp.float64(0.0), wp.float64(1.0), turn, d)
 
 
