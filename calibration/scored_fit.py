@@ -55,8 +55,8 @@ class ScoredFit(BlockResult, Generic[FitType]):
 
     @property
     def scored(self) -> Self:
-        """Result with the model that the figures are of alone: what later blocks build on, whose held-out
-        presses are the same."""
+        """Result with the model that the figures are of alone: what later blocks build on, whose
+        held-out presses are the same."""
         return self if self.final is None else replace(self, final=None)
 
     @property
