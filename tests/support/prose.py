@@ -99,6 +99,25 @@ _NO_VERBS = frozenset(
 )
 
 
+_NO_BEGINNINGS = frozenset(
+    "about above across after against along among around as at because before behind below beside "
+    "besides between beyond by during except for from in inside into like of on onto outside over "
+    "per since than that those through to told towards under until upon with within without".split()
+)
+
+
+def prepositions(source: str) -> Iterator[str]:
+    """First lines of the docstrings of a file of Python that begin with no noun and no verb."""
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", None)
+        for item in body if isinstance(body, list) else ():
+            if isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant):
+                text = item.value.value
+                first = re.match(r"\W*(\w+)", text) if isinstance(text, str) else None
+                if first and first[1].lower() in _NO_BEGINNINGS:
+                    yield text.splitlines()[0]
+
+
 def messages(source: str) -> Iterator[str]:
     """Messages of the errors that a file of Python raises; values count as one word."""
     for found in _MESSAGE.finditer(source):

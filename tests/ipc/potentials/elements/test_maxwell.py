@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.bodies import maxwell
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.elements.maxwell import MaxwellPotential
 from taccel_lab.model import Model
+from taccel_lab.profile import bounds
 from taccel_lab.scene import Element, Material, MaterialModel, MaxwellBranch, Scene, SoftBody
 from taccel_lab.state import no_viscous_strain
 from tests.ipc.derivatives import assert_derivatives, assert_momenta_are_kept
@@ -208,3 +210,8 @@ def test_bad_branches_are_refused(branches: tuple, message: str) -> None:
 def test_bad_constants_of_a_branch_are_refused(modulus: float, seconds: float) -> None:
     with pytest.raises(InputError, match="of a Maxwell branch must lie in"):
         MaxwellBranch(modulus, seconds)
+
+
+def test_profiles_state_as_many_branches_as_materials_take() -> None:
+    """Neither package knows the other."""
+    assert bounds.MOST_BRANCHES == maxwell.MOST_BRANCHES
