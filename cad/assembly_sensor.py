@@ -81,7 +81,7 @@ def sensor_assembly(
 
 
 def _own_copy(part: Part) -> Part:
-    """The part with a copied solid, so that joints do not hang on the caller's."""
+    """The part with a copied solid, so that joints do not depend on the caller's."""
     return dataclasses.replace(part, solid=copy.copy(part.solid))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 _MEDIAN_LENGTHS = {1: 0.6744897501960817, 2: 1.1774, 3: 1.538}
-"""Median length of a vector of so many standard normal variables."""
+"""Median length of a vector of this number of standard normal variables."""
 
 
 def spread_about_median(values: np.ndarray) -> float:

@@ -30,7 +30,7 @@ MOST_FRAMES = 128
 THUMB_PX = 60
 """Longer side of the small images that are compared."""
 NOISE_TIMES, LEAST_LEVELS = 3.0, 2.0
-"""Two small images agree up to so many times the change of the stillest tenth of the frames, at
+"""Two small images agree up to this multiple of the change of the stillest tenth of the frames, at
 least so much [levels], and never where a contact shows (``MIN_CONTACT_LEVELS``)."""
 STATES, WITNESSES = 5, 8
 """Still states that are tried, those of most frames first, and frames that each is read against."""

@@ -2,7 +2,7 @@
 """A sheet of paper in millimetres: lines, hatched sections, dimension lines, title block.
 
 Drawn with matplotlib, so that SVG, PDF and PNG come from the same geometry. Equal input gives equal
-files: nothing on the sheet hangs on date or chance.
+files: nothing on the sheet depends on date or chance.
 """
 
 from __future__ import annotations

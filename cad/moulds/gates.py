@@ -48,7 +48,7 @@ def place_gates(
             f"the back of the gel leaves room for a pour hole of {max(best, 0):.2f} mm only; "
             f"allowed: at least {_LEAST_DIAMETER_MM} mm. Make the margin round the window wider"
         )
-    # Of equally roomy places the rightmost, so that the choice does not hang on rounding.
+    # Of equally roomy places the rightmost, so that the choice does not depend on rounding.
     pour = int((room.round(2) * 1e6 + points[:, 0]).argmax())
     gates = [Gate("pour", _xy(points[pour]), min(pour_mm, best))]
     vent = min(vent_mm, max(0.6 * best, _LEAST_DIAMETER_MM))

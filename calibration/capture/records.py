@@ -21,8 +21,8 @@ from taccel_lab.files.table_file import read_table
 COLUMNS = ("depth_mm", "force_n")
 """Columns that a record of an indentation has to have."""
 AIR_MM, AIR_ROWS = 0.1, 3
-"""Rows so far before the touch, which is stated to about this, are in air; so many tell the load
-cell's zero."""
+"""Rows so far before the touch, which is stated to about this, are in air; this number tells the
+load cell's zero."""
 AIR_SHARE = 0.1
 """Largest change of the force in air, as a part of the loading's."""
 

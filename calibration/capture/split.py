@@ -20,7 +20,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 HOLDOUT_EVERY = 4
-"""One press in so many is held out unless a command says otherwise."""
+"""One press in this number is held out unless a command says otherwise."""
 SAME_PLACE_RADII = 0.25
 """Labels closer than this many median contact radii are of one place."""
 LARGEST_PLACE = 0.5

@@ -38,7 +38,7 @@ from taccel_lab.report.remark import Remark, Severity
 SURE = 2.0
 """Standard deviations by which a contact has to be wider than its ball."""
 FOUND_SIGMA_PX, SCALE_SHARE = 1.0, 0.02
-"""Standard deviations of a found contact's radius (at least so many pixels), and of a scale that
+"""Standard deviations of a found contact's radius (and the least of them [px]), and of a scale that
 somebody states. Found circles lie 2 px and 3 % off careful labels.
 """
 TRAVEL_SLACK = 1.35

@@ -27,7 +27,7 @@ SMOOTHING_SHARE = 1 / 240
 SUNK_RADII = 2.0
 """The gel around a contact sinks notably up to this many contact radii."""
 SHORTER_PX = 480
-"""Pictures keep at least so many pixels along their shorter side."""
+"""Least pixels that pictures keep along their shorter side."""
 
 
 @dataclass(frozen=True)

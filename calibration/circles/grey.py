@@ -34,7 +34,7 @@ MIN_RADIUS_PX = 6.0
 ISOLINES = (0.4, 0.5, 0.6, 0.7)
 """Greys, as parts of the peak, whose lines give the centre."""
 LABEL_SIGMA_PX, LABEL_SHARE = 2.0, 0.03
-"""Standard deviation of a labelled radius: at least so many pixels, and this share of it."""
+"""Standard deviation of a labelled radius: the least [px], and this share of it."""
 
 
 def find_grey_contact(

@@ -33,7 +33,7 @@ class MapTerms:
 
     @classmethod
     def for_presses(cls, count: int) -> MapTerms:
-        """The terms that so many presses can tell apart."""
+        """The terms that a number of presses can tell apart."""
         if count < 4:
             return cls(3, 0, False)
         return cls(4, 1, False) if count < 12 else cls(4, 2, True)

@@ -37,7 +37,7 @@ from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import Channel
 
 LEAST_PRESSES = 6
-"""Presses that are left: with so many, those without a contact do not stop the others."""
+"""Presses that are left: with this number, those without a contact do not stop the others."""
 MAX_LOST_SHARE = 0.5
 """Part of the presses that may be lost; beyond, something is wrong with the whole set."""
 
@@ -162,7 +162,7 @@ def _load(file: BinaryIO, count: int) -> Found:
 
 
 def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:
-    """Whether so many presses without a usable contact speak against the whole set: more than half
+    """Whether the presses without a usable contact speak against the whole set: more than half
     of them, or all but five, as long as one of them is not just cut.
 
     ``cut`` has an entry for each of them: whether the image's border is what cuts its contact.

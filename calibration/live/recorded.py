@@ -135,7 +135,7 @@ def _read_further(
         for number, frame in enumerate(chain(first, frames)):
             if number < before:
                 if reader.relaxes and frame.time_s is not None:
-                    _row(reader, frame)  # Its force hangs on the frames before.
+                    _row(reader, frame)  # Its force depends on the frames before.
                 elif reader.tracker is not None and isinstance(frame.image, np.ndarray):
                     reader.tracker.advance(frame.image)  # Markers are followed, frame by frame.
                 continue

@@ -39,11 +39,12 @@ _DOUBT = 0.03
 _GROWN = 1.25
 """Factor on a dot's radius between two frames that only a cover explains."""
 _AGAIN = 0.3
-"""A dot that is looked for again lies within so many pitches of its expected place."""
+"""A dot that is looked for again lies within this number of pitches of its expected place."""
 _WIDE, _NARROW = 0.55, 0.35
 """Gates in pitches: for a marker's own guess, and the narrowest for what its neighbours say."""
 _GATE_SIGMAS = 3.0
-"""Neighbours that scatter are believed within so many times their scatter, between these gates."""
+"""Neighbours that scatter are believed within this multiple of their scatter, between these
+gates."""
 _ROUNDS = 6
 _SUPPORT = 1.2
 """Weight of matched neighbours from which on they are believed."""

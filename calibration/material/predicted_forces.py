@@ -20,7 +20,7 @@ from taccel_lab.calibration.material.likelihood import FittedParameter, Likeliho
 from taccel_lab.calibration.result import NORMAL_95
 
 FOLDS = 12
-"""Points are held out one by one, or in so many interleaved groups."""
+"""Most groups of points that are held out, interleaved; fewer points go one by one."""
 
 
 def force_interval_n(

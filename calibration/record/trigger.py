@@ -103,7 +103,7 @@ class UntouchedGel:
         return _smooth(without_light(small, self.image, light)), light
 
     def followed(self, small: np.ndarray, light: LightDrift, seconds: float) -> UntouchedGel:
-        """Gel as it looks now, so many seconds on: slow changes are no contact."""
+        """Gel as it looks now, some seconds on: slow changes are no contact."""
         share = np.float32(min(seconds / FOLLOW_S, 1.0))
         image = self.image + share * (light.remove(small).astype(np.float32) - self.image)
         return replace(self, image=image)

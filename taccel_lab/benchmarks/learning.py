@@ -188,14 +188,14 @@ class Learning(Suite):
     repeats: int = 1
     """Timed runs, one going on where the other ended; the median counts."""
     reset_share: float = 0.0
-    """Part of the environments that begin anew at a step, besides those that are through. More
+    """Part of the environments that begin anew at a step, besides those that have finished. More
     than 0 favours the begin of the motion."""
     offset_mm: float = 0.1
     """Targets of moving bodies are off by up to this along each axis, anew at every step; starts
     are not."""
     pace: tuple[str, ...] = ("together",)
-    """together: a step ends when all environments are through. own: each begins its next step when
-    its last one is over, and a call does --iterations of them. A row each."""
+    """together: a step ends when all environments have finished. own: each begins its next step
+    when its last one is over, and a call does --iterations of them. A row each."""
     iterations: int = 4
     """Newton iterations of a call, of environments that go at their own pace."""
     observe: tuple[str, ...] = ()
@@ -308,7 +308,7 @@ class LearningLoop:
         return targets
 
     def run(self, steps: int, progress: Progress = silent) -> BenchmarkMotion:
-        """Takes so many steps of each environment (in the mean, at their own pace) from where
+        """Takes a number of steps of each environment (in the mean, at their own pace) from where
         the loop stands."""
         motion = BenchmarkMotion()
         wp.synchronize_device(self.model.device)
@@ -339,7 +339,7 @@ class LearningLoop:
         return Sight.none(()) if self.observer is None else self.observer.take()
 
     def _step(self, targets: np.ndarray, ready: np.ndarray) -> StepReport:
-        """One call; the report of those environments that are through."""
+        """One call; the report of the environments that have finished."""
         if self._own_pace is None:
             return self.solver.step(self.state, targets)
         report = self._own_pace.step_ready(targets, ready)

@@ -52,7 +52,7 @@ class BenchmarkMotion:
     """End to end: targets set, stepped, forces read."""
     solver_seconds: list[float] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
-    """Environments that are through; calls that none is have no entry here and below."""
+    """Environments that have finished; calls that none is have no entry here and below."""
     newton: list[float] = field(default_factory=list)
     """Mean over the environments."""
     newton_max: list[int] = field(default_factory=list)

@@ -105,7 +105,7 @@ class StudyCommand:
         )  # fmt: skip
         notes().print(
             f"{len(jobs)} jobs submitted ({jobs[0].job_id} ...), logs in {root / JOBS}; when they "
-            f"are through:\n  {self._again(root)}",
+            f"have finished:\n  {self._again(root)}",
             soft_wrap=True,
         )
 
@@ -132,7 +132,7 @@ class StudyCommand:
             if self.shard is not None:
                 console.print(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
-                    f"them new; when all shards are through:\n  {self._again(root)}",
+                    f"them new; when all shards have finished:\n  {self._again(root)}",
                     soft_wrap=True,
                 )
                 if self.json:

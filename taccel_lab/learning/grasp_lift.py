@@ -88,7 +88,7 @@ class JointControl:
         self._shown = np.where(slides, 1e3, np.degrees(1.0))
 
     def attach(self, env_count: int, device: torch.device | str) -> None:
-        """Make the tensors of so many environments, all at the start."""
+        """Make the tensors of a number of environments, all at the start."""
         values = torch.tensor(self._values, dtype=torch.float64, device=device)
         self._start, self._low, self._high, self._step = values
         self._scale = torch.tensor(self._shown, dtype=torch.float64, device=device)

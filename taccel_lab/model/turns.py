@@ -65,7 +65,7 @@ class Turns:
     """A lock that the thread which holds it may take again.
 
     On a GPU, the stream waits for torch's current one when a turn begins, and torch's for it when
-    it ends. Once several threads have had turns, one ends when its stream is through, as what it
+    it ends. Once several threads have had turns, one ends when its stream has finished, as what it
     drops may be taken by the next one.
     """
 
@@ -112,7 +112,7 @@ class Turns:
             self.lock.release()
 
     def wait_for(self, device: wp.Device) -> None:
-        """Wait until the current stream of ``device`` is through; others have their turn."""
+        """Wait until the current stream of ``device`` has finished; others have their turn."""
         if not device.is_cuda or len(self._threads) == 1:
             return
         depth, self._depth = self._depth, 0

@@ -130,7 +130,7 @@ class NormalModelConfig:
 
     def away(self, every: int = 1) -> np.ndarray:
         """Distance of each pixel from the part of the image that fitted contacts span, in shorter
-        sides of it, shape [h, w] of every so many-th row and column; 0 where none is known."""
+        sides of it, shape [h, w] of every n-th row and column; 0 where none is known."""
         spans = []
         for axis, count in enumerate((self.width_px, self.height_px)):
             at = np.arange(0, count, every)

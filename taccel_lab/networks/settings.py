@@ -55,7 +55,7 @@ def require_range(
 def layer_shapes(
     sizes: Sequence[tuple[int, int]], members: tuple[int, ...] = ()
 ) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every weight of layers of ``sizes`` (outputs, inputs), each of so many
+    """Name and shape of every weight of layers of ``sizes`` (outputs, inputs), each of some
     members."""
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (outputs, inputs) in enumerate(sizes):

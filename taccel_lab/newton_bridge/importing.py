@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A newton model as a robot and bodies of ours.
 
-What is fixed to newton's world, or hangs on joints that are, is one robot whose base is the link
+What is fixed to newton's world, or carried by joints that are, is one robot whose base is the link
 ``world``. Bodies on free joints are affine bodies. What is left out: visuals and sites, stiffness,
 damping and friction of joints and drives, contact stiffnesses (ours do not penetrate), friction of
 links (``Robot.link_friction``), collision filters.

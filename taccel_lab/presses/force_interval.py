@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from taccel_lab.profile import Provenance, SensorProfile
 
 FRICTION_SHARE = 0.13
-"""Share of the normal force that hangs on a coefficient which nobody measured. It is the largest of
-balls, a punch and an edge in pads of 1 to 6 mm, without friction beside 0.3. A 4 mm ball 0.3 mm
+"""Share of the normal force that depends on a coefficient which nobody measured. It is the largest
+of balls, a punch and an edge in pads of 1 to 6 mm, without friction beside 0.3. A 4 mm ball 0.3 mm
 deep in 1 mm of gel has it."""
 ROUGHER = 0.5
 """What a coefficient of 1 adds over what one of 0 takes: 0.4 to 0.57 of those presses."""

@@ -91,7 +91,7 @@ class NumericalError:
     height_error_m: float
     """Error of the heights, root mean square [m]."""
     guard_share: float
-    """Part of ``share`` that hangs on the guard against inside-out tets [1]."""
+    """Part of ``share`` that depends on the guard against inside-out tets [1]."""
     changes: tuple[float, ...]
     """Solved forces less that of the finest level, over it, coarsest first [1]."""
     level: int

@@ -281,7 +281,7 @@ class PressEnv:
 
         def put_back(lost: np.ndarray, forces: bool = True) -> None:
             """Environments of ``lost`` to where the step began, with the forces there: those of
-            friction hang on the step before."""
+            friction depend on the step before."""
             self.state.restore(before, lost)
             self.setback_m = np.where(lost, held_back, self.setback_m)
             if forces:
@@ -406,7 +406,7 @@ class PressEnv:
         return replace(self.mesh, base=mesh) if isinstance(self.mesh, QuadraticMesh) else mesh
 
     def guard_share(self) -> np.ndarray:
-        """Part of the force along the press that hangs on the guard against inside-out tets,
+        """Part of the force along the press that depends on the guard against inside-out tets,
         [env_count]: what would change, to first order, if tets could be squeezed to nothing.
         Exactly 0 where none is near it; NaN where the gel is about to buckle."""
         tool = self.model.bodies[-1].node_slice

@@ -106,7 +106,7 @@ class PressOutcome(Summary):
     smallest_volume_ratio: float
     """Smallest det F anywhere in a tet: above 0 when no tet is inverted."""
     guard_share: float = 0.0
-    """Part of the last force that hangs on what keeps tets from turning inside out, see
+    """Part of the last force that depends on what keeps tets from turning inside out, see
     ``PressEnv.guard_share``; 0 unless they are squeezed to a tenth of their volume."""
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the

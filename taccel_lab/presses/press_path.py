@@ -93,8 +93,8 @@ class PressPath:
         return replace(self, step_mm=down / times, step_deg=turns / times)
 
     def bounded(self, branches: Sequence[MaxwellBranch], friction: float) -> PressPath:
-        """Divide the path into so many steps that time adds ``TIME_SHARE`` to the force at most,
-        and into ``LEAST_STEPS`` down; the path itself where nothing rubs or relaxes.
+        """Divide the path so finely that time adds ``TIME_SHARE`` to the force at most, and into
+        ``LEAST_STEPS`` down; the path itself where nothing rubs or relaxes.
 
         In time a step is exact where stress grows evenly over it (``ipc.potentials.elements.
         maxwell``). Under a ball it does not: the contact grows, force as depth^1.5 (Hertz). What

@@ -5,8 +5,8 @@ Links that fixed joints connect are one group. A group has an affine body for ea
 held together by fixed joints. Together they have the mass, centre and inertia that the file states
 of its links, or of its shapes where it states none; each has a share by its volume, about the
 group's centre. A gel is mounted on one of them, and weighs on it beside that. The base goes where
-it is commanded: its shapes are kinematic bodies, and what it carries hangs on the first of them.
-Links do not touch one another unless the robot touches itself.
+it is commanded: its shapes are kinematic bodies, and what it carries is mounted on the first of
+them. Links do not touch one another unless the robot touches itself.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class DrivenRobot:
     """Its gels, for ``Scene(soft_bodies=)``."""
     kinematic_bodies: list[KinematicBody]
     """Shapes of the base and frames of its gels, for ``Scene(kinematic_bodies=)``; where it has
-    neither, a frame for the joints that hang on it."""
+    neither, a frame for the joints that it carries."""
     joints: list[Joint]
     """Joints for ``Scene(joints=)``; those that move are called as the robot's."""
     base: Robot
@@ -75,7 +75,7 @@ class DrivenRobot:
 
     def poses(self, env_count: int, world_from_base: Any = None) -> np.ndarray:
         """Poses of ``kinematic_bodies``, [env_count, body, 7]: ``Control.target_poses``. They stay,
-        or take all that hangs on them to ``world_from_base``, [7] or [env_count, 7]."""
+        or take all that they carry to ``world_from_base``, [7] or [env_count, 7]."""
         if world_from_base is None:
             world_from_base = self.robot.world_from_base
         at = np.asarray(world_from_base, dtype=np.float64)

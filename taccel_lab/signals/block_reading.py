@@ -31,9 +31,9 @@ TEXTURE_LEVELS = 1.0
 """Likewise, of the root mean square of what a block's colours differ by from a line between
 blocks."""
 OVER_NOISE = 3.0
-"""Both limits are at least so many times what a quarter of the blocks stays below,"""
+"""Both limits are at least this multiple of what a quarter of the blocks stays below,"""
 MOST_NOISE = 2.0
-"""but no more than so many times what they are without noise: a press may fill an image."""
+"""but no more than this multiple of what they are without noise: a press may fill an image."""
 QUIET = 0.25
 
 Answer = Callable[[int, FeatureWindows, "torch.Tensor | None"], "torch.Tensor"]
@@ -99,7 +99,7 @@ def doubled(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
 
 
 def _between(values: torch.Tensor, times: int) -> torch.Tensor:
-    """Maps, shape [n, image, h, w], of so many times smaller blocks."""
+    """Maps, shape [n, image, h, w], of blocks smaller by a factor."""
     import torch
 
     lines = extended(extended(values, -1), -2)
@@ -118,7 +118,7 @@ def _kept(pixels: FeatureWindows, mask: torch.Tensor | None) -> torch.Tensor:
 
 
 def _any(flags: torch.Tensor, times: int, shape: Sequence[int]) -> torch.Tensor:
-    """Blocks of so many pixels in which a flag [1, height_px, width_px] is set, [1, h, w] of
+    """Blocks of pixels in which a flag [1, height_px, width_px] is set, [1, h, w] of
     ``shape``."""
     import torch
 

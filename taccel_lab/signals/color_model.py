@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
 
 CHUNK_PIXELS = 2048
-"""Read at once: what the layers give for so many stays in a core's cache."""
+"""Pixels read at once: what the layers give for them stays in a core's cache."""
 
 
 class ColorModel:

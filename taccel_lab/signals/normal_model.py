@@ -46,8 +46,8 @@ MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
 CHUNK_PIXELS = {"cpu": 2048}
-"""Read at once: what the layers give for so many stays in a core's cache, which takes half the time
-of chunks that do not."""
+"""Pixels read at once: what the layers give for them stays in a core's cache, which takes half the
+time of chunks that do not."""
 DEVICE_CHUNK_PIXELS = 1 << 18
 """Likewise elsewhere, where few large products are fast; 0.3 GB a layer."""
 
@@ -154,7 +154,7 @@ class NormalModel:
             left_out: The member that did not see this press when the others did. It reads alone,
                 and its own error is no part of what it expects: how far it is off the others would
                 tell it, as nothing does on a new press.
-            every: Only every so many-th row and column is read, pixel by pixel, as in the whole
+            every: Only every n-th row and column is read, pixel by pixel, as in the whole
                 image; the maps are of these.
         """
         import torch

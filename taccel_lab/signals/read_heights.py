@@ -67,7 +67,7 @@ def read_heights(
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
         uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
-        every: Only every so many-th row and column is read, as in the whole image, and integrated:
+        every: Only every n-th row and column is read, as in the whole image, and integrated:
             the maps are those of ``grid.thinned(every)``.
     """
     import torch

@@ -177,7 +177,7 @@ def _settle_kernel(
 
 
 def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
-    """Forces and residual of the environments of ``mask``; those that are through stop.
+    """Forces and residual of the environments of ``mask``; those that have finished stop.
     ``take_trial``: where the line search has led."""
     s, p = run.s, run.p
     if not take_trial:

@@ -282,7 +282,7 @@ _REPORTED = {
 }
 """Names of the figures of a report here, where they differ."""
 NO_LIMIT = 2**30
-"""Rounds of a call that ends when all environments are through."""
+"""Rounds of a call that ends when all environments have finished."""
 
 
 @wp.func

@@ -105,7 +105,7 @@ def run_task(
         task: The task.
         seeds: Each decides one start.
         device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
-        steps: End after so many, for a try; the judgement is then of that moment.
+        steps: Steps to end after, for a try; the judgement is then of that moment.
         progress: Receives each step.
     """
     if not seeds:

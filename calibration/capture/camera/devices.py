@@ -90,7 +90,7 @@ def _serial_number(root: Path, node: str) -> str | None:
     """Serial number of the USB device behind a node; None where it has none."""
     place = root / "sys/class/video4linux" / Path(node).name / "device"
     with suppress(OSError):
-        # The node hangs on an interface of the device, which hangs on the device.
+        # The node belongs to an interface, which belongs to the device.
         for folder in (place.resolve(), *place.resolve().parents[:2]):
             serial = _text(folder / "serial")
             if serial:

@@ -109,8 +109,8 @@ _CELLS = {239: (8, 8, 2), 5215: (24, 24, 7)}
 
 
 def pad(nodes: int, source: str) -> tuple[TetMesh, str]:
-    """A pad in the gel frame (contact face at z = 0, outward z) of about so many nodes, and where
-    it is from."""
+    """A pad in the gel frame (contact face at z = 0, outward z) with about ``nodes`` nodes, and
+    where it is from."""
     name = _FILES[nodes]
     source = choose_source(source, f"pads/{name}.vtk", f"pads/{name}.npz")
     if source == "generated":

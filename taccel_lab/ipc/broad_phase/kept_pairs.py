@@ -26,7 +26,7 @@ from taccel_lab.model.env_rows import zero_rows
 wp.set_module_options({"enable_backward": False})
 
 _SKIN_OVER_WAY = 4.0
-"""Skin over the way at hand: so many steps of a steady motion share a search."""
+"""Skin over the way at hand: this number of steps of a steady motion share a search."""
 _LARGEST_SKIN = 0.1
 """Largest skin over the median length of the edges. A peg between two gels takes 1.6 searches a
 step with 0.1, and 8 % more candidates than without a skin; 2.6 with 0.05; 0.5 doubles the

@@ -127,7 +127,7 @@ def _move_entries_kernel(
     entries: wp.array2d(dtype=wp.int32),
     moved: wp.array2d(dtype=wp.int32),
 ):
-    """Copy entries, as so many words each."""
+    """Copy entries, as a number of words each."""
     env, lane = wp.tid()
     first = old_starts[env]
     shift = starts[env] - first
@@ -223,7 +223,8 @@ class GrowingList:
         self._allocate(min(room, limit))
 
     def _allocate(self, rooms: int | np.ndarray) -> None:
-        """Give each environment room for so many entries; what is listed and still fits stays."""
+        """Give each environment room for a number of entries; what is listed and still fits
+        stays."""
         self.rooms = np.broadcast_to(np.asarray(rooms, dtype=np.int64), self.counts.shape).copy()
         """Entries there is room for, int64, shape [env_count]."""
         self.capacity = int(self.rooms.sum())

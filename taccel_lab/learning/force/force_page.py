@@ -141,7 +141,7 @@ def _errors(result: ForceCalibration) -> Figure:
         axes[3].plot(stated, [(over <= s).mean() for s in stated], color=color, label=label)
     axes[3].axvline(NORMAL_95, color=LIGHT, lw=1)
     axes[3].axhline(0.95, color=LIGHT, lw=1)
-    axes[3].set_xlabel("within so many standard deviations")
+    axes[3].set_xlabel("within this number of standard deviations")
     axes[3].set_title("share of the errors")
     return figure
 

@@ -167,7 +167,7 @@ class LightDraw:
 
 
 class _Batches:
-    """Samples in a drawn order, in another one when they are through."""
+    """Samples in a drawn order, in another one when all were drawn."""
 
     def __init__(self, count: int, batch: int, generator: torch.Generator) -> None:
         self.count, self.batch, self.generator = count, batch, generator

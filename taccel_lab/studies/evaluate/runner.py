@@ -95,7 +95,7 @@ class StudyOutcome(Summary):
 
     @property
     def complete(self) -> bool:
-        """Whether the sweep is through."""
+        """Whether the sweep has finished."""
         if self.study.spec.sweep.kind == "optimize":
             return self.optimiser is not None
         return len(self.rows) == self.total

@@ -147,7 +147,7 @@ class StudyVerdict:
     """How a study ended."""
 
     good: bool
-    """Whether it is through and some design keeps the bounds."""
+    """Whether it has finished and some design keeps the bounds."""
     headline: str
     sentences: tuple[str, ...]
     """What was found."""
@@ -156,7 +156,7 @@ class StudyVerdict:
 
 
 def study_verdict(outcome: StudyOutcome, values: dict[str, Any]) -> StudyVerdict:
-    """Headline and sentences; good when the study is through and some design keeps the bounds."""
+    """Headline and sentences; good when the study has finished and some design keeps the bounds."""
     counts, spec = values["counts"], outcome.study.spec
     remarks = []
 

@@ -135,7 +135,7 @@ def add_correction(
     w: wp.array(dtype=wp.vec3d),
     m: wp.array(dtype=wp.vec3d),
 ) -> wp.float64:
-    """Add P A_c^-1 P^T w to ``m``, by all lanes of a team of so many ``blocks`` that have waited
+    """Add P A_c^-1 P^T w to ``m``, by all lanes of a team of ``blocks`` that have waited
     for w of their own block; returns the part of a lane in w . P A_c^-1 P^T w. Waits for the rest,
     and for ``m``, but not for what it adds."""
     loads = coarse.loads[env]

@@ -30,8 +30,8 @@ wp.set_module_options({"enable_backward": False})
 WIDTH = 32
 """Scalar rows in a slice: the lanes of a warp."""
 GROUP = 4
-"""Entries that a lane reads at a time: slices are filled up to so many. Those of a warp are four
-copies of 16 bytes a lane, which the C++ here and in ``streamed_rows`` counts on."""
+"""Entries that a lane reads at a time: slices are filled up to a multiple of it. Those of a warp
+are four copies of 16 bytes a lane, which the C++ here and in ``streamed_rows`` counts on."""
 _LANES = 256
 VERIFY_BELOW = 1e-3
 """Tolerance below which CG checks the residual with the matrix itself, and starts anew from there
