@@ -126,7 +126,7 @@ for axis, name, (before, _), (now, pressure) in zip(
 # ## 2. Score
 #
 # Seeds are environments of one solver, eight at a time. A rate of a few seeds is a wide interval;
-# 64 seeds and the failures, told one by one, are in [tasks](../docs/tasks.md#touch-insertion).
+# 64 seeds are in [task results](../docs/evidence/task_results.md).
 
 # %%
 from taccel_lab.tasks.catalogue import run_task

@@ -51,7 +51,7 @@ class TouchView:
         channels: Sequence[str],
     ) -> None:
         """``meshes``: of the environments, with all their nodes; ``patches`` and ``channels`` as in
-        ``spec.Output``."""
+        ``spec.DatasetOutput``."""
         self.env, self.touches, self.meshes, self.sensor = env, touches, meshes, sensor
         self.patches, self.channels = patches, channels
         self._images = not PIXELS.isdisjoint(channels)
@@ -79,7 +79,7 @@ class TouchView:
     def at(
         self, step: int, who: np.ndarray, commands: np.ndarray, report: StepReport | None
     ) -> None:
-        """Shows step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at rest,
+        """Turn to step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at rest,
         with no report and no forces. ``commands``: where they were sent, [row, 6]."""
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):

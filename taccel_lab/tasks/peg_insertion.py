@@ -19,7 +19,7 @@ from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import contact_config
+from taccel_lab.tasks.bodies import SIDES, contact_config
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -38,8 +38,6 @@ from taccel_lab.tasks.peg_scene import (
     targets,
 )
 from taccel_lab.tasks.pegs import Hole, Peg
-
-SIDES = ("left", "right")
 
 
 class PegPolicy(StrictModel):

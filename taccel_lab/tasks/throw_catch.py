@@ -35,7 +35,7 @@ class ThrowStart(StrictModel):
     """Half ranges of what is drawn."""
 
     place_mm: NotNegative
-    """Half range of the body in the grip, along the gels and up."""
+    """Half range of the body's place in the grip, along the gels and up."""
     speed_part: NotNegative
     """Half range by which the throw is faster than was meant, as a part of that."""
     late_s: NotNegative

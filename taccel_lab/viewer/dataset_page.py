@@ -153,8 +153,6 @@ def open_dataset(folders: Sequence[Path]) -> Dataset:
             "pip install 'taccel-lab[datasets]'"
         ) from None
     del pyarrow, zarr
-    from taccel_lab.datasets.reading import Dataset
-
     data = Dataset(folders)
     if not any(row["rows"] > 0 for row in data.episodes):
         raise InputError(f"{folders[0]} has no touch with a step yet")

@@ -94,7 +94,7 @@ DIRECTION = (1.0, -1.4, 0.25)
 
 
 class Stepping(Protocol):
-    """What a page can run: an ``Episode`` of a task, or anything of a user's with these names."""
+    """What a page can run: a ``TaskEpisode``, or anything of a user's with these names."""
 
     solver: SolverIPC
     state: State

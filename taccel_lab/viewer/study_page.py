@@ -29,7 +29,6 @@ _NEEDED = ("depth_mm", "force_n", "contact_rest_m", "contact_moved_m", "contact_
 def design_gel(row: DesignRow) -> GelStates:
     """The untouched gel of a design, at the resolution of profiles."""
     from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-    from taccel_lab.sensors.registry import sensor_family
 
     mesh = gel_mesh(sensor_family(row.family).parameters(row.parameters).pad())
     rest = 1e3 * mesh.nodes_m

@@ -170,7 +170,7 @@ class Evidence:
         return run_task(task, range(task.parameters.seeds), self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
-        """See ``camera_view.picture_change``. Gels of other moduli that move alike look alike: the
+        """See the function ``picture_change``. Gels of other moduli that move alike look alike: the
         pictures are rendered once for the figure and both ends of its interval."""
         key = (id(record.moved_m), *steps)
         if key not in self.changes:
