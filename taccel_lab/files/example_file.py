@@ -11,7 +11,9 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def file_or_example(given: Path, room: str) -> Path:
-    """``given`` where it exists, else the example of that name.
+    """``given`` where it is a file, else the example of that name.
+
+    A folder does not hide an example: it may be the output of an earlier run.
 
     Args:
         given: A path, or an example's name with or without ``.toml``, alone or behind the folder
@@ -22,11 +24,13 @@ def file_or_example(given: Path, room: str) -> Path:
         InputError: Neither a file nor an example; lists the examples.
     """
     folders = ((), (room, "examples"), (_PACKAGE.name, room, "examples"))
-    if given.exists() or given.parts[:-1] not in folders or given.suffix not in ("", ".toml"):
+    if given.is_file() or given.parts[:-1] not in folders or given.suffix not in ("", ".toml"):
         return given
     examples = _PACKAGE / room / "examples"
     found = examples / f"{given.stem}.toml"
     if not found.is_file():
+        if given.exists():
+            return given
         names = ", ".join(sorted(path.stem for path in examples.glob("*.toml")))
         raise InputError(f"{given} does not exist, and no example has that name; known: {names}")
     return found

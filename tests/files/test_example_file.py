@@ -35,6 +35,14 @@ def test_a_file_comes_before_an_example_and_other_paths_stay(
         assert file_or_example(path, "studies") == path
 
 
+def test_a_folder_hides_no_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("insertion", "other"):
+        (tmp_path / name).mkdir()
+    assert file_or_example(Path("insertion"), "studies").parent == ROOT / "studies" / "examples"
+    assert file_or_example(Path("other"), "studies") == Path("other")
+
+
 def test_a_wrong_name_lists_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"mini_touch does not exist.*known: force_mini, mini_to"):
