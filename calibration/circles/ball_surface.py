@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,10 +65,6 @@ class BallSurface:
 def slope_of(normals: np.ndarray) -> np.ndarray:
     """dh/dx and dh/dy of outward normals, shape [..., 2]."""
     return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)
-
-
-SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[BallSurface]]
-"""Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave."""
 
 
 def layer_of(profile: SensorProfile) -> BondedLayer:

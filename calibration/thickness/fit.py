@@ -48,6 +48,11 @@ lower the deeper they are pressed, up to half the thickness."""
 FLAT = float(np.cos(np.radians(5.0)))
 """Cosine of the tilt up to which a face at rest is as good as flat."""
 SHARE = 0.95
+TOUCH_MM = 0.05
+"""Standard deviation of where a stage's first touch is taken to be [mm], the same for all presses:
+a ball touches so little at first that half of that shows neither in an image nor in a force."""
+MOST_SOLVED = 3
+"""Contacts of one ball that are solved; the others lie between."""
 _ORIGIN = re.compile(rf"(?:^|; ){NAME}: (assumption|set by the user)")
 
 
@@ -273,13 +278,6 @@ def _within_bounds(thickness_mm: float, profile: SensorProfile) -> float:
     spec = sensor_family(profile.sensor.family).parameters_type.parameters()[NAME]
     low, high = spec.minimum or 0.0, spec.maximum or np.inf
     return round(float(np.clip(thickness_mm, low, high)), 2)
-
-
-TOUCH_MM = 0.05
-"""Standard deviation of where a stage's first touch is taken to be [mm], the same for all presses:
-a ball touches so little at first that half of that shows neither in an image nor in a force."""
-MOST_SOLVED = 3
-"""Contacts of one ball that are solved; the others lie between."""
 
 
 @dataclass(frozen=True)

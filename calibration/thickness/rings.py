@@ -37,6 +37,14 @@ UNEXPLAINED = 0.25
 """Share of the slopes beside (root of squares) that the nearest layer may leave over: real sensors
 leave 1 to 5 %, finite elements of balls pressed to half the thickness 2 to 17 %. What no layer
 explains tells no thickness."""
+THINNEST_MM, THICKEST_MM = 1.0, 16.0
+"""Layers that are compared; a thicker one is a half-space within three contact radii."""
+LAYERS, STEPS = 9, 200
+"""Layers that are solved, and thicknesses between them."""
+DEEPEST = 0.7
+"""Largest share of a layer's thickness that a ball's cap may take."""
+RADII = 3.2
+"""Contact radii around the ball that are solved."""
 
 
 @dataclass(frozen=True)
@@ -164,16 +172,6 @@ def _nearest(measured: np.ndarray, layers: np.ndarray, *, free: bool) -> tuple[i
     left = np.sum((measured - factor[:, None] * layers) ** 2, axis=1)
     k = int(np.argmin(left))
     return k, float(np.sqrt(left[k] / max(float(np.sum(measured**2)), 1e-12)))
-
-
-THINNEST_MM, THICKEST_MM = 1.0, 16.0
-"""Layers that are compared; a thicker one is a half-space within three contact radii."""
-LAYERS, STEPS = 9, 200
-"""Layers that are solved, and thicknesses between them."""
-DEEPEST = 0.7
-"""Largest share of a layer's thickness that a ball's cap may take."""
-RADII = 3.2
-"""Contact radii around the ball that are solved."""
 
 
 @dataclass(frozen=True)
