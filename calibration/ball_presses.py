@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class BallPresses:
     findings: tuple[Remark, ...]
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
-    """Presses left out, and how far the circles found lie from labels."""
+    """Presses left out, and those that are fitted without the labels that their images reject."""
     surfaces: tuple[BallSurface, ...]
     """Surfaces of the training presses in their circles, in order."""
 
@@ -92,7 +92,7 @@ class BallPresses:
         block, image = self.profile.background, self.profile.background_rgb
         return None if block is None or image is None else Untouched(block, image)
 
-    @property
+    @cached_property
     def heldout(self) -> HeldoutSet:
         """Presses that only the figures see, on the profile's gel."""
         grid = self.captures.grid
