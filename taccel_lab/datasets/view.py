@@ -79,8 +79,8 @@ class TouchView:
     def at(
         self, step: int, who: np.ndarray, commands: np.ndarray, report: StepReport | None
     ) -> None:
-        """Turn to step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at rest,
-        with no report and no forces. ``commands``: where they were sent, [row, 6]."""
+        """Turn to step ``step`` of the environments ``who`` (int, [row]); step 0 is the gel at
+        rest, with no report and no forces. ``commands``: where they were sent, [row, 6]."""
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
                 self.__dict__.pop(name, None)

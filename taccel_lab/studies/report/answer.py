@@ -7,7 +7,8 @@ ranges at which the best design stands, where going on would improve the goal.
 **Interval of a parameter**: values of feasible designs whose goal lies within ``TELL_APART`` of the
 best, since presses of the default accuracy do not tell them apart. Where a constraint limits the
 answer, also the values at which the softest and the stiffest gel that the design may be
-(``evaluate.evaluate.Unknowns``) would just keep it: x (bound / end)^(1/e), with the figure's elasticity e.
+(``evaluate.evaluate.Unknowns``) would just keep it: x (bound / end)^(1/e), with the figure's
+elasticity e.
 """
 
 from __future__ import annotations
