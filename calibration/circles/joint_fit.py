@@ -175,7 +175,7 @@ class _State:
     damping: float = 0.0
     """Damping of steps, after K. Levenberg and D. Marquardt."""
     seen: _Seen | None = None
-    """The last round's."""
+    """What the last round saw; None before the first."""
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest step of u, v, radius, offsets and gains, shape [9] each."""
@@ -284,7 +284,8 @@ class _JointFit:
                 press.own[3:6], press.own[6:] = offset, gain
 
     def round(self) -> np.ndarray:
-        """One step of presses, blur and map together; of each circle [px], shape [press_count]."""
+        """Steps presses, blur and map together; returns the largest change of u, v and radius of
+        each circle [px], shape [press_count]."""
         for i, press in enumerate(self.presses):
             press.seen = self._see(press)
             self.sums[i] = np.sum(press.seen.left**2)

@@ -37,7 +37,7 @@ class Stillness:
     """What of a video stands still: numbers of frames that show the same."""
 
     stretches: tuple[range, ...]
-    """Long enough to be believed, in order."""
+    """Stretches that are long enough to be believed, in order."""
     longest: range
     """The longest of all, also of those that are too short."""
     frames: int

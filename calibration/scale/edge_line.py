@@ -47,7 +47,8 @@ class EdgeLine:
     length_sigma_px: float
     """Standard deviation of the length, apart from ``systematic_px``."""
     systematic_px: float
-    """Deviation by the law of the fall beyond the ends, the same for all edges on one gel."""
+    """Standard deviation by the law of the fall beyond the ends, the same for all edges on
+    one gel."""
 
     @property
     def vector_px(self) -> np.ndarray:

@@ -225,7 +225,7 @@ def test_fusion_beats_both(true_spread: float) -> None:
     assert np.std(fused[:, 0] - 100) == pytest.approx(2 / np.sqrt(2), rel=0.1)
 
 
-def test_a_shift_that_all_labels_share_is_told_and_taken_off() -> None:
+def test_a_shift_that_all_labels_share_is_taken_off() -> None:
     """Labels 3 px below and 2 px too wide, as on a set of real presses."""
     rng, shift = np.random.default_rng(1), np.array([0.5, -3.0, 2.0])
     errors = []
