@@ -207,7 +207,7 @@ def test_even_solids_are_sound(pad: SolidDomePad) -> None:
     ],
 )
 def test_a_sweep_keeps_the_connectivity(pad: DomePad, changes: dict[str, float]) -> None:
-    meshes = [gel_mesh(p, 1.6) for p in (pad, pad.with_values(changes))]
+    meshes = [gel_mesh(p, 1.6) for p in (pad, replace(pad, **changes))]
     for name in ("tets", "faces", "face_regions"):
         assert getattr(meshes[0], name).tobytes() == getattr(meshes[1], name).tobytes()
     assert np.abs(meshes[0].nodes_m - meshes[1].nodes_m).max() > 1e-5

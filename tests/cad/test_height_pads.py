@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -247,10 +249,10 @@ def test_glued_walls_are_bond() -> None:
     ],
 )
 def test_what_cannot_be_built_names_its_bound(
-    pad: HeightPad, values: dict[str, object], words: list[str]
+    pad: HeightPad, values: dict[str, Any], words: list[str]
 ) -> None:
     with pytest.raises(InputError) as error:
-        pad.with_values(values)
+        replace(pad, **values)
     for word in words:
         assert word in str(error.value)
 
