@@ -80,7 +80,7 @@ class FamilyParameters(ParameterSet, ABC):
         return None
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """Sources as of any set; what follows from a hardness is not said to be the user's."""
+        """Descriptions as of any set; what follows from a hardness is not said to be the user's."""
         found = super().describe()
         if hardness_of(self.values()):
             for name in OF_A_HARDNESS:

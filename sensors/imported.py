@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 LIKE = "flat_pad"
 """Family that an imported gel is like where nothing else is said."""
 EDGE_MM = 2.0
-"""Size of the tets of an imported gel where nobody asks for another [mm]."""
+"""Edge of the tets of an imported gel where nobody asks for another [mm]."""
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
 

@@ -43,7 +43,7 @@ class Labelling:
     assumed: dict[str, str]
     """What was not stated, by the field's name, in words."""
     regions: list[Region]
-    """Label of each face."""
+    """Region of each face."""
     rectangle: tuple[float, float] | None
     """Window to split off the bond [mm]."""
     outline: np.ndarray | None

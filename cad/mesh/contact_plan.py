@@ -186,7 +186,7 @@ class EllipticMap:
 
     @staticmethod
     def of(outline: np.ndarray) -> EllipticMap:
-        """Plan with the ellipse that is as long and wide as an outline about the origin."""
+        """Map with the ellipse that is as long and wide as an outline about the origin."""
         values, vectors = np.linalg.eigh(second_moments(outline))
         along = vectors[:, 1]
         ends = where_rays_leave(outline, np.stack([along, -along]))

@@ -109,7 +109,7 @@ class SurfacePad(Pad):
 
     @cached_property
     def _normals(self) -> np.ndarray:
-        """Values at the corners of each triangle that looks up, [m, 3, 3]."""
+        """Normals at the corners of each triangle that looks up, [m, 3, 3]."""
         return corner_normals(1e-3 * self.surface.vertices_mm, self._faces)[self._facing]
 
     @cached_property

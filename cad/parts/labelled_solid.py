@@ -28,7 +28,7 @@ class LabelledSolid:
     """Region of each face, in the order of ``solid.faces()``."""
 
     def __getstate__(self) -> tuple[bytes | None, list[Region]]:
-        """Bytes for another process: the kernel's binary form, exact and with its triangles."""
+        """State for another process: the kernel's binary form, exact and with its triangles."""
         return serialize_shape(self.solid.wrapped), self.regions
 
     def __setstate__(self, state: tuple[bytes, list[Region]]) -> None:

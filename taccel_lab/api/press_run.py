@@ -57,7 +57,7 @@ def press(
     Args:
         sensor: A profile, the folder of one, a sensor of the catalogue, or a calibration.
         indenter: Its shape, such as ``"sphere:4"``, see ``PressOptions.indenter``.
-        progress: Told step, step count and what each step gave. When None, a bar is drawn where
+        progress: Receives step, step count and what each step gave. When None, a bar is drawn where
             somebody watches.
         options: Fields of ``PressOptions``: ``depth_mm`` or ``force_n`` is needed.
 

@@ -308,8 +308,8 @@ class LearningLoop:
         return targets
 
     def run(self, steps: int, progress: Progress = silent) -> BenchmarkMotion:
-        """Takes a number of steps of each environment (in the mean, at their own pace) from where
-        the loop stands."""
+        """Takes ``steps`` steps of each environment (in the mean, at their own pace) from where the
+        loop stands."""
         motion = BenchmarkMotion()
         wp.synchronize_device(self.model.device)
         wanted = steps * self.model.env_count

@@ -42,7 +42,7 @@ class GelCamera:
     camera: DesignedCamera
     """Camera with the intrinsics of the image."""
     media: Media
-    """Interfaces between it and the gel."""
+    """Media between it and the gel."""
     face: PixelGrid
     """Pixels over the gel, along its normal, that hold all that the image shows: what surfaces are
     computed on before they are looked at."""

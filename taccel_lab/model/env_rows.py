@@ -19,7 +19,7 @@ _THREADS = 1 << 18
 
 
 def lane_count(device: wp.Device, env_count: int, most: int) -> int:
-    """Lanes an environment, which take its entries in turn, where one has this number at most.
+    """Lanes an environment, which take its entries in turn, where one has ``most`` at most.
 
     So a launch depends neither on a count that the host would have to read, nor on the capacity of
     a list: it can be part of a captured graph, and lists may grow. And a thread an entry costs its

@@ -55,8 +55,8 @@ def require_range(
 def layer_shapes(
     sizes: Sequence[tuple[int, int]], members: tuple[int, ...] = ()
 ) -> dict[str, tuple[int, ...]]:
-    """Name and shape of every weight of layers of ``sizes`` (outputs, inputs), each of some
-    members."""
+    """Name and shape of every weight of layers of ``sizes`` (outputs, inputs), with the axes
+    ``members`` in front."""
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (outputs, inputs) in enumerate(sizes):
         shapes[f"layer{i}.weight"] = (*members, outputs, inputs)

@@ -74,7 +74,7 @@ class _Folders:
     """Whether folders in names are left out."""
 
     def within(self, root: Element) -> _Folders:
-        """Elements of a file that is included here, or that begins here."""
+        """Folders of a file that is included here, or that begins here."""
         found = self
         for compiler in root.iter("compiler"):
             taken = {key: compiler.attrib.pop(key, None) for key in _SETTINGS}

@@ -57,7 +57,7 @@ class NewtonModel:
         self._arrays: dict[str, np.ndarray] = {}
         self.world_count = max(int(source.world_count), 1)
         self.body_count = int(source.body_count) // self.world_count
-        """Count of a world."""
+        """Bodies of a world."""
         if self.world_count > 1:
             self._check_worlds()
         self.bodies = short_names(source.body_label[: self.body_count])

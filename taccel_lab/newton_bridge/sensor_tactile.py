@@ -143,7 +143,7 @@ class SensorTactile:
 
 
 def _of_profile(profile: SensorProfile, mesh: Any, options: dict[str, Any]) -> Any:
-    """Nodes of the gel's own mesh, which has more nodes than the profile's where it is quadratic;
+    """Signals of the gel's own mesh, which has more nodes than the profile's where it is quadratic,
     through the profile's camera."""
     from taccel_lab.camera.gel_camera import camera_of
     from taccel_lab.signals.color_model import ColorModel

@@ -80,7 +80,7 @@ class SolverGel(newton.solvers.SolverBase):
         """Model of our bodies: gels, bodies inside, frames."""
         self.gel_solver = SolverIPC(self.gel_model, config)
         self.outputs = Outputs(self.gel_solver)
-        """Forces of the gels after each step."""
+        """Outputs of the gels after each step."""
         self.wrenches = np.zeros((model.body_count, 6))
         """Loads of the latest step: force [N] and torque about the centre of mass [N m] that gels
         and what they touch put on newton's bodies, world axes, float64, [body, 6]. Of bodies inside
@@ -88,7 +88,7 @@ class SolverGel(newton.solvers.SolverBase):
         self.gel_state: State | None = None
         """State of our bodies; made from newton's by the first step, or ``reset``."""
         self.report: StepReport | None = None
-        """Statistics of the latest step."""
+        """Report of the latest step."""
         self._worlds = source.world_count
         self._centers = source.array("body_com").reshape(-1, 3)
         self._written: tuple[np.ndarray, np.ndarray] | None = None

@@ -30,7 +30,7 @@ _MASSES = ("physics:mass", "physics:density")
 _PLACE = re.compile(r"Error in '[^']*' at line \d+ in file \S+ : ")
 """What an error of USD begins with: where in its own source it comes from."""
 MAX_BYTES = 1 << 30
-"""Limits of a layer, and of all that a package holds."""
+"""Most bytes of a layer, and of all that a package holds."""
 
 
 def unpacked(package: Path, scratch: Path) -> Path:

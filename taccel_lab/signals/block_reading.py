@@ -99,7 +99,7 @@ def doubled(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
 
 
 def _between(values: torch.Tensor, times: int) -> torch.Tensor:
-    """Maps, shape [n, image, h, w], of blocks smaller by a factor."""
+    """Maps, shape [n, image, h, w], of blocks ``times`` times smaller."""
     import torch
 
     lines = extended(extended(values, -1), -2)
@@ -118,7 +118,7 @@ def _kept(pixels: FeatureWindows, mask: torch.Tensor | None) -> torch.Tensor:
 
 
 def _any(flags: torch.Tensor, times: int, shape: Sequence[int]) -> torch.Tensor:
-    """Blocks of pixels in which a flag [1, height_px, width_px] is set, [1, h, w] of
+    """Blocks, ``times`` pixels wide, in which a flag [1, height_px, width_px] is set, [1, h, w] of
     ``shape``."""
     import torch
 

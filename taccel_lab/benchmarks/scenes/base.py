@@ -102,6 +102,7 @@ def straight(points: np.ndarray, counts: list[int]) -> np.ndarray:
 
 
 SIZE_M = (40e-3, 40e-3, 5.925e-3)
+"""Size of the pad of a parallel gripper, published at two resolutions."""
 HELD_M = 2.9e-3
 """Depth below which the published pads are held: their back is in a tray."""
 _FILES = {239: "single_sensor__pad_maxv_1e-07", 5215: "single_sensor__pad_maxv_1e-09"}

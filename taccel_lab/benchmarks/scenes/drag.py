@@ -64,7 +64,7 @@ def build(options: SceneOptions, name: str) -> BenchScene:
 
 
 def domed_pad(motion: PressMotion, coarser: int) -> TetMesh:
-    """The catalogue's GelSight with 2,005 nodes, or with longer edges."""
+    """The catalogue's GelSight with 2,005 nodes, or with edges ``coarser`` times as long."""
     from taccel_lab.presses import PressMeshOptions
     from taccel_lab.sensors.press_mesh import press_mesh
 

@@ -26,14 +26,15 @@ MOST_TILES = (MOST_ROWS // 6) * (MOST_ROWS // 6 + 1) // 2
 
 
 def lanes_for_inverse(width: int) -> int:
-    """Lanes that a thread block of a GPU needs for a matrix of some rows, one a tile."""
+    """Lanes that a thread block of a GPU needs for a matrix of ``width`` rows, one a tile."""
     parts = -(-width // 6)
     return -(-parts * (parts + 1) // 2 // 32) * 32
 
 
 def room_for_inverse(width: int) -> int:
-    """float64 numbers of shared memory that the inverse of a matrix of some rows needs: its
-    lower triangle by rows, and two copies of three columns. ValueError above ``MOST_ROWS``."""
+    """float64 numbers of shared memory that the inverse of a matrix of ``width`` rows
+    needs: its lower triangle by rows, and two copies of three columns. ValueError above
+    ``MOST_ROWS``."""
     if width > MOST_ROWS:
         raise ValueError(f"matrices of at most {MOST_ROWS} rows are inverted, got {width}")
     return width * (width + 1) // 2 + 6 * width
@@ -41,7 +42,7 @@ def room_for_inverse(width: int) -> int:
 
 @cache
 def address_of_tile(room: int) -> Any:
-    """The function ``(tile) -> uint64`` for tiles of a number of float64 numbers."""
+    """The function ``(tile) -> uint64`` for tiles of ``room`` float64 numbers."""
 
     @wp.func_native("return reinterpret_cast<wp::uint64>(tile.data.ptr);")
     def address(tile: wp.tile(dtype=wp.float64, shape=(room,))) -> wp.uint64: ...
@@ -51,9 +52,9 @@ def address_of_tile(room: int) -> Any:
 
 @wp.func_native(native("dense_inverse", "sweep_all", MOST_TILES=MOST_TILES))
 def sweep_all(memory: wp.uint64, width: int, lane: int, lanes: int) -> bool:
-    """Turn the symmetric matrix of some rows, a multiple of three, at an address into minus its
-    inverse; returns whether it is positive definite. By all lanes of a block, with a barrier before
-    and after; on a GPU by ``lanes_for_inverse`` of them or more."""
+    """Turn the symmetric matrix of ``width`` rows, a multiple of three, at an address into minus
+    its inverse; returns whether it is positive definite. By all lanes of a block, with a barrier
+    before and after; on a GPU by ``lanes_for_inverse`` of them or more."""
     ...
 
 

@@ -223,8 +223,7 @@ class GrowingList:
         self._allocate(min(room, limit))
 
     def _allocate(self, rooms: int | np.ndarray) -> None:
-        """Give each environment room for a number of entries; what is listed and still fits
-        stays."""
+        """Give each environment room for ``rooms`` entries; what is listed and still fits stays."""
         self.rooms = np.broadcast_to(np.asarray(rooms, dtype=np.int64), self.counts.shape).copy()
         """Entries there is room for, int64, shape [env_count]."""
         self.capacity = int(self.rooms.sum())

@@ -129,7 +129,7 @@ def _update_row(
 
 @cache
 def _solve_kernel(room: int) -> Any:
-    """The kernel, with room for numbers in shared memory."""
+    """The kernel, with ``room`` numbers of shared memory."""
     address = address_of_tile(room)
 
     @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)

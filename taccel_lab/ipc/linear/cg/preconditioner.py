@@ -106,7 +106,7 @@ def _load_cluster(
 
 @cache
 def _inverse_kernel(room: int) -> Any:
-    """The kernel that inverts blocks, with room for numbers in shared memory."""
+    """The kernel that inverts blocks, with ``room`` numbers of shared memory."""
     address = address_of_tile(room)
 
     @wp.kernel(grid_stride=False, module="unique", enable_backward=False)

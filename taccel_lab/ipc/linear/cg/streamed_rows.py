@@ -35,7 +35,7 @@ def stages_of(device: wp.Device) -> int:
 
 
 def room_for_stream(lanes: int, stages: int) -> int:
-    """float64 numbers of shared memory for the stages of some lanes; 1 without any."""
+    """float64 numbers of shared memory for the stages of ``lanes`` lanes; 1 without any."""
     return max(1, lanes // 32 * stages * _STAGE_BYTES // 8)
 
 
@@ -45,7 +45,7 @@ class Stream:
 
     slices: its first slice, and the end.
     first: first of their entries, as in ``RowSlices.slices``; groups: how many groups of them.
-    memory: its shared memory, for a number of ``stages``.
+    memory: its shared memory; stages: how many it has room for.
     """
 
     slices: wp.vec2i

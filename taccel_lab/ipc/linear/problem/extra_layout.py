@@ -102,13 +102,13 @@ def pack_extra(
 
 @wp.func
 def segments_of(size: int, segment_length: int) -> int:
-    """Segments of a row by its entries."""
+    """Segments of a row of ``size`` entries."""
     return (size + segment_length - 1) // segment_length
 
 
 @wp.func
 def is_long(size: int, segment_length: int) -> bool:
-    """Whether the segments of rows of these lengths are longer than half of the most."""
+    """Whether the segments of a row of ``size`` entries are longer than half of the most."""
     return 2 * size > segment_length * segments_of(size, segment_length)
 
 

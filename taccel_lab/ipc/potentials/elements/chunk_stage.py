@@ -30,7 +30,7 @@ _SUM_SNIPPET = native("chunk_stage", "sum")
 
 
 def _filled(snippet: str, size: int, entries: int) -> str:
-    """A snippet for elements that contribute some entries of ``size`` doubles."""
+    """A snippet for elements that contribute ``entries`` entries of ``size`` doubles."""
     for name, number in (
         ("CHUNK", CHUNK),
         ("STRIDE", stage_stride(size, entries)),

@@ -251,7 +251,7 @@ class ElementSum(Potential):
         return self._blocks
 
     def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: int = 0) -> None:
-        """Launch over (environment, element), or over a number of lanes of each environment."""
+        """Launch over (environment, element), or over ``lanes`` of each environment."""
         launch(
             kernel,
             dim=(self.model.env_count, lanes or self.group.element_count),
