@@ -238,7 +238,8 @@ def _contact_report(folder: Path) -> dict[str, Any]:
     pairs = [
         (contact.circle, press.circle)
         for press, contact in zip(captures.presses, contacts, strict=True)
-        if press.circle is not None
+        # What a person has corrected was not detected.
+        if press.circle is not None and not press.checked
     ]
     if not pairs:
         raise InputError(f"{folder} holds no labels to compare with")

@@ -217,7 +217,7 @@ class Model(Summary):
         stays. Arrays of numpy are checked as those of a ``Material`` are; arrays that are on the
         model's device already, such as torch tensors of float64, are read there, and not checked
         for their values. Everything follows that a model built with these values would have: the
-        stiffness of the body's contacts, masses, weights, and damping.
+        stiffness of the body's contacts, masses, weights, and stress of Maxwell branches.
 
         Args:
             body: Name of a soft body, or of an affine one, which has density and mass only: its

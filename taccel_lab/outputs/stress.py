@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cauchy stress of soft bodies: sigma = P F^T / J, by element and averaged at nodes.
 
-Maxwell branches add g P(F_e) F_e^T / J with F_e = F F_v^-1 of the state (``maxwell``). Damping adds
-a stress that lasts as long as the strain changes, which is left out. A ten-node tet has one
-pressure and four quadrature points; its stress is the mean of these, by the volume that each now
-has. A node takes the mean of its elements by their volume [Zienkiewicz and Taylor 2000,
+Maxwell branches add g P(F_e) F_e^T / J with F_e = F F_v^-1 of the state (``maxwell``). A ten-node
+tet has one pressure and four quadrature points; its stress is the mean of these, by the volume that
+each now has. A node takes the mean of its elements by their volume [Zienkiewicz and Taylor 2000,
 sec. 14.2, averaging]. Linear tets with nu near 0.5 give pressures that alternate between
 elements: read those of nodes.
 """
