@@ -138,7 +138,7 @@ def without_labels(
 
 @dataclass(frozen=True)
 class CaptureSet:
-    """Presses of one ball on one sensor, checked when they were loaded."""
+    """Presses of one ball on one sensor, checked when they were loaded; none is a part of a set."""
 
     source: str
     sensor: str
@@ -155,8 +155,6 @@ class CaptureSet:
     """Names of the presses that the manifest holds out; None where it leaves that to the rule."""
 
     def __post_init__(self) -> None:
-        if not self.presses:
-            raise InputError(f"{self.source} holds no presses; at least one image is needed")
         names = [press.name for press in self.presses]
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
