@@ -71,13 +71,9 @@ def _sentence(result: NormalCalibration) -> str:
 def _depth_sentence(result: NormalCalibration) -> str:
     """The absolute error first, then the one that alignment leaves."""
     scores, absolute = result.heldout_means("used"), result.absolute_means()
-    text = ""
-    if absolute is not None:
-        text += (
-            f"Depths are off by {absolute['mae_mm']:.3f} mm of {absolute['wanted_mm']:.2f} mm "
-            "against the ball pressed into the stated pad, aligned on nothing; "
-        )
-    text += (
+    text = (
+        f"Depths are off by {absolute['mae_mm']:.3f} mm of {absolute['wanted_mm']:.2f} mm "
+        "against the ball pressed into the stated pad, aligned on nothing; "
         f"aligned on the circle by {scores['depth_mae_mm']:.3f} mm of {scores['depth_mm']:.2f} mm."
     )
     if result.synthetic is not None:
@@ -100,16 +96,15 @@ def _summary(result: NormalCalibration) -> Table:
         "depth_mae_mm": "depth aligned on the circle, mean absolute error [mm]",
         "depth_mm": "depth of the ball, mean [mm]",
     }
-    rows = [[label, used[key], given[key]] for key, label in labels.items()]
     absolute = result.absolute_means()
-    if absolute is not None:
-        rows += [
-            ["absolute depth, mean absolute error [mm]", absolute["mae_mm"], "-"],
-            ["deepest point, read less wanted [mm]", absolute["deepest_mm"], "-"],
-            ["deepest point, wanted [mm]", absolute["wanted_mm"], "-"],
-            ["heights within one standard deviation (68 %)", absolute["within_68"], "-"],
-            ["heights within two (95 %)", absolute["within_95"], "-"],
-        ]
+    rows = [
+        *([label, used[key], given[key]] for key, label in labels.items()),
+        ["absolute depth, mean absolute error [mm]", absolute["mae_mm"], "-"],
+        ["deepest point, read less wanted [mm]", absolute["deepest_mm"], "-"],
+        ["deepest point, wanted [mm]", absolute["wanted_mm"], "-"],
+        ["heights within one standard deviation (68 %)", absolute["within_68"], "-"],
+        ["heights within two (95 %)", absolute["within_95"], "-"],
+    ]
     return Table(
         "Held-out presses",
         ["figure", "in the circles used", "in the circles given"],
@@ -134,7 +129,7 @@ def _presses(result: NormalCalibration) -> Table:
             "mean [deg]": "used.mean_deg",
             "90 % [deg]": "used.p90_deg",
             "given circle [deg]": "given.mean_deg",
-            "depth [mm]": lambda item: float("nan") if item.depth is None else item.depth.mae_mm,
+            "depth [mm]": "depth.mae_mm",
             "aligned [mm]": "used.depth_mae_mm",
         },
     )

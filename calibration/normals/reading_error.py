@@ -86,7 +86,7 @@ def with_reading_errors(
     reading on synthetic presses, and what comes on top along the slopes on balls. Heights have a
     spread where there are synthetic presses; the length over which errors go together is
     the one with the narrowest band. ``depth_share`` is what all readings may be off by
-    (``ball_in_layer.depth_share``).
+    (``ball_surface.depth_share``).
     """
     drawn = all_errors(model, synthetic_presses, scene)
     captured = all_errors(model, balls, scene)

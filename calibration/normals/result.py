@@ -78,18 +78,16 @@ class NormalCalibration(ScoredFit[InverseFit]):
         """Whether there are figures of held-out presses."""
         return bool(in_figures(self.heldout))
 
-    def absolute_means(self) -> dict[str, float] | None:
-        """Mean absolute depth figures of the held-out presses that were read; None without a pad or
-        such presses."""
-        depths = [item.depth for item in in_figures(self.heldout) if item.depth is not None]
-        return mean_figures(depths) if depths else None
+    def absolute_means(self) -> dict[str, float]:
+        """Mean absolute depth figures of the held-out presses that were read."""
+        return mean_figures([item.depth for item in in_figures(self.heldout)])
 
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst first."""
         rows = [
             {
                 "name": item.name,
-                "depth": None if item.depth is None else asdict(item.depth),
+                "depth": asdict(item.depth),
                 "given": asdict(item.given),
                 "used": asdict(item.used),
             }
@@ -153,8 +151,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
         if self.has_scores:
             used = self.heldout_means("used")
             residuals |= {f"heldout_{key}": value for key, value in used.items()}
-            if (absolute := self.absolute_means()) is not None:
-                residuals["heldout_absolute_depth_mae_mm"] = absolute["mae_mm"]
+            residuals["heldout_absolute_depth_mae_mm"] = self.absolute_means()["mae_mm"]
             residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
             residuals["heldout_failures"] = float(len(self.failed))
             residuals["heldout_labels_rejected"] = float(len(self.rejected))

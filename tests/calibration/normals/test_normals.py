@@ -371,7 +371,6 @@ def test_every_stage_is_named_and_ends(
 
 def test_absolute_depths_of_held_out_balls_are_scored(synthetic: NormalCalibration) -> None:
     absolute = synthetic.absolute_means()
-    assert absolute is not None
     assert absolute["mae_mm"] < 0.04
     assert 0.6 < absolute["within_95"] <= 1.0
     figures = synthetic.figures()
