@@ -65,7 +65,7 @@ def _spread_tables(result: BackgroundCalibration) -> list[Table]:
     values = block.model_dump(exclude={"provenance"}, exclude_none=True)
     rows = [(k, *v) if isinstance(v, tuple) else (k, v, None, None) for k, v in values.items()]
     columns = ("quantity", "red or value", "green", "blue")
-    caption = "; ".join((f"Standard {block.provenance.method}"[9:], *block.provenance.remarks))
+    caption = "; ".join((block.provenance.method.capitalize(), *block.provenance.remarks))
     return [Table("Spread, from which sensors are drawn", columns, rows, caption=caption)]
 
 

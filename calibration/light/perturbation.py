@@ -17,10 +17,11 @@ import numpy as np
 from taccel_lab.calibration.light.drift import drift_spread, triple
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.result import calibrated
 from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
-from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
-from taccel_lab.report.remark import Remark, judge
+from taccel_lab.profile import PerturbationBlock, SensorProfile
+from taccel_lab.report.remark import Remark
 
 FEW = 5
 """Count of frames or units below which a standard deviation is off by a third or more."""
@@ -132,8 +133,8 @@ def perturbation_block(
     remarks = _remarks(0 if between_units else len(frames), unit_count)
     return PerturbationBlock(
         **values,
-        provenance=Provenance(
-            kind="calibrated",
+        provenance=calibrated(
+            remarks,
             method="standard deviation of the light (gain, offset, gradient against the mean "
             f"image, robust fit) between {'units' if between_units else 'frames'}; of scale, "
             "place, modulus and friction between units",
@@ -142,8 +143,6 @@ def perturbation_block(
             residuals={"light_fit_levels": float(np.mean(residuals)) if residuals else 0.0},
             spread=spread,
             valid_region={"sample_count": (float(count), float(count))},
-            verdict=judge(remarks).value,
-            remarks=tuple(remark.message for remark in remarks),
         ),
     )
 

@@ -103,7 +103,7 @@ def test_units_are_compared_by_what_was_measured() -> None:
     result = spread([], units)
     assert result.gain_rgb == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
     (remark,) = result.provenance.remarks
-    assert remark.startswith("3 units: each standard deviation is itself uncertain by 50%")
+    assert remark.startswith("warning: 3 units: each standard deviation is itself uncertain by 50%")
     assumed = spread_of_units([unit(b, e, ASSUMED) for b, e in ((1.0, 1e5), (1.1, 2e5))])
     assert not assumed.values
 
