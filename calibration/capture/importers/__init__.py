@@ -91,11 +91,15 @@ def detect_layout(source: Path | str) -> CaptureLayout:
             all.
     """
     source = _own_files_alone(Path(source))
-    folder = source if source.is_dir() else source.parent
     for layout in LAYOUTS.values():
         if layout in (markers.LAYOUT, plain.LAYOUT):
             for name, signs in PUBLISHED.items():
-                if all(next(folder.glob(sign), None) for sign in signs):
+                # Of one file its name tells alone: what lies beside it is not imported.
+                if (
+                    all(next(source.glob(sign), None) for sign in signs)
+                    if source.is_dir()
+                    else signs == [source.name]
+                ):
                     raise InputError(
                         f"{source} has {' and '.join(signs)}, as the published set {name}: add "
                         f"--layout {SCRIPTS}/{name}.py to taccel-lab capture import, or --layout "

@@ -38,6 +38,7 @@ from tests.calibration.capture.made_up_layouts import (
     plain,
     py3dcal,
     ruihangao,
+    rvsathu,
     source_of,
 )
 from tests.support.capture_sets import gel, press, spread_circles, write_image
@@ -221,6 +222,8 @@ def test_a_video_file_or_a_folder_with_some(tmp_path: Path) -> None:
     markers = load_capture_folder(out).markers
     assert markers is not None and [v.frame_count for v in markers.videos] == [3, 2]
     assert "no picture at rest is stated" in (out / "captures.toml").read_text()
+    rvsathu(video.parent)  # What lies beside a file does not tell its layout.
+    assert detect_layout(video).name == "markers"
 
 
 def test_files_of_the_same_name_in_two_folders_are_both_kept(tmp_path: Path) -> None:
