@@ -145,8 +145,6 @@ def force_table(
         InputError: A depth past the gel.
         SimulationError: A press that did not converge.
     """
-    # With the solver, which a calibration without records of forces need not load.
-
     depths = _depths(depth_range_mm)
     _require_depth(gel, depths[-1], depth_range_mm[1])
     nu = gel.material.poisson_ratio

@@ -21,8 +21,8 @@ class CalibrateAll(CalibrationFiles):
     """Fit every block that the captures allow and write one profile and one report.
 
     The captures are checked first (taccel-lab capture check). Then camera, scale, background,
-    color, normals, depth, markers, material and spread are fitted in this order. Blocks without
-    captures are skipped, and the report says what to capture. After a board on the gel the images
+    color, normals, depth, markers and material are fitted in this order. Blocks without captures
+    are skipped, and the report says what to capture. After a board on the gel the images
     are rectified; the maps are in the report. Finished blocks are kept in <report>_unfinished,
     where the same command continues after a crash. Exits with 1 when the captures of a block cannot
     be used.
