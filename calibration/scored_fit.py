@@ -38,7 +38,7 @@ class ScoredFit(BlockResult, Generic[FitType]):
     """Fit to all presses, once the held-out ones were scored; what a profile gets. None where no
     held-out press can be used."""
     split: PressSplit | None
-    """How the held-out presses were chosen; None where there are none."""
+    """How the held-out presses were chosen; None where the fit was given no set of them."""
     valid_region: dict[str, tuple[float, float]]
     """Range of contact positions, tilts and displacements in the presses of the last fit."""
     gel: GelThickness | None = None
