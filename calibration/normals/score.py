@@ -23,6 +23,7 @@ from taccel_lab.calibration.response.frame import CaptureScene, CircleSigma, Pre
 from taccel_lab.calibration.response.heldout import HeldoutFailure, HeldoutSet
 from taccel_lab.calibration.response.untouched_light import in_background_light
 from taccel_lab.calibration.result import in_figures
+from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
@@ -157,12 +158,17 @@ def read_heldout(
         sigma_px = circle_sigma_px
         if press.circle is not None:
             sigma_px = labels.sigma_px(circle_sigma_px)
-        image = in_background_light(captured.image.astype(np.float32), scene)
-        frame = replace(captured, image=image, circle_sigma_px=sigma_px)
+        try:
+            image = in_background_light(captured.image.astype(np.float32), scene)
+            frame = replace(captured, image=image, circle_sigma_px=sigma_px)
+            read = _read(model, frame, scene, False)
+        except InputError as error:
+            failures[press.name] = str(error)
+            continue
         found.append((press, frame))
         if not press.mislabelled:
             known = KnownPress.of_ball(frame, scene, rise_sigma_m=_rise_sigma_m(frame, scene))
-            errors.append(errors_of(model, known, scene, _read(model, frame, scene, False)))
+            errors.append(errors_of(model, known, scene, read))
     model = widened(model, [error for error in errors if error is not None])
     items = [
         score_heldout(

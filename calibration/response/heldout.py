@@ -63,8 +63,8 @@ class HeldoutSet:
             yield HeldoutFailure(name, "it was left out of the captures")
         for press in self.captures.presses:
             ball_mm = press.radius_mm or self.captures.ball_radius_mm
-            image = press.image()
             try:
+                image = press.image()
                 circle = place_heldout(press, image, self.captures, labels)
                 circle = circle.up_to_equator(ball_mm, self.captures.grid)
                 surface = self.surface_of(circle, ball_mm)

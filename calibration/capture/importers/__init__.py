@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import importlib.util
+import traceback
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -140,11 +143,34 @@ def script_layout(path: Path) -> CaptureLayout:
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"{path} does not exist; a layout's script is needed")
     script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    with _naming_lines_of(path):
+        spec.loader.exec_module(script)
     if not callable(getattr(script, "read", None)):
         raise InputError(f"{path} defines no read(source, options), which returns drafts")
+
+    def read(source: Path, options: ImportOptions) -> list[Draft]:
+        with _naming_lines_of(path):
+            drafts = list(script.read(source, options))
+        if not all(isinstance(draft, Draft) for draft in drafts):
+            raise InputError(f"{path}: read(source, options) returns a list of Draft alone")
+        return drafts
+
     title = (script.__doc__ or "a layout of your own").strip().splitlines()[0]
-    return CaptureLayout(path.stem, title, lambda source: True, script.read)
+    return CaptureLayout(path.stem, title, lambda source: True, read)
+
+
+@contextmanager
+def _naming_lines_of(path: Path) -> Iterator[None]:
+    """Turn what goes wrong in a script into an InputError with its line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+        at = f", line {lines[-1]}" if lines else ""
+        raise InputError(f"{path}{at}: {type(error).__name__}: {error}") from error
 
 
 def read_drafts(

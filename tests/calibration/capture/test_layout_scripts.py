@@ -78,6 +78,10 @@ def test_links_out_of_the_source_are_not_followed(bench: Path, tmp_path: Path, r
         (None, "mine.py does not exist"),
         ("read = 1", "mine.py defines no read(source, options)"),
         ("def read(source, options): return []", "is not of the layout mine: a layout of your own"),
+        ("def read(source, options): return [1]", "mine.py: read(source, options) returns a list"),
+        ("def read(source, options):\n    return 1 / 0", "mine.py, line 2: ZeroDivisionError: "),
+        ("def read(source, options", "mine.py: SyntaxError: "),
+        ("import nothing_of_this_name", "mine.py, line 1: ModuleNotFoundError: "),
     ],
 )
 def test_faulty_scripts(tmp_path: Path, text: str | None, words: str) -> None:
