@@ -105,7 +105,7 @@ def detect_layout(source: Path | str) -> CaptureLayout:
                 ):
                     raise InputError(
                         f"{source} has {' and '.join(signs)}, as the published set {name}: add "
-                        f"--layout {SCRIPTS}/{name}.py to taccel-lab capture import, or --layout "
+                        f"--layout {SCRIPTS}/{name}.py, a file of the repository, or --layout "
                         f"{plain.LAYOUT.name} where all of its images are of one ball"
                     )
         if layout.recognises(source):
