@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from taccel_lab.files.example_file import file_or_example
 from taccel_lab.files.text_file import read_text
 from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
 from taccel_lab.model.devices import require_device
@@ -54,7 +55,7 @@ def study(
     The same call goes on with a study that was stopped.
 
     Args:
-        file: TOML, see docs/studies.md.
+        file: TOML, see docs/studies.md; or the name of an example.
         out: Folder of the study, new or begun; ``out/NAME-OF-THE-FILE`` when None.
         processes: How many; the file's, or one a core, when None. 0 works in this process.
         device: Of the solver; the file's when None.
@@ -65,7 +66,8 @@ def study(
     Raises:
         InputError: A file or a folder that cannot be used.
     """
-    root = Path("out") / Path(file).stem if out is None else Path(out)
+    file = file_or_example(Path(file), "studies")
+    root = Path("out") / file.stem if out is None else Path(out)
     outcome = evaluate_study(
         plan_study(file, accuracy), file, root,
         processes=processes, device=device, limit=limit, listener=listener,

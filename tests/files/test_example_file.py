@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import taccel_lab
 from taccel_lab.errors import InputError
 from taccel_lab.files.example_file import file_or_example
 
@@ -47,3 +48,8 @@ def test_a_wrong_name_lists_the_examples(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"mini_touch does not exist.*known: force_mini, mini_to"):
         file_or_example(Path("mini_touch"), "datasets")
+
+
+def test_scripts_name_examples_as_commands_do(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no example has that name; known: .*softest_gel"):
+        taccel_lab.study("softest_gal", tmp_path)
