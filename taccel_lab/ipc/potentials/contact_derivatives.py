@@ -104,18 +104,17 @@ class Rubbing:
 
 
 @wp.func
-def combined(weights: wp.vec4d, rows: mat43d) -> wp.vec3d:
+def _combined(weights: wp.vec4d, rows: mat43d) -> wp.vec3d:
     return combine(weights, rows[0], rows[1], rows[2], rows[3])
 
 
 @wp.func
-def rows_at(env: int, nodes: wp.vec4i, vectors: wp.array2d(dtype=wp.vec3d)) -> mat43d:
-    """Nodal vectors of a stencil, row i of node i."""
+def _nodes_at(env: int, nodes: wp.vec4i, positions: wp.array2d(dtype=wp.vec3d)) -> mat43d:
     return wp.matrix_from_rows(
-        vectors[env, nodes[0]],
-        vectors[env, nodes[1]],
-        vectors[env, nodes[2]],
-        vectors[env, nodes[3]],
+        positions[env, nodes[0]],
+        positions[env, nodes[1]],
+        positions[env, nodes[2]],
+        positions[env, nodes[3]],
     )
 
 
@@ -124,7 +123,7 @@ def pair_change(kind: int, pair: ClosestPair, x: mat43d, moved: mat43d) -> PairC
     """Change of a pair at the positions ``x`` whose nodes move by ``moved`` [m]."""
     c = PairChange()
     n = pair_normal(pair)
-    relative = combined(pair.weights, moved)
+    relative = _combined(pair.weights, moved)
     c.distance = wp.dot(n, relative)
     # The normal of a plane stays, whatever the distance is.
     if kind != 4:
@@ -132,12 +131,12 @@ def pair_change(kind: int, pair: ClosestPair, x: mat43d, moved: mat43d) -> PairC
         distance = wp.sqrt(pair.distance_sq)
         if pair.free_count > 0:
             t = wp.vec3d(frame.axes[0, 1], frame.axes[1, 1], frame.axes[2, 1])
-            slid = -(wp.dot(t, relative) + distance * wp.dot(n, combined(frame.slide_1, moved)))
+            slid = -(wp.dot(t, relative) + distance * wp.dot(n, _combined(frame.slide_1, moved)))
             c.weights += slid * frame.slide_1
             relative += slid * t
         if pair.free_count > 1:
             t = wp.vec3d(frame.axes[0, 2], frame.axes[1, 2], frame.axes[2, 2])
-            slid = -(wp.dot(t, relative) + distance * wp.dot(n, combined(frame.slide_2, moved)))
+            slid = -(wp.dot(t, relative) + distance * wp.dot(n, _combined(frame.slide_2, moved)))
             c.weights += slid * frame.slide_2
             relative += slid * t
         c.normal = tangential(n, relative) / distance
@@ -175,7 +174,7 @@ def rubbing(
     k = lists.stiffnesses[at]
     reach = lists.ranges[at]
     threshold = lists.thresholds[at]
-    x = rows_at(env, nodes, motion.positions)
+    x = _nodes_at(env, nodes, motion.positions)
     pair = closest_pair(env, kind, nodes, motion.positions, geometry)
     c = pair_change(kind, pair, x, by.now)
     gap = collision_gap(pair, nodes, lists.insets[at], geometry)
@@ -191,9 +190,9 @@ def rubbing(
         more = m * more - e1 * m1 * (turned - cross_sq / threshold * by.threshold)
         pressed = m * pressed
     n = pair_normal(pair)
-    since = x - rows_at(env, nodes, motion.previous)
-    u = combined(pair.weights, since)
-    du = combined(c.weights, since) + combined(pair.weights, by.now - by.before)
+    since = x - _nodes_at(env, nodes, motion.previous)
+    u = _combined(pair.weights, since)
+    du = _combined(c.weights, since) + _combined(pair.weights, by.now - by.before)
     if motion.node_is_ball[nodes[0]] != 0:
         body = motion.node_bodies[nodes[0]] - motion.first_kinematic
         turn = wp.transform_get_rotation(motion.poses[env, body]) * wp.quat_inverse(
@@ -208,7 +207,7 @@ def rubbing(
         du -= wp.cross(by.turn_before, back)
     else:
         old = closest_pair(env, kind, nodes, motion.previous, geometry)
-        then = rows_at(env, nodes, motion.previous)
+        then = _nodes_at(env, nodes, motion.previous)
         old_change = pair_change(kind, old, then, by.before)
         along = wp.dot(u, n)
         lengthened = wp.dot(du, n) + wp.dot(u, c.normal)
@@ -244,7 +243,7 @@ def barrier_change(
     k = lists.stiffnesses[at]
     reach = lists.ranges[at]
     threshold = lists.thresholds[at]
-    x = rows_at(env, nodes, positions)
+    x = _nodes_at(env, nodes, positions)
     pair = closest_pair(env, kind, nodes, positions, geometry)
     d = collision_gap(pair, nodes, lists.insets[at], geometry)
     e0 = contact_potential(d, reach, k)
@@ -335,7 +334,7 @@ def _slopes_kernel(
             rows += pair_friction[env % pair_friction.shape[0], first, second] * friction.rows
             per_friction[entry] = friction.rows
             if motion.node_is_ball[nodes[0]] == 0:
-                then = rows_at(env, nodes, motion.previous)
+                then = _nodes_at(env, nodes, motion.previous)
                 kinks[entry] = int(over_a_border(lists.kinds[at], then))
         forces[entry] = rows
 
