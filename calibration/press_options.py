@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+UNTOUCHED_RADII = 2.5
+"""Contact radii from a contact's centre beyond which the gel is at rest, as far as colour tells."""
+
 ThicknessMode = Literal["auto", "fit"]
 """``auto`` keeps a thickness that somebody measured; ``fit`` fits it whatever is stated."""
 

@@ -12,13 +12,12 @@ import numpy as np
 
 from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.capture.split import PressSplit, split_presses
+from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
 EQUATOR_SLACK = 1.03
 """A contact may look larger than the ball by this factor: circles are off by a pixel or two."""
-UNTOUCHED_RADII = 2.5
-"""Contact radii from a contact's centre beyond which the gel is at rest, as far as colour tells."""
 FAR_SHARE = 0.1
 """Share of a picture that is taken as far from a contact at least."""
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
-from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.seed import require_seed
 from taccel_lab.networks.color_settings import INPUT_NAMES

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import (
     WHOLE,
     CaptureScene,

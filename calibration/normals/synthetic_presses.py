@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
 from taccel_lab.calibration.circles.ball_surface import slope_of
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer, press_in_view
 from taccel_lab.calibration.normals.random_tools import draw_tool
 from taccel_lab.calibration.normals.samples import KnownPress, NormalSamples
+from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, counted, silent

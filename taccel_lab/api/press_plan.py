@@ -129,7 +129,7 @@ class PressPlan:
     def write_scene(self, folder: Path, call: Call = at_once) -> Path:
         """Draw what is about to be pressed, which compiles nothing; returns the picture, which is
         there when ``call`` is done."""
-        from taccel_lab.studies.report.press_picture import SCENE, draw_scene
+        from taccel_lab.api.press_picture import SCENE, draw_scene
 
         path, gel, family = folder / SCENE, self.gel, profile_sensor(self.profile)
         at_mm, aim = self.options.at_mm, self.options.aim()

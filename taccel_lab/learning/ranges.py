@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.bodies.bodies import combined_friction
 from taccel_lab.errors import InputError
-from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.scene import Scene
 
 if TYPE_CHECKING:
@@ -59,6 +58,9 @@ def sensor_ranges(
         InputError: The profile states no spread of what is listed of its gels, and no range is
             given; or as of ``ranges_of``.
     """
+    # Profiles need pydantic, which the machines of a cluster may lack.
+    from taccel_lab.presses.force_interval import measured_ranges
+
     check_given(given, {item.what for item in listed} | {"poisson_ratio", "young_modulus_pa"})
     stated = measured_ranges(sensor)
     bodies = {body.name: body for body in scene.bodies}

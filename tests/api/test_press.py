@@ -141,7 +141,7 @@ def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "height_map.png").exists()
 
 
-@pytest.mark.parametrize("module", ["studies.press_picture", "report.figures", "sensors.profile"])
+@pytest.mark.parametrize("module", ["api.press_picture", "report.figures", "sensors.profile"])
 def test_what_draws_loads_no_solver(module: str) -> None:
     assert loaded_by(f"import taccel_lab.{module}", (*HEAVY, *DRAWING, "warp", "scipy")) == "set()"
 

@@ -62,7 +62,8 @@ def quick_color(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
-    monkeypatch.setattr(import_module(block_named(name).verb.__module__), f"calibrate_{name}", fit)
+    module = import_module(f"taccel_lab.calibration.{block_named(name).fitted_in}")
+    monkeypatch.setattr(module, f"calibrate_{name}", fit)
 
 
 def test_every_block_is_checked_for() -> None:

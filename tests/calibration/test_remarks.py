@@ -80,7 +80,7 @@ def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path)
     profile = calibrate(out, only=["background"]).profile
     save_profile(profile, tmp_path / "profile")
     (session,) = load_profile(tmp_path / "profile").sensor.recorded
-    assert session.blocks == ("background",)
+    assert session.blocks == ("background", "perturbation")
     assert session.camera == str(path) and session.source == "bench 2, by Ada"
     assert session.controls["exposure"] == "as it was recorded"
     assert session.left_out == QUICK_LEAVES_OUT
@@ -89,7 +89,7 @@ def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path)
     page = profile_page(profile)
     (table,) = [table for table in page.tables if table.title == "Recordings"]
     told = {row[0]: row[1] for row in table.rows}
-    assert told["camera"] == str(path) and told["blocks"] == "background"
+    assert told["camera"] == str(path) and told["blocks"] == "background, perturbation"
     assert [row[1] for row in table.rows if row[0] == "left out"] == list(QUICK_LEAVES_OUT)
 
     # Another session's background takes the block over; what nobody recorded says nothing.
