@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scripts of layouts: one of one's own is read as it says, and faults of it are told."""
+"""Scripts of layouts: what your own script states is imported; its faults name their line."""
 
 from __future__ import annotations
 
