@@ -28,7 +28,6 @@ from taccel_lab.cad.mesh.focus import MIN_FOCUS_EDGE_MM, FocusOptions
 from taccel_lab.cad.mesh.grid import grid_of, plan_quads
 from taccel_lab.cad.mesh.template import (
     Template,
-    check_range,
     check_unfolded,
     columns_mm,
     level_fractions,
@@ -38,6 +37,7 @@ from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.meridian import Piece
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.guards import require_range
 
 EVEN_DEG, FOCUSED_DEG = 11.5, 3.0
 """Tets with a smaller dihedral angle are smoothed [deg]; cells far from a contact may be flat."""
@@ -96,7 +96,7 @@ def even_dome_mesh(pad: DomePad, edge_mm: float) -> TetMesh:
     All borders of regions are exact circles of nodes.
     """
     low, high = _EDGE_BOUNDS_MM
-    check_range("edge_mm", edge_mm, low, min(high, pad.cap_radius_mm / 2))
+    require_range("edge_mm", edge_mm, low, min(high, pad.cap_radius_mm / 2))
     if isinstance(pad, ShellDomePad):
         counts = _even_shell_counts(pad, edge_mm)
         window_angle = pad.window_angle if pad.window_deg else None

@@ -9,8 +9,8 @@ import numpy as np
 
 from taccel_lab.cad.mesh.contact_plan import ContactOutline
 from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
-from taccel_lab.cad.mesh.template import check_range
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 
 MIN_FOCUS_EDGE_MM = 1.5
 """Least distance along the contact face between a contact and its edge [mm]."""
@@ -50,12 +50,12 @@ class FocusOptions:
             raise InputError(f"core = {self.core} is odd; use an even number: its corners match")
         if np.shape(self.at_mm) != (2,) or not np.isfinite(self.at_mm).all():
             raise InputError(f"at_mm = {self.at_mm!r} is not a pair of numbers (x, y) in mm")
-        check_range("layer_ratio", self.layer_ratio, 1.0, 4.0)
+        require_range("layer_ratio", self.layer_ratio, 1.0, 4.0)
 
     def check_size(self, largest_mm: float) -> None:
         """Raise InputError for a fine part that is larger than the contact face or has no cells."""
-        check_range("radius_mm", self.radius_mm, 0.05, largest_mm)
-        check_range("size_mm", self.size_mm, 0.01, self.radius_mm)
+        require_range("radius_mm", self.radius_mm, 0.05, largest_mm)
+        require_range("size_mm", self.size_mm, 0.01, self.radius_mm)
 
 
 def graded_rings(

@@ -20,7 +20,6 @@ from taccel_lab.cad.mesh.pad_plan_even import EvenPlan, even_plan
 from taccel_lab.cad.mesh.pad_plan_focused import focus_plan, rim_distances_mm, rim_rings
 from taccel_lab.cad.mesh.template import (
     Template,
-    check_range,
     check_unfolded,
     columns_mm,
     level_fractions,
@@ -30,6 +29,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.guards import require_range
 
 EVEN_DEG, FOCUSED_DEG = 12.0, 1.0
 """Tets with a smaller dihedral angle are smoothed [deg]; cells far from a contact may be flat."""
@@ -51,7 +51,7 @@ def even_pad_mesh(pad: HeightPad, edge_mm: float, counts_of: HeightPad | None = 
     """
     sized = pad if counts_of is None else counts_of
     largest = min(sized.thickness_mm, sized.window_x_mm / 2, sized.window_y_mm / 2)
-    check_range("edge_mm", edge_mm, 0.2, largest)
+    require_range("edge_mm", edge_mm, 0.2, largest)
     counts = even_counts(sized, edge_mm)
     template = _template(counts, mirrored=True)
     plan = even_plan(pad, counts)

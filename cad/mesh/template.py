@@ -8,7 +8,6 @@ press differ only in their counts and in where a plan puts its nodes.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,9 +120,3 @@ def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
             f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; with a focus, move it away from the "
             "edge or make its radius smaller; without one, make the window or edge_mm smaller"
         )
-
-
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Raise InputError with the allowed values unless low <= value <= high."""
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(f"{name} = {value!r} is not allowed; use {low:g} to {high:g}")

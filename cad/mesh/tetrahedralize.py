@@ -27,7 +27,6 @@ from taccel_lab.cad.mesh.quality import (
     measure_quality,
 )
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
-from taccel_lab.cad.mesh.template import check_range
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
@@ -36,6 +35,7 @@ from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.guards import require_range
 
 RECIPE = "tetwild-3"
 """Changes with the method, so that meshes of an older one are not taken for it."""
@@ -138,7 +138,7 @@ def _best(
 ) -> TetMesh:
     extents = np.ptp(given.surface.vertices_mm, axis=0)
     low, high = EDGE_BOUNDS_MM[0], min(EDGE_BOUNDS_MM[1], float(extents.max()) / 2)
-    check_range("edge_mm", edge_mm, low, high)
+    require_range("edge_mm", edge_mm, low, high)
     # Regular tets of this edge that fill the part.
     count = 6 * math.sqrt(2) * abs(given.surface.volume_mm3()) / edge_mm**3
     if count > MAX_TETS:
@@ -152,7 +152,7 @@ def _best(
     if epsilon is None:
         wanted = 0.5 * gate.max_hausdorff_mm / float(np.linalg.norm(extents))
         epsilon = float(np.clip(wanted, smallest, largest))
-    check_range("epsilon", epsilon, smallest, largest)
+    require_range("epsilon", epsilon, smallest, largest)
 
     def build() -> TetMesh:
         return _build(given, edge_mm, epsilon, gate, measure, layered, picture_folder)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.networks.answers import QUESTIONS, forward, require_answers
 from taccel_lab.networks.position_encoding import encode_position, require_bands
 from taccel_lab.networks.settings import (
@@ -18,7 +19,6 @@ from taccel_lab.networks.settings import (
     LEAST_SCALE,
     layer_shapes,
     reading_settings,
-    require_range,
     settings_dict,
 )
 
@@ -80,9 +80,9 @@ class ColorModelConfig:
         for name, mean, scale in zip(self.inputs, self.input_mean, self.input_scale, strict=True):
             reach = _MOST_DISPLACEMENT_MM if name == "displacement_mm" else 1.0
             low = 0.0 if name == "normal_z" else -reach
-            require_range("color model", f"input_mean of {name}", mean, low, reach)
-            require_range("color model", f"input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
-        require_range("color model", "output_scale", self.output_scale, 0.01, 1e4)
+            require_range(f"color model input_mean of {name}", mean, low, reach)
+            require_range(f"color model input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
+        require_range("color model output_scale", self.output_scale, 0.01, 1e4)
         require_bands("color model", self.position_bands)
 
     @property
@@ -127,7 +127,7 @@ def fitted_cone_deg(valid_region: Mapping[str, tuple[float, float]]) -> float:
 
 def require_cone(cone_deg: float) -> None:
     """Refuse a tilt that no normal of a surface has."""
-    require_range("color model", STEEPEST, cone_deg, LEAST_CONE_DEG, UPRIGHT_DEG)
+    require_range(f"color model {STEEPEST}", cone_deg, LEAST_CONE_DEG, UPRIGHT_DEG)
 
 
 def pixel_uv(config: ColorModelConfig, pixel_idx: np.ndarray) -> np.ndarray:

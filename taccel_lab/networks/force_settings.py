@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.networks.settings import reading_settings, require_range, settings_dict
+from taccel_lab.guards import require_range
+from taccel_lab.networks.settings import reading_settings, settings_dict
 
 TARGETS = ("fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm", "area_mm2")
 """What has a standard deviation, in order: force, moment about the gel's origin, area."""
@@ -94,11 +95,11 @@ class ForceModelConfig:
         self._check_scales()
         if not 0 < self.young_modulus_pa < math.inf:
             raise InputError("force model young_modulus_pa must be positive")
-        require_range("force model", "stiffness_relative", self.stiffness_relative, 0.0, 10.0)
-        require_range("force model", "marker_reach_mm", self.marker_reach_mm, 0.01, 100.0)
-        require_range("force model", "sigma_factor", self.sigma_factor, 0.02, 50.0)
+        require_range("force model stiffness_relative", self.stiffness_relative, 0.0, 10.0)
+        require_range("force model marker_reach_mm", self.marker_reach_mm, 0.01, 100.0)
+        require_range("force model sigma_factor", self.sigma_factor, 0.02, 50.0)
         limits = [limit for limit in self.distance_limits if limit < math.inf]
-        require_range("force model", "distance_limits", limits, 0.05, 300.0)
+        require_range("force model distance_limits", limits, 0.05, 300.0)
 
     def _check_scales(self) -> None:
         """Spreads and largest values that a gel's forces can have, and that belong together."""
@@ -108,12 +109,12 @@ class ForceModelConfig:
             ("target_scale of moments [N mm]", moments, 0.01 * max(forces), 200.0 * max(forces)),
             ("target_scale of the area [mm2]", (area,), 0.01, 1e4),
         ):
-            require_range("force model", name, values, low, high)
+            require_range(f"force model {name}", values, low, high)
         patches = 10 * self.rows * self.columns
         for k, axis in enumerate("xyz"):
             name = f"patch_scale_n of {axis}"
             patch_n = self.patch_scale_n[k]
-            require_range("force model", name, patch_n, forces[k] / patches, 10 * forces[k])
+            require_range(f"force model {name}", patch_n, forces[k] / patches, 10 * forces[k])
         for name, spread, most in (
             ("force along z", forces[2], self.most[0]),
             ("force along the face", min(forces[:2]), self.most[1]),
@@ -122,7 +123,7 @@ class ForceModelConfig:
         ):
             if math.isfinite(most):
                 name = f"largest {name} of the training"
-                require_range("force model", name, most, 0.1 * spread, 500.0 * spread)
+                require_range(f"force model {name}", most, 0.1 * spread, 500.0 * spread)
 
     @property
     def input_px(self) -> tuple[int, int]:

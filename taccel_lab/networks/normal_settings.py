@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.networks.answers import QUESTIONS, forward, require_answers
 from taccel_lab.networks.position_encoding import band_names, require_bands
 from taccel_lab.networks.settings import (
@@ -18,7 +19,6 @@ from taccel_lab.networks.settings import (
     LEAST_SCALE,
     layer_shapes,
     reading_settings,
-    require_range,
     settings_dict,
 )
 
@@ -95,7 +95,7 @@ class NormalModelConfig:
         for name, least in (("scales_px", 0.0), ("slope_scales_px", _LEAST_WINDOW_PX)):
             for scale in getattr(self, name):
                 if scale or least:  # 0 is the pixel itself.
-                    require_range("normal model", name, scale, _LEAST_WINDOW_PX, largest)
+                    require_range(f"normal model {name}", scale, _LEAST_WINDOW_PX, largest)
         require_bands("normal model", self.position_bands)
         for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
             values = getattr(self, name) or (default,) * self.input_count
@@ -109,8 +109,8 @@ class NormalModelConfig:
             of_color = k < self.varying_count or name.startswith("background")
             reach = MOST_UNITS if of_color else 1.0
             mean, scale = self.input_mean[k], self.input_scale[k]
-            require_range("normal model", f"input_mean of {name}", mean, -reach, reach)
-            require_range("normal model", f"input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
+            require_range(f"normal model input_mean of {name}", mean, -reach, reach)
+            require_range(f"normal model input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
         for name, low, high in (
             ("cone_deg", LEAST_CONE_DEG, 90.0),
             ("error_length_px", 0.0, largest),
@@ -121,7 +121,7 @@ class NormalModelConfig:
             ("radius95_sigmas", 1.0, 100.0),
             ("presses_px", -largest, 2 * largest),
         ):
-            require_range("normal model", name, getattr(self, name), low, high)
+            require_range(f"normal model {name}", getattr(self, name), low, high)
         if len(self.presses_px) % 3 or min(self.presses_px[2::3], default=0.0) < 0:
             raise InputError(
                 "normal model presses_px must hold columns, rows and radii, got "

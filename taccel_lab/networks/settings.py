@@ -43,15 +43,6 @@ def reading_settings(
         raise InputError(f"{model} settings hold a value of a wrong type: {error}") from None
 
 
-def require_range(
-    model: str, name: str, values: float | Sequence[float], low: float, high: float
-) -> None:
-    """Refuse numbers of a setting that lie outside low..high, or are none."""
-    for value in values if isinstance(values, Sequence) else (values,):
-        if not low <= value <= high:
-            raise InputError(f"{model} {name} must lie in {low:g}..{high:g}, got {value:g}")
-
-
 def layer_shapes(
     sizes: Sequence[tuple[int, int]], members: tuple[int, ...] = ()
 ) -> dict[str, tuple[int, ...]]:

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec.study_file import require_known
 
 _GENERIC = {
     "sphere": "a ball", "shear": "a ball", "release": "a ball", "places": "one ball",

@@ -15,6 +15,7 @@ from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import content_id
 from taccel_lab.files.text_file import shown
+from taccel_lab.guards import require_known
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.sensors.base import STIFFNESS, FamilyParameters, SensorFamily
@@ -23,7 +24,7 @@ from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.spec.axis import Axis, axis_of, grid_points, random_points, significant
 from taccel_lab.studies.spec.readings import press_of, readings, split_name
-from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec, require_known
+from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec
 
 EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken

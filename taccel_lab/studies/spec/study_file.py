@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,6 +28,7 @@ from taccel_lab.files.plain_values import first_repeated
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, describe_errors
 from taccel_lab.files.text_file import shown
 from taccel_lab.files.toml_file import read_toml
+from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
 from taccel_lab.studies.metrics.design_point import LOAD_N
@@ -393,16 +393,3 @@ def _with_hint(line: str, item: Any) -> str:
     if "allowed" not in line:
         line += f"; allowed: {', '.join(known)}"
     return line + nearest(str(place[-1]), known)
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`` (did you mean NAME?)`` for the most similar known name, or nothing."""
-    found = get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {found[0]}?)" if found else ""
-
-
-def require_known(what: str, name: str, known: Iterable[str]) -> None:
-    """Refuse an unknown name, with what is known and the nearest of it."""
-    known = list(known)
-    if name not in known:
-        raise InputError(f"no {what} {name!r}{nearest(name, known)}; known: {', '.join(known)}")

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Guards that word themselves: numbers within bounds, names that are known, shapes of arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+_LISTED = 12
+"""Most known names that a refusal lists; of more it gives the nearest alone."""
+
+
+def require_range(
+    name: str, values: float | Sequence[float], low: float, high: float, unit: str = ""
+) -> None:
+    """Refuse a number, or one of several, that is not finite or lies outside ``low``..``high``.
+
+    Raises InputError with the name, the bounds and the number.
+    """
+    for value in values if isinstance(values, Sequence) else (values,):
+        if math.isfinite(value) and low <= value <= high:
+            continue
+        unit = f" {unit}" if unit else ""
+        bounds = f"lie in [{low:g}, {high:g}]{unit}"
+        if math.isinf(high):
+            bounds = "be finite" if math.isinf(low) else f"be at least {low:g}{unit} and finite"
+        raise InputError(f"{name} must {bounds}, got {value:g}")
+
+
+def require_positive(name: str, value: float, unit: str = "") -> None:
+    """Refuse a number that is zero, negative or not finite. Raises InputError."""
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{name} must be positive and finite, got {value:g}{unit and f' {unit}'}")
+
+
+def require_known(what: str, name: str, known: Iterable[str]) -> None:
+    """Refuse a name that is not ``known``. Raises InputError with the nearest one."""
+    known = list(known)
+    if name in known:
+        return
+    meant = nearest(name, known)
+    words = f"; known: {', '.join(known)}" if known else "; there are none"
+    if meant and len(known) > _LISTED:
+        words = ""
+    raise InputError(f"no {what} {name!r}{meant}{words}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`` (did you mean NAME?)`` for the most similar known name, or nothing."""
+    found = get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f" (did you mean {found[0]}?)" if found else ""
+
+
+def require_shape(
+    name: str, array: Any, *shapes: tuple[int | str, ...], finite: bool = True
+) -> None:
+    """Refuse an array of none of the ``shapes``, a word in which stands for any length.
+
+    Raises InputError with the shapes and the one found, or that numbers are not finite.
+    """
+    found = np.shape(array)
+    if not any(
+        len(shape) == len(found)
+        and all(isinstance(a, str) or a == b for a, b in zip(shape, found, strict=True))
+        for shape in shapes
+    ):
+        allowed = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes)
+        raise InputError(f"{name} must have shape {allowed}, got {list(found)}")
+    if finite and not np.isfinite(array).all():
+        raise InputError(f"{name} holds NaN or infinite values")
