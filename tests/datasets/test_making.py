@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets import runner
@@ -355,6 +356,22 @@ def test_univtac(made: Path, tmp_path: Path) -> None:
         assert file["embodiment/ee"].shape == (len(rows), 7)
         assert (file["taccel_lab/wrench"][()] == data.read("wrench", rows)).all()
     assert len(json.loads((tmp_path / "uv" / "metadata.json").read_text())) == 6
+
+
+def test_univtac_has_the_poses_of_tools_that_lean(profile: Path, tmp_path: Path) -> None:
+    """Its quaternions begin with w."""
+    leaning = {"tool": "sphere:3", "tilt_deg": [4, 6], "yaw_deg": [30, 60]}
+    make(profile, tmp_path / "d", dataset={"episodes": 1}, objects=[leaning])
+    ours = Dataset(tmp_path / "d").read("tool_pose", slice(None))
+    export_univtac([tmp_path / "d"], tmp_path / "uv")
+    with h5py.File(tmp_path / "uv" / "hdf5" / "0.hdf5") as file:
+        theirs, still = file["embodiment/ee"][()], file["tactile/left_tactile/pose"][()]
+    assert theirs[:, :3] == pytest.approx(ours[:, :3], abs=1e-7)
+    turns = [Rotation.from_quat(q, scalar_first=first).as_rotvec() for q, first in
+             ((theirs[:, 3:], True), (ours[:, 3:], False))]  # fmt: skip
+    assert turns[0] == pytest.approx(turns[1], abs=1e-6)
+    assert np.linalg.norm(turns[1], axis=1).min() > np.radians(4)
+    assert Rotation.from_quat(still[:, 3:], scalar_first=True).magnitude().max() == 0
 
 
 def test_what_a_layout_needs_is_asked_for(made: Path, tmp_path: Path) -> None:

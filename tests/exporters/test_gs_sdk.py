@@ -99,3 +99,11 @@ def test_the_device_file(mini: SensorProfile, folder: Path) -> None:
     assert mini.background_rgb is not None
     bgr = np.asarray(cv2.imread(str(folder / "background.png")))
     assert np.abs(bgr[..., ::-1] - mini.background_rgb).max() <= 0.5
+
+
+def test_pixels_of_two_scales_keep_the_area(mini: SensorProfile, tmp_path: Path) -> None:
+    """gs_sdk has one scale: that of square pixels of the same area."""
+    camera = mini.camera.replace(mm_per_px_y=1.3 * mini.camera.mm_per_px_x)
+    gs_sdk.export_gs_sdk(mini.with_block(camera), tmp_path, steps=1, samples=200)
+    device = yaml.safe_load((tmp_path / "device.yaml").read_text())
+    assert device["ppmm"] ** 2 == pytest.approx(camera.mm_per_px_x * camera.mm_per_px_y)

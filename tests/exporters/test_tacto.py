@@ -150,3 +150,20 @@ def test_the_angle_of_view_is_that_of_the_rows(mini: SensorProfile) -> None:
     )
     half_mm = 240 * camera.mm_per_px_y / 2
     assert np.tan(found.fov_y_rad / 2) == pytest.approx(half_mm / distance_mm)
+
+
+def test_lamps_keep_their_share_of_the_light(mini: SensorProfile, tmp_path: Path) -> None:
+    """Colour times intensity, as TACTO's renderer has it, is the lamp's light over the brightest
+    channel of all."""
+    assert mini.lights is not None
+    strengths = (0.25, 1.0, 0.6)
+    leds = tuple(
+        led.replace(rgb=tuple(np.array(led.rgb) * strength + 0.01))
+        for led, strength in zip(mini.lights.led, strengths, strict=True)
+    )
+    lit = mini.with_block(mini.lights.replace(led=leds))
+    lights = exported(lit, tmp_path / "out")["lights"]
+    shown = np.array(lights["colors"]) * np.array(lights["intensities"])[:, None]
+    given = np.array([led.rgb for led in leds])
+    np.testing.assert_allclose(shown, given / given.max(), rtol=1e-9)
+    assert np.ptp(lights["intensities"]) > 0.5

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.sensors.gelsight.family import GelSightParameters
-from taccel_lab.studies.metrics import METRICS, NoFigure
+from taccel_lab.studies.metrics import METRICS, NoFigure, surface
 from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm, dent_mm
 from taccel_lab.studies.metrics.shear import lost_part
-from taccel_lab.studies.metrics.surface import contrast, rise_width, sizes, variation
+from taccel_lab.studies.metrics.surface import RESOLVED, contrast, rise_width, sizes, variation
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.presses.standard import STANDARD_PRESSES
-from tests.studies.coarse_presses import down_record, sphere_on_gelsight
+from tests.studies.coarse_presses import down_record, fake_record, sphere_on_gelsight
 
 GELSIGHT = GelSightParameters()
 
@@ -172,3 +172,24 @@ def test_the_force_range_needs_two_steps() -> None:
     record = down_record([0.3], [0.4])
     with pytest.raises(NoFigure, match="one step alone"):
         figure("force_range", record)
+
+
+@pytest.mark.parametrize(("gap_mm", "floor"), [(0.05, True), (3.0, False)])
+def test_pins_count_as_resolved_from_two_pixels_on(
+    gap_mm: float, floor: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gel that keeps two dents apart at any distance is read by a camera that does not."""
+    apart = 2 * 0.05 + gap_mm
+
+    def two_dents(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        x = np.linspace(-half_mm, half_mm, 401)
+        return x, -np.exp(-(((np.abs(x) - apart / 2) / (apart / 8)) ** 2))
+
+    monkeypatch.setattr(surface, "profile_mm", two_dents)
+    record = fake_record(press="pairs", indenter=f"pins:0.05x{gap_mm}")
+    two_px = 2 * Evidence(GELSIGHT, {"pairs": [record]}).mm_per_px
+    between = RESOLVED * apart
+    assert figure("two_point_resolution", record) == pytest.approx(
+        two_px if floor else between, rel=1e-3
+    )
+    assert (between < two_px) == floor

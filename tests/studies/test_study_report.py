@@ -257,6 +257,9 @@ def test_bounds_are_kept_to_a_thousandth() -> None:
     assert not is_feasible(design("x", a=None, b=1), BOUNDS)
     assert not is_feasible(design("x", "failed", a=20, b=0), BOUNDS)
     assert violations(design("x", a=8, b=None), BOUNDS) == {"a": 2, "b": None}
+    small = [Constraint(metric="a", max=2e-4)]
+    assert is_feasible(design("x", a=2.001e-4), small)
+    assert not is_feasible(design("x", a=3e-4), small), "of a small bound, too"
 
 
 def test_the_nearest_design_is_measured_in_parts_of_the_bounds() -> None:
