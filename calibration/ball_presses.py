@@ -8,8 +8,6 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from taccel_lab.calibration.background.fit import calibrate_background
-from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     presses_on_camera,
@@ -33,11 +31,13 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import usable_circles
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light.background import calibrate_background
+from taccel_lab.calibration.light.background_result import BackgroundCalibration
+from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.response.heldout import HeldoutSet
 from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
-from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark

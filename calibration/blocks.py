@@ -74,10 +74,14 @@ class CalibrationBlock:
         options = allowed() if options is None else options
         return self.verb(folder, base, options, progress)
 
+    @property
+    def describe(self) -> Callable[..., Page]:
+        """Function that shows its result."""
+        return _loaded(f"{self.shown_in}:{self.name}_page")
+
     def page(self, result: BlockResult, folder: CaptureFolder) -> Page:
         """The result as a page; pictures are drawn when it is written."""
-        describe = _loaded(f"{self.shown_in}:{self.name}_page")
-        return describe(result, folder) if self.reads_folder else describe(result)
+        return self.describe(result, folder) if self.reads_folder else self.describe(result)
 
 
 def _loaded(name: str) -> Any:
@@ -91,9 +95,9 @@ BLOCKS = (
     CalibrationBlock("scale", "scale.fit", "scale.scale_page", reads_folder=True),
     CalibrationBlock(
         "background",
-        "background.fit",
-        "background.background_page",
-        "background.fit:BackgroundOptions",
+        "light.background",
+        "light.background_page",
+        "light.background:BackgroundOptions",
     ),
     CalibrationBlock("color", "color.fit", "color.color_page", "color.options:ColorOptions"),
     CalibrationBlock(

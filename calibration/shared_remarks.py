@@ -55,6 +55,12 @@ SCALE_DISAGREES = warning(
     graver=Severity.ERROR,
 )
 
+LIGHT_DRIFTS = warning(
+    "light_drifts",
+    "over {frame_count} frames the untouched gel changes by {changes} levels (standard deviation), "
+    "at most {largest:.0f}. {cause}",
+)
+
 # How images lie on the pad.
 PAD_TURNED = info(
     "pad_turned",

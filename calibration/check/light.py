@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.light.drift import drift_remarks
+from taccel_lab.calibration.drift import drift_remarks
 from taccel_lab.report.remark import Remark
 
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3

@@ -18,8 +18,7 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-import taccel_lab.calibration.circles
-import taccel_lab.calibration.light
+from taccel_lab.calibration import frame_light, light_drift, smoothing
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
@@ -133,9 +132,8 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 @cache
 def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
-    packages = (taccel_lab.calibration.circles, taccel_lab.calibration.light)
-    folders = [Path(str(package.__file__)).parent for package in packages]
-    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    light = (frame_light, light_drift, smoothing)
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(one.__file__) for one in light)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame, draw_pixels
 from taccel_lab.calibration.response.training import (
     arrays_of,

@@ -49,8 +49,8 @@ from taccel_lab.calibration.grey.remarks import (
     place_remarks,
 )
 from taccel_lab.calibration.grey.result import DepthCalibration, PressFigures
+from taccel_lab.calibration.light.thickness import TOUCH_MM
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
-from taccel_lab.calibration.thickness.fit import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma

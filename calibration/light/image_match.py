@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light_drift import LightDrift
 
 QUARTER = 0.25
 MOST_LEVELS = 12.0

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.calibration.light_drift import LightDrift
 
 SAME_PATTERN = 0.25
 """Part of the background's own variation that may be left once the light is alike, where both show

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.smoothing import smoothed
 
 MOST_PX = 3.0
 """Shift of a picture of 480 rows that readings bear: 9 px make a contact 47 % wider."""

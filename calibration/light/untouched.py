@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.frame_light import fit_light, without_light
 from taccel_lab.calibration.light.average import median_where_seen
-from taccel_lab.calibration.light.fit import fit_light, without_light
-from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.robust_spread import spread_of_lengths
+from taccel_lab.calibration.smoothing import smoothed
 from taccel_lab.errors import InputError
 
 TOUCHED_SIGMAS = 4.0

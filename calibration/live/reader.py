@@ -13,7 +13,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import TrackStatus

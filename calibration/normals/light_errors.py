@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import LUMA, DepthResponse
 from taccel_lab.signals.normal_model import NormalModel

@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 
 from taccel_lab.calibration.dots.dot_mask import DotMask
-from taccel_lab.calibration.light.fit import fit_light, fit_press_light
+from taccel_lab.calibration.frame_light import fit_light, fit_press_light
 from taccel_lab.calibration.light.image_match import unlike
-from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.other_light import light_of_background
 from taccel_lab.calibration.light.pattern_shift import pattern_shift
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
 from taccel_lab.calibration.normals.touch import Touch, touch_of
 from taccel_lab.calibration.result import NORMAL_95

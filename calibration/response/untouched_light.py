@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.light.fit import PRIOR_SIGMA, enough_pixels, fit_press_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import PRIOR_SIGMA, enough_pixels, fit_press_light
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.response.evaluate import crop_slices
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 

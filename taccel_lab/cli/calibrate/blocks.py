@@ -19,7 +19,7 @@ from taccel_lab.cli.calibrate.base import BlockCommand
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.background.fit import BackgroundOptions
+    from taccel_lab.calibration.light.background import BackgroundOptions
     from taccel_lab.calibration.material.options import MaterialOptions
     from taccel_lab.profile import SensorProfile
 
@@ -43,7 +43,7 @@ class CalibrateBackground(BlockCommand):
     compared, too; the base counts as one when it is given."""
 
     def options(self, base: SensorProfile) -> BackgroundOptions:
-        from taccel_lab.calibration.background.fit import BackgroundOptions
+        from taccel_lab.calibration.light.background import BackgroundOptions
         from taccel_lab.profile import load_profile
 
         units = [load_profile(path) for path in self.units]

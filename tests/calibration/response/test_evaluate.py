@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.response.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.calibration.response.untouched_light import (

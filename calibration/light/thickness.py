@@ -23,10 +23,8 @@ from taccel_lab.calibration.circles.ball_surface import (
     deeper_per_mm,
     layer_of,
 )
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.pad import with_thickness
-from taccel_lab.calibration.press_options import ThicknessMode
-from taccel_lab.calibration.thickness.rings import (
+from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.calibration.light.thickness_rings import (
     STEPS,
     THICKEST_MM,
     BallImage,
@@ -34,6 +32,8 @@ from taccel_lab.calibration.thickness.rings import (
     RingEstimate,
     estimate_by_rings,
 )
+from taccel_lab.calibration.pad import with_thickness
+from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.errors import InputError
 from taccel_lab.profile import Provenance, SensorProfile
 from taccel_lab.sensors.registry import sensor_families, sensor_family

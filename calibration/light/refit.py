@@ -15,19 +15,19 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
+from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.calibration.light import remarks
 from taccel_lab.calibration.light.average import RunningMean
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
-from taccel_lab.calibration.pad import require_view_on_pad
-from taccel_lab.calibration.refit import remarks
-from taccel_lab.calibration.refit.frames import refit_frames
-from taccel_lab.calibration.refit.light_change import (
+from taccel_lab.calibration.light.light_change import (
     LightChange,
     LightChangeFit,
     RefitFrame,
     fit_light_change,
 )
-from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
+from taccel_lab.calibration.light.refit_frames import refit_frames
+from taccel_lab.calibration.light.refit_result import CHANNELS, FrameError, RefitCalibration
+from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
+from taccel_lab.calibration.pad import require_view_on_pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.remark import Remark

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.light.drift import DriftSpread
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.drift import DriftSpread
+from taccel_lab.calibration.light.dust import speck_count
 from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
+from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

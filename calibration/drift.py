@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.light.remarks import LIGHT_DRIFTS
+from taccel_lab.calibration.light_drift import LightDrift
+from taccel_lab.calibration.shared_remarks import LIGHT_DRIFTS
 from taccel_lab.report.remark import Remark
 
 NOTABLE_LEVELS = 2.0

@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
-from taccel_lab.calibration.refit.light_change import RefitFrame
+from taccel_lab.calibration.light.light_change import RefitFrame
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.background.dust import speck_count
-from taccel_lab.calibration.background.result import BackgroundCalibration
+from taccel_lab.calibration.light.background_result import BackgroundCalibration
+from taccel_lab.calibration.light.dust import speck_count
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import CHANNELS, new_figure

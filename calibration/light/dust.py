@@ -6,8 +6,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.smoothing import smoothed
 
 SPECK_SHARE = 1 / 60
 """Size below which something is a speck rather than a shade, as a part of the shorter side."""

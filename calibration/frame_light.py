@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import LightDrift, unit_position
-from taccel_lab.calibration.light.smoothing import smoothed
+from taccel_lab.calibration.light_drift import LightDrift, unit_position
 from taccel_lab.calibration.robust_spread import spread_of_lengths
+from taccel_lab.calibration.smoothing import smoothed
 from taccel_lab.errors import InputError
 
 SAMPLE_COUNT = 8000

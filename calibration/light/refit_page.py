@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
+from taccel_lab.calibration.light.refit_result import CHANNELS, FrameError, RefitCalibration
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, new_figure
