@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -17,12 +19,11 @@ from taccel_lab.calibration.base_profile import (
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.check.block_findings import (
+from taccel_lab.calibration.check.run import (
+    capture_check,
     capture_findings,
     refusing_with,
-    rejected_labels,
 )
-from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.circles.ball_surface import (
     BallSurface,
     ball_surface,
@@ -31,13 +32,14 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import usable_circles
+from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.light.background_result import BackgroundCalibration
 from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
-from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.press_options import BallPressOptions
-from taccel_lab.calibration.response.heldout import HeldoutSet
-from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
+from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.result import BlockResult
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -122,7 +124,7 @@ def ball_presses(
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         as_given = options.circles == "labels"
-        rejected = frozenset[str]() if as_given else rejected_labels(folder, progress)
+        rejected = frozenset[str]() if as_given else capture_check(folder, progress).rejected_labels
         kept = replace(folder, presses=without_labels(folder.presses, rejected))
         captures, profile = presses_on_camera(kept, base)
         split = captures.split(options.holdout_every)
@@ -218,3 +220,53 @@ def with_captured_background(
         inputs={"background": sha256},
     )
     return profile.with_block(BackgroundBlock(provenance=provenance), image)
+
+
+class Fit(Protocol):
+    """A fitted model."""
+
+    @property
+    def inputs(self) -> Mapping[str, str]:
+        """SHA-256 of the images it was fitted to, by name."""
+        ...
+
+
+FitType = TypeVar("FitType", bound=Fit)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ScoredFit(BlockResult, Generic[FitType]):
+    """A model that is fitted, scored on held-out presses, and then fitted to all of them."""
+
+    fit: FitType
+    """Fit to the training presses: all figures are of it."""
+    final: FitType | None
+    """Fit to all presses, once the held-out ones were scored; what a profile gets. None where no
+    held-out press can be used."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where the fit was given no set of them."""
+    valid_region: dict[str, tuple[float, float]]
+    """Range of contact positions, tilts and displacements in the presses of the last fit."""
+    gel: GelThickness | None = None
+    """What the presses say of the gel's thickness; None where it is known and they agree."""
+    untouched: Untouched | None = None
+    """What it was fitted against; that of the captures when None."""
+    remarks: tuple[Remark, ...] = ()
+    """What a person has to know before the model is used."""
+
+    @property
+    def last(self) -> FitType:
+        """What a profile gets."""
+        return self.final or self.fit
+
+    @property
+    def scored(self) -> Self:
+        """Result with the model that the figures are of alone."""
+        return self if self.final is None else replace(self, final=None)
+
+    @property
+    def then_fitted(self) -> str:
+        """What the last fit was made to, for the record; empty where there is none."""
+        if self.final is None:
+            return ""
+        return f"scored so, then fitted to all {len(self.final.inputs)} presses"

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The profile that a calibration starts from, and its pixel grid against that of the captures."""
+"""The profile that a calibration starts from, its pixel grid against that of the captures, and what
+it keeps of how these were recorded."""
 
 from __future__ import annotations
 
@@ -10,10 +11,11 @@ from pathlib import Path
 from taccel_lab.calibration.capture.captures import CaptureSet, check_place
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.pad import fitted_design, pixels_on_pad, require_view_on_pad
-from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
+from taccel_lab.calibration.shared_remarks import BLOCKS_DROPPED
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
+from taccel_lab.profile.schema import Session
 from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor
 from taccel_lab.sensors.profile_family import IMPORTED
@@ -186,3 +188,32 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
             y=new.mm_per_px_y,
         )
     ]
+
+
+FROM_CAPTURES = ("stated", "measured", "calibrated")
+"""Kinds of blocks that rest on captures; the others are the catalogue's."""
+
+
+def with_session(
+    before: SensorProfile | None, after: SensorProfile, folder: CaptureFolder
+) -> SensorProfile:
+    """Profile ``after`` with what ``folder`` says of its recording for the blocks that come from
+    it: those that differ from ``before`` (None: from the catalogue), whatever an earlier session
+    said."""
+    old = {} if before is None else before.blocks()
+    new = tuple(
+        key
+        for key, block in after.blocks().items()
+        if block.provenance.kind in FROM_CAPTURES and block != old.get(key)
+    )
+    sessions = []
+    for session in after.sensor.recorded:
+        left = tuple(key for key in session.blocks if key not in new)
+        if left:
+            sessions.append(session.model_copy(update={"blocks": left}))
+    if folder.recorded is not None and new:
+        stated = {**folder.recorded.model_dump(), "source": folder.provenance.get("source")}
+        sessions.append(Session.model_validate({**stated, "blocks": new}))
+    if tuple(sessions) == after.sensor.recorded:
+        return after
+    return after.with_block(after.sensor.replace(recorded=tuple(sessions)))

@@ -96,14 +96,14 @@ BLOCKS = (
     CalibrationBlock(
         "background",
         "light.background",
-        "light.background_page",
+        "light.background_result",
         "light.background:BackgroundOptions",
     ),
-    CalibrationBlock("color", "color.fit", "color.color_page", "color.options:ColorOptions"),
+    CalibrationBlock("color", "color.fit", "color.color_page", "press_options:ColorOptions"),
     CalibrationBlock(
-        "normals", "normals.fit", "normals.normals_page", "normals.options:NormalOptions"
+        "normals", "normals.fit", "normals.normals_page", "press_options:NormalOptions"
     ),
-    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "grey.options:DepthOptions"),
+    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "press_options:DepthOptions"),
     CalibrationBlock("markers", "markers.fit", "markers.markers_page"),
     CalibrationBlock(
         "material", "material.fit", "material.material_page", "material.options:MaterialOptions"

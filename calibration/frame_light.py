@@ -1,22 +1,114 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of one frame's light against the background.
+"""The light of a frame against that of the background: gain, offset and a linear gradient.
 
-Contacts and shadows are outliers of the light's law: the fit is an iteratively reweighted least
-squares with Tukey's biweight (J. W. Tukey and A. E. Beaton, Technometrics 16, 1974) on the distance
-over all channels, so that nobody has to say where the contact is. What a flat background cannot
-tell is held by a weak prior at "no change".
+Ageing lamps, a warm camera and above all automatic white balance change every frame a little. In a
+frame without contact each channel follows ``frame = gain * background + offset + gradient``, the
+gradient being linear over the image.
+
+Contacts and shadows are outliers of that law: the fit is an iteratively reweighted least squares
+with Tukey's biweight (J. W. Tukey and A. E. Beaton, Technometrics 16, 1974) on the distance over
+all channels, so that nobody has to say where the contact is. What a flat background cannot tell is
+held by a weak prior at "no change".
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
-from taccel_lab.calibration.light_drift import LightDrift, unit_position
-from taccel_lab.calibration.robust_spread import spread_of_lengths
-from taccel_lab.calibration.smoothing import smoothed
+from taccel_lab.calibration.robust_fit import spread_of_lengths
+from taccel_lab.calibration.shared_remarks import LIGHT_DRIFTS
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
+
+
+@dataclass(frozen=True)
+class LightDrift:
+    """Light of an image against another's: ``image = gain * other + offset + gradient``."""
+
+    gain: np.ndarray
+    """Gain of each channel, shape [3]."""
+    offset: np.ndarray
+    """Offset of each channel [levels], shape [3]."""
+    gradient: np.ndarray = field(default_factory=lambda: np.zeros((3, 2)))
+    """Change from the middle to the right and to the lower border [levels], shape [3, 2]."""
+    noise_levels: float = 0.0
+    """Robust standard deviation of what is left of the smoothed frame, a channel [levels]; 0 when
+    not estimated."""
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 4, 4)))
+    """Covariance of gain, of the offset at ``level`` [levels], and of the gradient's two parts
+    [levels], shape [3, 4, 4]; zero where nothing was fitted."""
+    level: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """Mean level of each channel that the gain turns about [levels], shape [3]."""
+
+    def apply(self, image: np.ndarray) -> np.ndarray:
+        """The background (or a render on it) as the frame's light would show it.
+
+        A gradient needs a whole image, shape [height_px, width_px, 3].
+        """
+        return image * self.gain + self.offset + self._plane(image)
+
+    def remove(self, image: np.ndarray) -> np.ndarray:
+        """The frame as the background's light would show it."""
+        return (image - self.offset - self._plane(image)) / self.gain
+
+    def shift(self, level: np.ndarray) -> np.ndarray:
+        """Change of a channel of this ``level`` in the middle of the image [levels], shape [3]."""
+        return (self.gain - 1) * level + self.offset
+
+    def at(self, pixel_idx: np.ndarray, height_px: int, width_px: int) -> LightDrift:
+        """The same for some pixels of an image, counted along rows, shape [n]: the gradient there
+        is part of ``offset``, shape [n, 3]."""
+        u, v = unit_position(height_px, width_px)
+        rows, columns = np.divmod(pixel_idx, width_px)
+        there = u[0, columns, None] * self.gradient[:, 0] + v[rows, 0, None] * self.gradient[:, 1]
+        return LightDrift(self.gain, self.offset + there, noise_levels=self.noise_levels)
+
+    def terms(self, background: np.ndarray) -> np.ndarray:
+        """What a unit of each parameter adds to each channel of an untouched frame, in the order of
+        ``covariance``, shape [4, height_px, width_px, 3]."""
+        u, v = unit_position(*background.shape[:2])
+        found = np.empty((4, *background.shape))
+        found[0] = background - self.level
+        found[1], found[2], found[3] = 1.0, u[..., None], v[..., None]
+        return found
+
+    def covariance_at(self, level: np.ndarray) -> np.ndarray:
+        """``covariance`` with the offset taken at another ``level`` of the channels, [3, 4, 4]."""
+        moved = np.tile(np.eye(4), (3, 1, 1))
+        moved[:, 1, 0] = level - self.level
+        return moved @ self.covariance @ moved.transpose(0, 2, 1)
+
+    def _plane(self, image: np.ndarray) -> np.ndarray | float:
+        if not self.gradient.any():
+            return 0.0
+        if image.ndim != 3:
+            raise InputError(f"a drift with a gradient needs a whole image, got {image.shape}")
+        u, v = unit_position(image.shape[0], image.shape[1])
+        return u[..., None] * self.gradient[:, 0] + v[..., None] * self.gradient[:, 1]
+
+
+def unit_position(height_px: int, width_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """-1..1 over the columns [1, width_px] and over the rows [height_px, 1]."""
+    return np.linspace(-1, 1, width_px)[None, :], np.linspace(-1, 1, height_px)[:, None]
+
+
+def smoothed(image: np.ndarray, mask: np.ndarray | None, sigma_px: float) -> np.ndarray:
+    """Gaussian mean [sigma_px] over the usable pixels only, float32, same shape as ``image``.
+
+    Where no usable pixel is near, the value is 0.
+    """
+    if mask is None or mask.all():
+        return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma_px)
+    weight = mask.astype(np.float32)
+    filled = np.where(mask[..., None], image, 0.0).astype(np.float32)
+    total = cv2.GaussianBlur(weight, (0, 0), sigma_px)[..., None]
+    spread = cv2.GaussianBlur(filled, (0, 0), sigma_px)
+    return np.where(total > 1e-3, spread / np.maximum(total, 1e-3), 0.0).astype(np.float32)
+
 
 SAMPLE_COUNT = 8000
 """Pixels that the robust fit looks at, on a regular lattice."""
@@ -192,3 +284,79 @@ def _with_prior(
 def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:
     """Frame minus the background in the frame's light [levels], float32."""
     return (image - light.apply(background.astype(np.float32))).astype(np.float32)
+
+
+NOTABLE_LEVELS = 2.0
+"""Spread of the light over the frames above which a correction pays."""
+BALANCE_LEVELS = 2.5
+"""Spread of the differences between channels that a free white balance leaves at least."""
+BALANCE_SHARE = 0.5
+"""Part of the whole spread that differences between channels have to be."""
+CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True)
+class DriftSpread:
+    """How the light changed over a set of frames, at the background's mean level."""
+
+    frame_count: int
+    shift_levels: tuple[float, float, float]
+    """Standard deviation over the frames of each channel's change [levels]."""
+    largest_levels: float
+    """Largest change of any channel in any frame [levels]."""
+    mean_shift_levels: tuple[float, float, float]
+    """Mean change of each channel against the background [levels]."""
+    gradient_levels: float
+    """Root mean square of the gradients, centre to border [levels]."""
+    balance_levels: float
+    """Standard deviation of the channels' changes about their common one [levels]."""
+
+    @property
+    def auto_white_balance(self) -> bool:
+        """Channels moved apart from each other, by more than noise and lamps explain."""
+        whole = float(np.sqrt(np.mean(np.square(self.shift_levels))))
+        return self.balance_levels > BALANCE_LEVELS and self.balance_levels > BALANCE_SHARE * whole
+
+
+def drift_spread(drifts: Sequence[LightDrift], background: np.ndarray) -> DriftSpread:
+    """Spread of ``drifts`` of frames against ``background``, RGB levels [height, width, 3]."""
+    level = background.reshape(-1, 3).astype(np.float64).mean(axis=0)
+    shift = np.array([drift.shift(level) for drift in drifts])
+    gradient = np.array([drift.gradient for drift in drifts])
+    common = shift.mean(axis=1, keepdims=True)
+    apart = shift - common
+    spread = shift.std(axis=0, ddof=1) if len(shift) > 1 else np.zeros(3)
+    balance = apart.std(axis=0, ddof=1) if len(shift) > 1 else np.zeros(3)
+    return DriftSpread(
+        frame_count=len(drifts),
+        shift_levels=triple(spread),
+        largest_levels=float(np.abs(shift).max()),
+        mean_shift_levels=triple(shift.mean(axis=0)),
+        gradient_levels=float(np.sqrt(np.mean(gradient**2))),
+        balance_levels=float(np.sqrt(np.mean(balance**2))),
+    )
+
+
+def drift_remarks(drifts: Sequence[LightDrift], background: np.ndarray) -> list[Remark]:
+    """A remark on the drift over the frames, with figures and what to do; none where it is small.
+
+    Colours and normals take the light off each frame where that helps.
+    """
+    found = drift_spread(drifts, background)
+    changes = ", ".join(
+        f"{name} {value:.1f}" for name, value in zip(CHANNELS, found.shift_levels, strict=True)
+    )
+    whole = max(found.shift_levels)
+    if found.auto_white_balance:
+        cause = "The channels drift apart: switch the camera's automatic white balance off"
+    elif whole > NOTABLE_LEVELS or max(map(abs, found.mean_shift_levels)) > 2 * NOTABLE_LEVELS:
+        cause = "Let lamps warm up, and record the background right before the presses"
+    else:
+        return []
+    count, largest = found.frame_count, found.largest_levels
+    return [LIGHT_DRIFTS(frame_count=count, changes=changes, largest=largest, cause=cause)]
+
+
+def triple(values: np.ndarray) -> tuple[float, float, float]:
+    """Values of the three channels as plain numbers."""
+    return float(values[0]), float(values[1]), float(values[2])

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from taccel_lab.calibration.remarks import error, info, warning
 from taccel_lab.report.remark import Remark, Severity
@@ -55,10 +55,25 @@ SCALE_DISAGREES = warning(
     graver=Severity.ERROR,
 )
 
+PRESSES_LEFT_OUT = warning(
+    "presses_left_out",
+    "{lost} of {count} presses were left out: {names}. {reasons}.{advice}",
+)
 LIGHT_DRIFTS = warning(
     "light_drifts",
     "over {frame_count} frames the untouched gel changes by {changes} levels (standard deviation), "
     "at most {largest:.0f}. {cause}",
+)
+
+# Blocks of a profile.
+BLOCK_STATE = warning("block_state", "{block}: calibrated, but {what}", graver=Severity.ERROR)
+BLOCK = warning("block", "{block}: {what}", graver=Severity.ERROR)
+"""Why a block is not calibrated, or what its own remark says, as grave as that."""
+BLOCKS_DROPPED = warning(
+    "blocks_dropped",
+    "dropped from the base profile: {lost}. The profile holds for {old_width}x{old_height} px at "
+    "{old_x:.4g} x {old_y:.4g} mm/px, these captures have {width}x{height} px at {x:.4g} x "
+    "{y:.4g}. State the same scale, or calibrate these blocks again",
 )
 
 # How images lie on the pad.
@@ -96,6 +111,14 @@ PAD_EDGE = info(
     ("color", "normals", "depth"),
     graver=Severity.WARNING,
 )
+
+MOST_NAMED = 6
+
+
+def name_some(names: Sequence[str]) -> str:
+    """A few names and how many more there are."""
+    shown = ", ".join(names[:MOST_NAMED])
+    return shown + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")
 
 
 def left_out_remarks(

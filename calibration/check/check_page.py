@@ -28,7 +28,7 @@ SHEET_COLUMNS, SHEET_FRAMES = 4, 60
 
 
 def check_page(check: CaptureCheck) -> Page:
-    """Describe the check for ``taccel_lab.calibration.report.write_page``."""
+    """Describe the check for ``taccel_lab.report.page.write_page``."""
     contents = [f"{n} {name.replace('_', ' ')}" for name, n in check.folder.contents().items() if n]
     state = (
         "Nothing stops what these captures are there for."

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.registry import known_sensor
@@ -73,7 +73,7 @@ def block_statuses(
 ) -> list[BlockStatus]:
     """Readiness of every command; ``grey`` says that grey levels stand for depth."""
     statuses = []
-    for command in COMMANDS:
+    for command in (block.name for block in BLOCKS):
         found, missing = _needs(folder, command)
         if grey is False and command == "depth":
             found, missing = "", "a sensor whose grey levels stand for depth, such as a 9DTact"

@@ -14,8 +14,7 @@ from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.result import CutContactError, DetectedContact, UntouchedError
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light_drift import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent

@@ -13,9 +13,9 @@ from scipy.spatial.distance import squareform
 from taccel_lab.calibration.capture.framing import best_channel_order, thumb
 from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.drift import drift_remarks
+from taccel_lab.calibration.frame_light import drift_remarks
+from taccel_lab.calibration.shared_remarks import name_some
 from taccel_lab.report.remark import Remark
 
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole check of a capture folder."""
+"""The whole check of a capture folder, and what it says of one block."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -16,7 +18,6 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
 from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
-from taccel_lab.calibration.check.findings import worst_first
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
 from taccel_lab.calibration.check.presses import (
@@ -161,7 +162,8 @@ def check_captures(
     grey = None if facts is None else facts.is_grey
     if background is not None and grey is not True:
         grey = is_grey(frames, thumb(background.image))
-    findings = worst_first(findings)
+    # Of equal weight, those about most images first.
+    findings.sort(key=lambda finding: (-RANK[finding.severity], -len(finding.frames)))
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -221,3 +223,55 @@ def press_findings(
             GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
         )
     return findings
+
+
+RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
+
+
+def capture_findings(
+    folder: CaptureFolder, block: str, progress: Progress = silent
+) -> list[Remark]:
+    """Findings of ``taccel-lab capture check`` that name ``block``, worst first.
+
+    A fit to captures that contradict themselves can leave small residuals: the check holds them
+    against the ball, the sensor and each other.
+    """
+    found = capture_check(folder, progress)
+    return [finding for finding in found.findings if block in finding.blocks]
+
+
+def capture_check(folder: CaptureFolder, progress: Progress = silent) -> CaptureCheck:
+    """The check of ``folder``, which its blocks share."""
+    return folder.once.of("check", lambda: check_captures(folder, progress=progress))
+
+
+@contextmanager
+def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
+    """A refusal inside names what the check found as well: the cause may be among it. Remarks that
+    concern no block say nothing of the captures and are passed over."""
+    try:
+        yield
+    except InputError as fault:
+        also = [
+            f"- {finding.message}"
+            for finding in findings
+            if finding.blocks and finding.severity != Severity.INFO and finding.code != "no_contact"
+        ]
+        heading = ["the captures have more faults:"] if also else []
+        raise InputError("\n".join([str(fault), *heading, *also])) from None
+
+
+def joined(findings: Sequence[Remark], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
+    """Findings, then remarks of the fit; where both have one thing to say, the graver one does.
+
+    A remark says what a finding says when it has its code, or that with the block before it:
+    ``normals_few_presses`` goes with ``few_presses``.
+    """
+    said = {code: RANK[finding.severity] for finding in findings for code in _codes(finding)}
+    graver = [remark for remark in remarks if RANK[remark.severity] > said.get(remark.code, -1)]
+    codes = {remark.code for remark in graver}
+    return (*(finding for finding in findings if not _codes(finding) & codes), *graver)
+
+
+def _codes(finding: Remark) -> set[str]:
+    return {finding.code, *(f"{block}_{finding.code}" for block in finding.blocks)}

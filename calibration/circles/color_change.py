@@ -17,9 +17,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.frame_light import fit_light, without_light
-from taccel_lab.calibration.light_drift import LightDrift
-from taccel_lab.calibration.smoothing import smoothed
+from taccel_lab.calibration.frame_light import LightDrift, fit_light, smoothed, without_light
 from taccel_lab.geometry import PixelGrid
 
 SMOOTHING_SHARE = 1 / 240

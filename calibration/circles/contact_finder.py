@@ -53,9 +53,8 @@ from taccel_lab.calibration.circles.result import (
     UntouchedError,
 )
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
-from taccel_lab.calibration.frame_light import enough_pixels
-from taccel_lab.calibration.light_drift import LightDrift
-from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.frame_light import LightDrift, enough_pixels
+from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid

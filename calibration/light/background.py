@@ -11,20 +11,27 @@ import numpy as np
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.check.background import check_background
-from taccel_lab.calibration.drift import drift_remarks, drift_spread
-from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.calibration.frame_light import (
+    LightDrift,
+    drift_remarks,
+    drift_spread,
+    fit_light,
+    smoothed,
+)
 from taccel_lab.calibration.light import remarks
-from taccel_lab.calibration.light.average import RunningMean
-from taccel_lab.calibration.light.background_result import BackgroundCalibration, FrameLight
-from taccel_lab.calibration.light.dust import dust_mask, speck_count
+from taccel_lab.calibration.light.background_result import (
+    BackgroundCalibration,
+    FrameLight,
+    dust_mask,
+    speck_count,
+)
 from taccel_lab.calibration.light.perturbation import spread_of_units
 from taccel_lab.calibration.light.untouched import (
+    RunningMean,
     background_from_presses,
     untouched_pixels,
 )
-from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.shared_remarks import TOO_FEW
-from taccel_lab.calibration.smoothing import smoothed
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent

@@ -1,23 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The image of the untouched sensor with what is known of its quality."""
+"""The image of the untouched sensor with what is known of its quality: noise, specks of dust and
+scratches that stay in place, the light of each frame. Last its page."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.drift import DriftSpread
-from taccel_lab.calibration.light.dust import speck_count
+from taccel_lab.calibration.frame_light import DriftSpread, LightDrift, smoothed
 from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
-from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.calibration.result import BlockResult, calibrated
+from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.remark import Remark, judge
+from taccel_lab.report.style import CHANNELS, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -164,3 +172,134 @@ class BackgroundCalibration(BlockResult):
             valid_region={"level": (float(self.image.min()), float(self.image.max()))},
         )
         return profile.with_block(BackgroundBlock(provenance=provenance), self.image)
+
+
+SPECK_SHARE = 1 / 60
+"""Size below which something is a speck rather than a shade, as a part of the shorter side."""
+SIGMAS = 8.0
+MIN_LEVELS = 6.0
+
+
+def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """Specks of an image, bool, shape [height_px, width_px].
+
+    ``image`` holds RGB levels, or differences of levels. A speck is smaller than a sixtieth of the
+    shorter side and stands out of its surroundings by 8 robust standard deviations and 6 levels.
+    """
+    sigma = max(min(image.shape[:2]) * SPECK_SHARE, 1.5)
+    fine = smoothed(image, mask, 0.6) - smoothed(image, mask, sigma)
+    strength = np.linalg.norm(fine, axis=-1)
+    usable = strength if mask is None else strength[mask]
+    noise = spread_about_median(usable)
+    specks = strength > max(MIN_LEVELS, float(np.median(usable)) + SIGMAS * noise)
+    if mask is not None:
+        # Next to masked pixels the surroundings are one-sided.
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1) > 0
+        specks &= inner
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(specks.astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_AREA] < (4 * sigma) ** 2
+    small[0] = False
+    specks = small[parts]
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+    return cv2.dilate(specks.astype(np.uint8), kernel) > 0
+
+
+def speck_count(specks: np.ndarray) -> int:
+    """Connected specks of a mask."""
+    return int(cv2.connectedComponents(specks.astype(np.uint8))[0]) - 1
+
+
+SHOWN = 24
+
+
+def background_page(result: BackgroundCalibration) -> Page:
+    """The page of ``taccel-lab calibrate background``."""
+    figures = result.figures()
+    noise = "unknown" if result.noise_levels is None else f"{result.noise_levels:.2f} levels"
+    rows = [
+        (f.name, f.kind, 100 * f.seen_share, f.plain_l1, f.corrected_l1)
+        + tuple(round(float(x), 3) for x in f.drift.gain)
+        + tuple(round(float(x), 2) for x in f.drift.offset)
+        for f in sorted(result.frames, key=lambda f: -f.plain_l1)[:SHOWN]
+    ]
+    columns = (
+        "frame", "kind", "untouched %", "L1 before", "L1 after",
+        "gain R", "gain G", "gain B", "offset R", "offset G", "offset B",
+    )  # fmt: skip
+    return Page(
+        "Background",
+        f"{len(result.frames)} frames. Mean error of untouched gel: {figures['plain_l1']:.2f} "
+        f"levels with one background image, {figures['heldout_l1']:.2f} with the background "
+        "made of the other frames in the frame's light. "
+        f"Noise of a pixel between frames: {noise}. Specks in the background: "
+        f"{speck_count(result.dust)}.",
+        result.remarks,
+        [
+            Table(
+                "Light of each frame",
+                columns,
+                rows,
+                f"The {len(rows)} of {len(result.frames)} frames that differ most. Levels of 255, "
+                "over the untouched part; gain and offset against the background.",
+            ),
+            *_spread_tables(result),
+        ],
+        [_images(result), _drift(result)],
+        figures,
+        {"dust.png": lambda path: _write_mask(path, result.clean)},
+    )
+
+
+def _spread_tables(result: BackgroundCalibration) -> list[Table]:
+    block = result.perturbation
+    if block is None:
+        return []
+    values = block.model_dump(exclude={"provenance"}, exclude_none=True)
+    rows = [(k, *v) if isinstance(v, tuple) else (k, v, None, None) for k, v in values.items()]
+    columns = ("quantity", "red or value", "green", "blue")
+    caption = "; ".join((block.provenance.method.capitalize(), *block.provenance.remarks))
+    return [Table("Spread, from which sensors are drawn", columns, rows, caption=caption)]
+
+
+def _write_mask(path: Path, mask: np.ndarray) -> None:
+    """Writes an image that serves as the captures' mask: 255 where the gel is clean."""
+    write_image(path, mask.astype(np.uint8) * 255)
+
+
+@picture(
+    "background",
+    "Left the background, right the noise of each pixel between frames; specks in red.",
+)
+def _images(result: BackgroundCalibration) -> Figure:
+    height, width = result.image.shape[:2]
+    figure, axes = new_figure(10.5, 0.6 + 4.7 * height / width, 1, 2)
+    shown = result.image / 255
+    axes[0].imshow(np.clip(shown, 0, 1))
+    axes[0].contour(result.dust | result.new_dust, levels=[0.5], colors="red", linewidths=0.8)
+    axes[0].set_title("background")
+    known = result.noise[np.isfinite(result.noise)]
+    top = float(np.percentile(known, 99)) if len(known) else 1.0
+    picture = axes[1].imshow(result.noise, vmin=0, vmax=max(top, 0.5), cmap="viridis")
+    axes[1].set_title("noise between frames" if len(known) else "noise: too few frames")
+    figure.colorbar(picture, ax=axes[1], label="standard deviation [levels]", shrink=0.85)
+    for axis in axes:
+        axis.set(xlabel="u [px]", ylabel="v [px]")
+    return figure
+
+
+@picture(
+    "drift",
+    "Change of the untouched gel in each frame at the background's mean level, in the order of the "
+    "captures.",
+)
+def _drift(result: BackgroundCalibration) -> Figure:
+    level = result.image.reshape(-1, 3).mean(axis=0)
+    shifts = np.array([f.drift.shift(level) for f in result.frames])
+    figure, axis = new_figure(10.5, 3.4)
+    for c, (name, color) in enumerate(CHANNELS):
+        axis.plot(shifts[:, c], "o-", color=color, label=name, markersize=3, linewidth=1)
+    axis.axhline(0, color="0.6", linewidth=0.8)
+    axis.set(xlabel="frame", ylabel="change [levels of 255]")
+    axis.legend(ncols=3, loc="best")
+    axis.grid(axis="y")
+    return figure

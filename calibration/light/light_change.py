@@ -20,9 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.frame_light import biweight
-from taccel_lab.calibration.light_drift import LightDrift, unit_position
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.frame_light import LightDrift, biweight, unit_position
+from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
 
 FRAME_PIXELS = 12_000

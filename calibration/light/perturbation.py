@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.drift import drift_spread, triple
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light_drift import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift, drift_spread, fit_light, triple
 from taccel_lab.calibration.result import calibrated
 from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n
+from taccel_lab.calibration.material.indentation import HeldOut, force_interval_n
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.report.page import Page, Picture, Table, picture

@@ -15,23 +15,25 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.material.force_table import ForceTable
+from taccel_lab.calibration.material.gel import IndentationPoints
 from taccel_lab.calibration.material.indentation import (
     GEL_NU,
     LAW_NAMES,
+    HeldOut,
     IndentationFit,
     fit_indentation,
+    force_interval_n,
+    held_out,
     touch_sigma,
 )
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.indentation_remarks import (
+from taccel_lab.calibration.material.remarks import (
+    YOUNG_GIVEN_NU,
     few_degrees_of_freedom,
     friction_assumed,
     records_disagree,
     residual_remarks,
     young_uncertain,
 )
-from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
-from taccel_lab.calibration.material.remarks import YOUNG_GIVEN_NU
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.report.remark import Remark
 

@@ -8,14 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import with_captured_background
+from taccel_lab.calibration.ball_presses import ScoredFit, with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
-from taccel_lab.calibration.scored_fit import ScoredFit
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import judge
 

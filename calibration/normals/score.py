@@ -19,9 +19,14 @@ from taccel_lab.calibration.normals.samples import (
     circle_angle_rad,
     true_normals,
 )
-from taccel_lab.calibration.response.frame import CaptureScene, CircleSigma, PressFrame
-from taccel_lab.calibration.response.heldout import HeldoutFailure, HeldoutSet
-from taccel_lab.calibration.response.untouched_light import in_background_light
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    CircleSigma,
+    HeldoutFailure,
+    HeldoutSet,
+    PressFrame,
+    in_background_light,
+)
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import RAYLEIGH_95

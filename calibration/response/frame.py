@@ -1,15 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Presses as both fits see them, what all presses of a set share, and pixels that are drawn."""
+"""Presses as both fits see them: what those of a set share, pixels that are drawn, the light beside
+a contact, which no score of the contact reaches, and held-out presses.
+
+Held-out ones are placed without any part of the model that is scored on them. Figures need to know
+where the ball was, which no training says. The label that came with the press does, as the labels
+of the *training* presses lie against where these were placed (``LabelPlacement``): nothing of the
+image is used. A press without a label is placed where its contact is found in its image, by the
+search that knows no model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.circles.ball_surface import BallSurface
+from taccel_lab.calibration.circles.labels import LabelPlacement
+from taccel_lab.calibration.circles.usable import place_heldout
+from taccel_lab.calibration.frame_light import (
+    PRIOR_SIGMA,
+    LightDrift,
+    enough_pixels,
+    fit_press_light,
+)
+from taccel_lab.calibration.response.evaluate import crop_slices
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.rest_surface import RestSurface
@@ -111,3 +129,104 @@ def place_region(frames: Sequence[PressFrame]) -> dict[str, tuple[float, float]]
     u = [frame.circle.u_px for frame in frames]
     v = [frame.circle.v_px for frame in frames]
     return {"contact_u_px": (min(u), max(u)), "contact_v_px": (min(v), max(v))}
+
+
+SurfaceOf = Callable[[ContactCircle, float], BallSurface]
+"""Surface under a ball of a radius [mm] in a circle; InputError where it cannot leave that."""
+
+
+@dataclass(frozen=True)
+class HeldoutFailure:
+    """A press that was held out and cannot be placed."""
+
+    name: str
+    reason: str
+    rejected: bool = False
+    """Whether a label was given that the image rejects."""
+
+
+@dataclass(frozen=True)
+class HeldoutSet:
+    """Presses that only the scores see."""
+
+    captures: CaptureSet
+    """Their images are read when the model is frozen, not before."""
+    split: PressSplit
+    """How they were chosen."""
+    surface_of: SurfaceOf
+
+    @classmethod
+    def of(cls, captures: CaptureSet, split: PressSplit, surface_of: SurfaceOf) -> HeldoutSet:
+        """Presses of ``captures`` that ``split`` holds out, which may be none."""
+        return cls(captures.only(split.heldout), split, surface_of)
+
+    @property
+    def count(self) -> int:
+        """How many were held out, those included that are gone."""
+        return len(self.captures.presses) + len(self.split.gone)
+
+    def placed(
+        self, labels: LabelPlacement
+    ) -> Iterator[tuple[CapturedPress, PressFrame] | HeldoutFailure]:
+        """Each press with its frame where its label puts it or where it was found, or why it has no
+        place; those that are gone come first. ``labels`` comes from the training presses."""
+        for name in self.split.gone:
+            yield HeldoutFailure(name, "it was left out of the captures")
+        for press in self.captures.presses:
+            ball_mm = press.radius_mm or self.captures.ball_radius_mm
+            try:
+                image = press.image()
+                circle = place_heldout(press, image, self.captures, labels)
+                circle = circle.up_to_equator(ball_mm, self.captures.grid)
+                surface = self.surface_of(circle, ball_mm)
+                yield press, PressFrame(press.name, image, circle, surface, press.sha256)
+            except InputError as error:
+                yield HeldoutFailure(press.name, str(error), press.mislabelled)
+
+
+NEAREST_RADII = 2.0
+"""No pixel nearer than this many contact radii tells the light."""
+
+
+def light_beside(
+    image: np.ndarray,
+    scene: CaptureScene,
+    circle: ContactCircle,
+    background: np.ndarray | None = None,
+) -> LightDrift:
+    """Gain, offset and gradient of ``image`` beside its contact, against the scene's background or
+    a render in its light, ``background``.
+
+    Images are RGB levels, shape [height_px, width_px, 3]; masked pixels are left out. A contact
+    that fills its frame leaves nothing to tell the light by, which then counts as unchanged.
+    """
+    beside = beside_pixels(circle, scene)
+    if enough_pixels(beside):
+        known = scene.background if background is None else background
+        return fit_press_light(image, known, beside)
+    unknown = np.tile(np.diag(PRIOR_SIGMA**2), (3, 1, 1))
+    return LightDrift(np.ones(3), np.zeros(3), covariance=unknown)
+
+
+def in_background_light(image: np.ndarray, scene: CaptureScene) -> np.ndarray:
+    """A frame in the light of the background, as the model will bring new ones to it."""
+    light = fit_press_light(image, scene.background, scene.mask)
+    return light.remove(image).astype(np.float32)
+
+
+def noise_floor_l1(frame: PressFrame, scene: CaptureScene) -> float:
+    """Mean absolute difference of a frame from the background in its light beside the contact
+    [levels]; NaN where the contact leaves nothing."""
+    beside = beside_pixels(frame.circle, scene)
+    if not beside.any():
+        return float("nan")
+    shown = light_beside(frame.image, scene, frame.circle).apply(scene.background)
+    return float(np.abs(frame.image.astype(np.float64) - shown)[beside].mean())
+
+
+def beside_pixels(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
+    """Usable pixels beyond 2 contact radii and outside the crop that scores are taken in; bool,
+    shape [height_px, width_px]."""
+    beside = circle.distance_px(scene.grid) > NEAREST_RADII * circle.radius_px
+    beside[crop_slices(circle, scene.grid)] = False
+    return beside & scene.usable

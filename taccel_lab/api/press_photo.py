@@ -20,7 +20,8 @@ from taccel_lab.exporters.image_files import eight_bit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+    from taccel_lab.calibration.normals.read_surface import SurfaceReader
+    from taccel_lab.calibration.normals.surface_reading import SurfaceReading
     from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
 

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from taccel_lab.calibration.camera.options import CameraOptions
-from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.grey.options import DepthOptions
-from taccel_lab.calibration.normals.options import NormalOptions
+from taccel_lab.calibration.press_options import ColorOptions, DepthOptions, NormalOptions
 from taccel_lab.cli.calibrate.base import BlockCommand
 from taccel_lab.errors import InputError
 

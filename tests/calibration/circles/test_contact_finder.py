@@ -22,8 +22,8 @@ from taccel_lab.calibration.circles import contact_finder
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import detect_contact
 from taccel_lab.calibration.circles.first_circle import fit_circle
+from taccel_lab.calibration.circles.press_model import SINK_IN_SCALE, hertz_slope, slope_law
 from taccel_lab.calibration.circles.result import DetectedContact
-from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.circles.presses import (

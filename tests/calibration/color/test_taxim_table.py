@@ -14,7 +14,7 @@ from taccel_lab.calibration.color.taxim_table import (
     nearest_filled,
     render_taxim_table,
 )
-from taccel_lab.calibration.light_drift import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from taccel_lab.calibration.capture import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.light.background import calibrate_background
-from taccel_lab.calibration.light.dust import dust_mask, speck_count
+from taccel_lab.calibration.light.background_result import dust_mask, speck_count
 from taccel_lab.errors import InputError
 from tests.calibration.circles.presses import BALL_MM, GRID, gel, pressed, scattered
 from tests.calibration.drawn.faults import add_dust, add_noise, drift, poison, quantise

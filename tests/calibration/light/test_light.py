@@ -9,10 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from taccel_lab.calibration.drift import drift_remarks, drift_spread
-from taccel_lab.calibration.frame_light import PRIOR_SIGMA, fit_light
+from taccel_lab.calibration.frame_light import (
+    PRIOR_SIGMA,
+    LightDrift,
+    drift_remarks,
+    drift_spread,
+    fit_light,
+)
 from taccel_lab.calibration.light.image_match import unlike
-from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.errors import InputError
 from tests.calibration.circles.presses import gel, pressed, scattered
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.calibration.light.perturbation import (
     UnitSpread,
     perturbation_block,
     spread_of_units,
 )
-from taccel_lab.calibration.light_drift import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.signals.perturbation import draw_perturbation

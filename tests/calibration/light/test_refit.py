@@ -14,10 +14,13 @@ import pytest
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.light.light_change import RefitFrame, fit_light_change
-from taccel_lab.calibration.light.refit import calibrate_refit, refit_profile
-from taccel_lab.calibration.light.refit_frames import NewFrames, refit_frames
-from taccel_lab.calibration.light.refit_page import refit_page
-from taccel_lab.calibration.light.refit_result import RefitCalibration
+from taccel_lab.calibration.light.refit import (
+    NewFrames,
+    calibrate_refit,
+    refit_frames,
+    refit_profile,
+)
+from taccel_lab.calibration.light.refit_result import RefitCalibration, refit_page
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile

@@ -13,14 +13,13 @@ from scipy.stats import t as student
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import ForceTable, TableError
-from taccel_lab.calibration.material.gel import CurveTool, Gel
+from taccel_lab.calibration.material.gel import CurveTool, Gel, IndentationPoints
 from taccel_lab.calibration.material.indentation import (
     USUAL_COUNT,
     USUAL_NOISE,
     IndentationFit,
     fit_indentation,
 )
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.likelihood import CurveGroup, FittedParameter, Likelihood
 from taccel_lab.calibration.material.stiffness import Stiffness, fit_stiffness
 from taccel_lab.report.remark import Severity, Verdict, judge

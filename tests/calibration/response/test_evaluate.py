@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.light_drift import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.evaluate import crop_slices, psnr_db, score_image, ssim
-from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
-from taccel_lab.calibration.response.untouched_light import (
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    PressFrame,
     beside_pixels,
     light_beside,
     noise_floor_l1,

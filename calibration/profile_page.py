@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole profile as a page: what each block says, how far to trust it, and what it looks like."""
+"""A whole profile as a page: what each block says, how far to trust it, what it looks like, and
+what its colour model answers to every normal at a few places of the image."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.report import remarks
-from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.calibration.shared_remarks import BLOCK, BLOCK_STATE
 from taccel_lab.profile import Block, SensorProfile
+from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.page import Page, Picture, Table, picture
 from taccel_lab.report.remark import Remark, Severity
-from taccel_lab.report.style import BLUE, ORANGE, new_figure
+from taccel_lab.report.style import BLUE, GREY, ORANGE, in_report_style, new_figure
+from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.perturbation import draw_perturbation
 from taccel_lab.signals.perturbed_sensors import PerturbedSensors
 
@@ -59,14 +61,14 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
     for key, block in blocks.items():
         where = block.provenance
         if where.verdict == "weak":
-            found.append(remarks.BLOCK_STATE(block=key, what="weak", grave=True))
+            found.append(BLOCK_STATE(block=key, what="weak", grave=True))
         elif where.verdict == "usable":
-            found.append(remarks.BLOCK_STATE(block=key, what="with reservations"))
+            found.append(BLOCK_STATE(block=key, what="with reservations"))
         elif where.kind == "assumed" and key in CORE:
             how = f"taccel-lab calibrate {key} measures it"
             if key == "gel":
                 how = "state what you measured on it under [design] of captures.toml"
-            found.append(remarks.BLOCK(block=key, what=f"assumed, not measured; {how}"))
+            found.append(BLOCK(block=key, what=f"assumed, not measured; {how}"))
     return found + _block_remarks(blocks)
 
 
@@ -81,7 +83,7 @@ def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
         severity, _, message = text.partition(": ")
         if severity not in list(Severity):
             severity, message = Severity.INFO, text
-        remark = remarks.BLOCK(block=", ".join(of), what=message)
+        remark = BLOCK(block=", ".join(of), what=message)
         found.append(replace(remark, severity=Severity(severity)))
     return found
 
@@ -228,4 +230,86 @@ def _perturbed(profile: SensorProfile) -> Figure:
     for panel, drawn in zip(axes.ravel(), images, strict=True):
         panel.imshow(drawn.astype(np.uint8))
         panel.set_axis_off()
+    return figure
+
+
+PLACES = ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75))
+"""Shares of the image's width and height: the middle and near the corners."""
+DISC_SIZE = 65
+SPAN = 0.7
+"""Largest sine of the tilt at which colours are compared: 44 degrees."""
+DISPLACEMENT_MM = -0.3
+"""Indentation at which they are compared [mm]."""
+
+
+@dataclass(frozen=True)
+class NormalDisc:
+    """Colour change that the model predicts at one pixel over the hemisphere of normals."""
+
+    pixel_uv: tuple[float, float]
+    delta_rgb: np.ndarray
+    """Colour change [levels], shape [n, n, 3]: rows ny, columns nx from -``SPAN`` to ``SPAN``
+    (``disc_normals``); NaN outside the disc."""
+
+
+def disc_normals(count: int, max_sine: float) -> np.ndarray:
+    """Unit normals over a disc of (nx, ny) for ``NormalDisc``: shape [count, count, 3].
+
+    Rows run over ny and columns over nx from -max_sine to max_sine; NaN outside the disc.
+    """
+    axis = np.linspace(-max_sine, max_sine, count)
+    nx, ny = np.meshgrid(axis, axis)
+    sine2 = nx**2 + ny**2
+    nz = np.sqrt(np.where(sine2 <= max_sine**2 * (1 + 1e-12), 1 - sine2, np.nan))
+    return np.stack([np.where(np.isnan(nz), np.nan, n) for n in (nx, ny, nz)], axis=-1)
+
+
+def profile_discs(profile: SensorProfile) -> tuple[NormalDisc, ...]:
+    """Colour change over the hemisphere of normals at ``PLACES``; empty without a colour model."""
+    model = ColorModel.from_profile(profile)
+    if model is None:
+        return ()
+    normals = disc_normals(DISC_SIZE, SPAN)
+    seen = np.isfinite(normals[..., 0])
+    count = int(seen.sum())
+    width, height = model.config.width_px, model.config.height_px
+    discs = []
+    for share_u, share_v in PLACES:
+        u, v = round(share_u * (width - 1)), round(share_v * (height - 1))
+        delta = np.full((*seen.shape, 3), np.nan)
+        delta[seen] = model.predict_pixels(
+            np.full(count, v * width + u),
+            normals[seen],
+            np.full(count, DISPLACEMENT_MM),
+            np.broadcast_to([0.0, 0.0, 1.0], (count, 3)),
+        )
+        discs.append(NormalDisc((u, v), delta))
+    return tuple(discs)
+
+
+@in_report_style
+def draw_color_discs(discs: tuple[NormalDisc, ...]) -> Figure:
+    """Colour change over (nx, ny), as grey plus change, placed as the pixels lie in the image."""
+    from matplotlib.patches import Circle
+
+    columns = sorted({disc.pixel_uv[0] for disc in discs})
+    rows = sorted({disc.pixel_uv[1] for disc in discs})
+    figure, axes = new_figure(
+        2.1 * len(columns) + 0.6, 2.25 * len(rows), len(rows), len(columns), squeeze=False
+    )
+    for panel in axes.ravel():
+        panel.set_axis_off()
+    for disc in discs:
+        panel = axes[rows.index(disc.pixel_uv[1]), columns.index(disc.pixel_uv[0])]
+        image = panel.imshow(
+            as_uint8(128 + disc.delta_rgb),
+            extent=(-SPAN, SPAN, SPAN, -SPAN),
+            interpolation="bilinear",
+        )
+        panel.set_title(f"u {disc.pixel_uv[0]:.0f}, v {disc.pixel_uv[1]:.0f}", color=GREY)
+        panel.plot(0, 0, "+", color="black", markersize=6, markeredgewidth=0.8)
+        # Clipped a little inside the disc, where all neighbours of a sample are known.
+        rim = Circle((0, 0), 0.97 * SPAN, fill=False, edgecolor=GREY, linewidth=0.8)
+        panel.add_patch(rim)
+        image.set_clip_path(rim)
     return figure
