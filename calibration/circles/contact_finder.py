@@ -132,31 +132,27 @@ def seen_contact(
     grid: PixelGrid,
     mask: np.ndarray | None = None,
     grey: Channel | None = None,
-) -> DetectedContact:
-    """Contact of ``press`` as its image alone shows it, without ball or scale, found once: the
-    check of the captures, which may be made before and after the scale is known, and the scale
-    itself look for the same circles.
+) -> DetectedContact | InputError:
+    """Contact of ``press`` as its image alone shows it, without ball or scale, found once, or the
+    error of ``detect_contact``: the check of the captures, which may be made before and after the
+    scale is known, and the scale itself look for the same circles.
 
-    Of ``grid`` only the proportions of a pixel count. Errors as of ``detect_contact``, with the
-    press's source.
+    Of ``grid`` only the proportions of a pixel count.
     """
     ratio = round(grid.mm_per_px_y / grid.mm_per_px_x, 9)
     own = PixelGrid(grid.width_px, grid.height_px, min(1.0, 1 / ratio), min(1.0, ratio))
 
     def look() -> DetectedContact | InputError:
-        try:
-            return detect_contact(
+        found: dict[int, DetectedContact | InputError] = {}
+        with _refused(0, found):
+            found[0] = detect_contact(
                 press.image(), background, own, mask=mask, name=press.source, label=press.circle,
                 grey=grey, once=press.once,
             )  # fmt: skip
-        except InputError as fault:
-            return fault
+        return found[0]
 
     seen = content_key({"background": background, "mask": mask, "ratio": ratio, "grey": grey})
-    found = press.once.of(("contact", seen), look)
-    if isinstance(found, InputError):
-        raise found
-    return found
+    return press.once.of(("contact", seen), look)
 
 
 def find_contacts(

@@ -133,11 +133,20 @@ class MapTerms:
     def rows(self, *factors: np.ndarray) -> np.ndarray:
         """u, v, 1 and the terms, shape [3 + count, n]; ``factors`` are ``FACTORS``, shape [n]."""
         rows = np.ones((len(self._powers), len(factors[0])))
-        for row, powers in zip(rows, self._powers, strict=True):
-            for factor, power in zip(factors, powers, strict=True):
-                for _ in range(power):
-                    row *= factor
+        for row, before, factor in self._products:
+            np.multiply(rows[before], factors[factor], out=rows[row])
         return rows
+
+    @cached_property
+    def _products(self) -> list[tuple[int, int, int]]:
+        """Each row that is not 1, the earlier one that it is a multiple of, and the factor."""
+        found = []
+        for row, powers in enumerate(self._powers):
+            if any(powers):
+                last = max(k for k, power in enumerate(powers) if power)
+                less = tuple(power - (k == last) for k, power in enumerate(powers))
+                found.append((row, self._powers.index(less), last))
+        return found
 
     @cached_property
     def rates(self) -> np.ndarray:

@@ -82,10 +82,9 @@ def measure_contacts(
         if press.circle is not None:
             found.append(BallContact(press, ball, press.circle))
             continue
-        try:
-            contact = seen_contact(press, background, grid, folder.mask, grey)
-        except InputError as error:
-            refused.append(str(error))
+        contact = seen_contact(press, background, grid, folder.mask, grey)
+        if isinstance(contact, InputError):
+            refused.append(str(contact))
             continue
         sigma_px = max(contact.radius_sigma_px, MIN_SIGMA_PX)
         found.append(BallContact(press, ball, contact.circle, sigma_px))
