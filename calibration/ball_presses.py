@@ -37,9 +37,9 @@ from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.light.background_result import BackgroundCalibration
 from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.calibration.response.frame import HeldoutSet
 from taccel_lab.calibration.result import BlockResult
-from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark

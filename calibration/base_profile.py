@@ -11,7 +11,7 @@ from pathlib import Path
 from taccel_lab.calibration.capture.captures import CaptureSet, check_place
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.pad import fitted_design, pixels_on_pad, require_view_on_pad
-from taccel_lab.calibration.shared_remarks import BLOCKS_DROPPED
+from taccel_lab.calibration.remarks import BLOCKS_DROPPED
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile

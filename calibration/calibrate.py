@@ -25,7 +25,7 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck, capture_check
 from taccel_lab.calibration.profile_page import profile_page
-from taccel_lab.calibration.shared_remarks import BLOCK
+from taccel_lab.calibration.remarks import BLOCK
 from taccel_lab.calibration.unfinished import (
     BlockOutcome,
     BlockState,

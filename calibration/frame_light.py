@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.remarks import LIGHT_DRIFTS
 from taccel_lab.calibration.robust_fit import spread_of_lengths
-from taccel_lab.calibration.shared_remarks import LIGHT_DRIFTS
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 

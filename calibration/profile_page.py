@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.calibration.remarks import BLOCK, BLOCK_STATE
 from taccel_lab.calibration.result import NORMAL_95
-from taccel_lab.calibration.shared_remarks import BLOCK, BLOCK_STATE
 from taccel_lab.profile import Block, SensorProfile
 from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.figures_mesh import draw_mesh

@@ -39,7 +39,7 @@ from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contact
 from taccel_lab.calibration.circles.press_model import MAX_CONTACT_RATIO, SINK_IN_SCALE
 from taccel_lab.calibration.circles.uncertainty import OTHER_SINK_IN_SCALE
 from taccel_lab.calibration.pad import fitted_parameters, past_largest_pad, view_remarks
-from taccel_lab.calibration.shared_remarks import name_some
+from taccel_lab.calibration.remarks import name_some
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 

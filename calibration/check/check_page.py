@@ -12,8 +12,8 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import coverage_map
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
-from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.frames import FrameFigures
+from taccel_lab.calibration.check.light import BackgroundCheck
 from taccel_lab.calibration.check.presses import found_circles, label_gaps
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.geometry import PixelGrid

@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
-from taccel_lab.calibration.circles.result import CutContactError, DetectedContact, UntouchedError
+from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
 from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -15,20 +15,29 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
-from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
+from taccel_lab.calibration.check.content import (
+    BlockStatus,
+    block_statuses,
+    check_content,
+    check_targets,
+)
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
-from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
+from taccel_lab.calibration.check.light import (
+    BackgroundCheck,
+    check_background,
+    check_handedness,
+    check_light,
+    is_grey,
+)
 from taccel_lab.calibration.check.presses import (
     check_contacts,
     found_circles,
     label_gaps,
     rejected_labels,
 )
-from taccel_lab.calibration.check.targets import check_targets
 from taccel_lab.calibration.pad import design_remarks
-from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
+from taccel_lab.calibration.remarks import GREY_OR_COLOUR
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent

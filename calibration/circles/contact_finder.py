@@ -47,7 +47,7 @@ from taccel_lab.calibration.circles.joint_fit import (
     fit_contacts,
     sample_rings,
 )
-from taccel_lab.calibration.circles.result import (
+from taccel_lab.calibration.circles.labels import (
     CutContactError,
     DetectedContact,
     UntouchedError,

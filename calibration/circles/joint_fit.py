@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.circles.labels import circle_of
 from taccel_lab.calibration.circles.press_model import (
     MAX_CONTACT_RATIO,
     PLAIN,
@@ -31,7 +32,6 @@ from taccel_lab.calibration.circles.press_model import (
     MapTerms,
     slope_law,
 )
-from taccel_lab.calibration.circles.result import circle_of
 from taccel_lab.calibration.robust_fit import spread_about_zero
 
 RING_COUNT = 34

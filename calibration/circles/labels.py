@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two measurements of each contact circle, by hand and by detection, made into one better one.
+"""Contacts that were found in images, and two measurements of each circle, by hand and by
+detection, made into one better one.
 
 Where presses lie against each other, labels and detection tell independently. Where all of them
 lie, and where a contact is said to end, they do not: labels of one set may all lie to one side, or
@@ -35,8 +36,50 @@ from taccel_lab.calibration.capture.captures import (
     CaptureSet,
     ContactCircle,
 )
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array, circle_of
 from taccel_lab.errors import InputError
+
+
+@dataclass(frozen=True)
+class DetectedContact:
+    """A contact found in an image, with what speaks for it."""
+
+    circle: ContactCircle
+    radius_sigma_px: float
+    """Standard deviation of the radius."""
+    contrast_levels: float
+    """90th percentile of the smoothed colour change in the contact [levels]."""
+    center_sigma_px: float = 0.0
+    """Standard deviation of the centre along an axis."""
+    explained: float = 1.0
+    """Share of the colour change that the ball's slope explains."""
+    visible: float = 1.0
+    """Share of the contact and its surroundings that lies in the image and outside the mask."""
+
+    @property
+    def confidence(self) -> float:
+        """0..1: explained share times visible share, less the more uncertain the circle is."""
+        sigma = np.hypot(self.center_sigma_px, self.radius_sigma_px)
+        doubt = 1 + (sigma / (0.08 * self.circle.radius_px)) ** 2
+        return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
+
+
+class UntouchedError(InputError):
+    """An image in which no change of colour stands out from the noise: nothing touches the gel."""
+
+
+class CutContactError(InputError):
+    """A contact that reaches out of the image, or is mostly masked: no fault of the captures."""
+
+
+def circle_array(circles: Sequence[ContactCircle]) -> np.ndarray:
+    """u, v and radius of each circle [px], shape [n, 3]."""
+    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles]).reshape(-1, 3)
+
+
+def circle_of(shape: np.ndarray) -> ContactCircle:
+    """The circle of u, v and radius [px], shape [3]."""
+    return ContactCircle(*(float(x) for x in shape))
+
 
 SLOPE_PRIOR = 2.0
 """Presses that the line of the radii counts a slope of one as."""

@@ -22,12 +22,13 @@ from taccel_lab.calibration import frame_light
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
+    CutContactError,
+    DetectedContact,
     LabelPlacement,
     choose_circles,
     fuse_circles,
 )
-from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
-from taccel_lab.calibration.shared_remarks import PRESSES_LEFT_OUT
+from taccel_lab.calibration.remarks import PRESSES_LEFT_OUT
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CachedFile

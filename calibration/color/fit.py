@@ -29,8 +29,14 @@ from taccel_lab.calibration.color.result import (
 )
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.press_options import ColorFitOptions, ColorOptions, ColorTraining
-from taccel_lab.calibration.remarks import warning
-from taccel_lab.calibration.response.evaluate import score_image
+from taccel_lab.calibration.remarks import (
+    HELDOUT_ERROR,
+    NOTHING_HELD_OUT,
+    TOO_FEW,
+    left_out_remarks,
+    name_some,
+    warning,
+)
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
     HeldoutFailure,
@@ -38,15 +44,9 @@ from taccel_lab.calibration.response.frame import (
     PressFrame,
     noise_floor_l1,
     place_region,
+    score_image,
 )
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.calibration.shared_remarks import (
-    HELDOUT_ERROR,
-    NOTHING_HELD_OUT,
-    TOO_FEW,
-    left_out_remarks,
-    name_some,
-)
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.networks.color_settings import STEEPEST

@@ -21,12 +21,13 @@ from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.response.evaluate import ImageScore, score_image
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
     HeldoutFailure,
+    ImageScore,
     PressFrame,
     light_beside,
+    score_image,
 )
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
 from taccel_lab.errors import InputError

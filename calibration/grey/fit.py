@@ -49,13 +49,13 @@ from taccel_lab.calibration.grey.curve import (
 from taccel_lab.calibration.grey.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.light.thickness import TOUCH_MM
 from taccel_lab.calibration.press_options import DepthOptions
-from taccel_lab.calibration.remarks import warning
-from taccel_lab.calibration.shared_remarks import (
+from taccel_lab.calibration.remarks import (
     GREY_OR_COLOUR,
     HELDOUT_ERROR,
     LABELS_OFF,
     SCALE_NOT_MEASURED,
     TOO_FEW,
+    warning,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

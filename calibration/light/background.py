@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
-from taccel_lab.calibration.check.background import check_background
+from taccel_lab.calibration.check.light import check_background
 from taccel_lab.calibration.frame_light import (
     LightDrift,
     drift_remarks,
@@ -31,7 +31,7 @@ from taccel_lab.calibration.light.untouched import (
     background_from_presses,
     untouched_pixels,
 )
-from taccel_lab.calibration.shared_remarks import TOO_FEW
+from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent

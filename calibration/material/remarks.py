@@ -12,9 +12,8 @@ import numpy as np
 from taccel_lab.calibration.capture.records import FORCE_UNITS
 from taccel_lab.calibration.material.gel import IndentationPoints
 from taccel_lab.calibration.material.indentation import HeldOut, IndentationFit, fit_indentation
-from taccel_lab.calibration.remarks import info, warning
+from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW, info, warning
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_young_modulus_pa
 from taccel_lab.report.remark import Remark

@@ -29,9 +29,8 @@ from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
-from taccel_lab.calibration.normals.reading_error import with_reading_errors
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import KnownPress
+from taccel_lab.calibration.normals.samples import KnownPress, with_reading_errors
 from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.press_options import (
@@ -39,6 +38,13 @@ from taccel_lab.calibration.press_options import (
     InverseFitOptions,
     NormalOptions,
     NormalTraining,
+)
+from taccel_lab.calibration.remarks import (
+    GREY_OR_COLOUR,
+    HELDOUT_ERROR,
+    NOTHING_HELD_OUT,
+    TOO_FEW,
+    left_out_remarks,
 )
 from taccel_lab.calibration.response.frame import (
     EXACT,
@@ -51,13 +57,6 @@ from taccel_lab.calibration.response.frame import (
     place_region,
 )
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.calibration.shared_remarks import (
-    GREY_OR_COLOUR,
-    HELDOUT_ERROR,
-    NOTHING_HELD_OUT,
-    TOO_FEW,
-    left_out_remarks,
-)
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm

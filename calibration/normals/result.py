@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import ScoredFit, with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.normals.network_fit import InverseFit
-from taccel_lab.calibration.normals.reading_error import SyntheticScore
+from taccel_lab.calibration.normals.samples import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures

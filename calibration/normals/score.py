@@ -11,13 +11,14 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII, deeper_per_mm
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.normals.reading_error import errors_of, widened
 from taccel_lab.calibration.normals.samples import (
     KnownPress,
     angle_between_deg,
     ball_normals,
     circle_angle_rad,
+    errors_of,
     true_normals,
+    widened,
 )
 from taccel_lab.calibration.response.frame import (
     CaptureScene,

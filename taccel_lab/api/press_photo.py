@@ -198,7 +198,7 @@ class PressPhoto:
             the mean absolute error [levels], and both of the untouched image.
         """
         from taccel_lab.calibration.capture.captures import ContactCircle
-        from taccel_lab.calibration.response.evaluate import crop_slices, psnr_db
+        from taccel_lab.calibration.response.frame import crop_slices, psnr_db
 
         grid = profile.grid()
         u, v = grid.pixel_from_gel(np.array(self.at_mm))

@@ -18,8 +18,7 @@ import pytest
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.color_change import color_change
 from taccel_lab.calibration.circles.first_circle import fit_rim
-from taccel_lab.calibration.circles.labels import fuse_circles
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
+from taccel_lab.calibration.circles.labels import DetectedContact, circle_array, fuse_circles
 from tests.calibration.circles.presses import contacts_of, offsets, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.real_data import labelled_presses

@@ -16,11 +16,12 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.circles import contact_finder, usable
 from taccel_lab.calibration.circles.labels import (
     LABEL_SHIFT_PX,
+    DetectedContact,
     LabelPlacement,
     choose_circles,
+    circle_array,
     fuse_circles,
 )
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
 from taccel_lab.calibration.circles.usable import (
     cached_contacts,
     too_many_lost,

@@ -11,13 +11,16 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.frame_light import LightDrift
-from taccel_lab.calibration.response.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
     PressFrame,
     beside_pixels,
+    crop_slices,
     light_beside,
     noise_floor_l1,
+    psnr_db,
+    score_image,
+    ssim,
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
