@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Generic, Protocol, Self, TypeVar
@@ -39,7 +39,7 @@ from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.calibration.response.frame import HeldoutSet
-from taccel_lab.calibration.result import BlockResult
+from taccel_lab.calibration.result import BlockResult, Placed, in_figures
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -243,6 +243,8 @@ class ScoredFit(BlockResult, Generic[FitType]):
     final: FitType | None
     """Fit to all presses, once the held-out ones were scored; what a profile gets. None where no
     held-out press can be used."""
+    heldout: Sequence[Placed]
+    """Presses that were held out and could be rendered or read."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where the fit was given no set of them."""
     valid_region: dict[str, tuple[float, float]]
@@ -253,6 +255,11 @@ class ScoredFit(BlockResult, Generic[FitType]):
     """What it was fitted against; that of the captures when None."""
     remarks: tuple[Remark, ...] = ()
     """What a person has to know before the model is used."""
+
+    @property
+    def has_scores(self) -> bool:
+        """Whether there are figures of held-out presses."""
+        return bool(in_figures(self.heldout))
 
     @property
     def last(self) -> FitType:

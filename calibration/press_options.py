@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from taccel_lab.errors import InputError
 from taccel_lab.files.seed import require_seed
+from taccel_lab.guards import require_positive, require_range
 from taccel_lab.networks.color_settings import INPUT_NAMES
 from taccel_lab.networks.position_encoding import require_bands
 
@@ -41,18 +42,34 @@ DISC_RADII = 1.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class ColorTraining:
-    """Options of the fit of a network."""
+class NetworkTraining:
+    """Options of the fit of networks."""
 
     position_bands: int = 0
     """Bands of the positional encoding: sines and cosines of the pixel's position, for light
     that changes within parts of the image. 0 to 8; 0 gives the network the position alone."""
+    seed: int = 0
+    """Seed of the pixel draw, the initial weights and the batches."""
+
+
+def _require_settings(
+    options: ColorFitOptions | InverseFitOptions, model: str, counts: Sequence[str]
+) -> None:
+    for name in counts:
+        require_range(name, getattr(options, name), 1, math.inf)
+    require_range("learning_rate", options.learning_rate, 1e-9, 1)
+    require_bands(model, options.position_bands)
+    require_seed(options.seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorTraining(NetworkTraining):
+    """Options of the fit of a colour model."""
+
     steps: int = 400
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
     """Batch size in pixels; it sets the time of a fit."""
-    seed: int = 0
-    """Seed of the pixel draw, the initial weights and the batches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +100,9 @@ class ColorFitOptions(ColorTraining):
     """Pixels drawn per frame beyond 2.5 contact radii."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_pixels", "disc_pixels", "ring_pixels", "far_pixels"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "huber_levels"):
-            if not 0 < getattr(self, name) < 1e3:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        require_bands("color model", self.position_bands)
-        require_seed(self.seed)
+        counts = ("steps", "batch_pixels", "disc_pixels", "ring_pixels", "far_pixels")
+        _require_settings(self, "color model", counts)
+        require_positive("huber_levels", self.huber_levels)
 
     @property
     def rings(self) -> tuple[tuple[float, float, int], ...]:
@@ -111,19 +123,14 @@ SINK_IN_RADII = 1.03
 
 
 @dataclass(frozen=True, kw_only=True)
-class NormalTraining:
-    """Options of the fit of the networks."""
+class NormalTraining(NetworkTraining):
+    """Options of the fit of the networks from colour to slope."""
 
-    position_bands: int = 0
-    """Bands of the positional encoding among the features: sines and cosines of the pixel's
-    position. 0 to 8; 0 gives the networks the position alone."""
     synthetic_presses: int = 160
     """Synthetic presses of other tools in the training, besides the captured balls. Without them
     (0) edges and walls read much too flat."""
     steps: int = 500
     """Optimiser steps; each network keeps its best ones."""
-    seed: int = 0
-    """Seed of the pixel draw, the initial weights and the batches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,17 +161,9 @@ class InverseFitOptions(NormalTraining):
     """Share of synthetic presses in each batch."""
 
     def __post_init__(self) -> None:
-        for name in ("members", "steps", "batch_pixels", "disc_pixels", "flat_pixels", "zooms"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.synthetic_presses <= MOST_SYNTHETIC:
-            raise InputError(
-                f"synthetic_presses must lie in 0..{MOST_SYNTHETIC}, got {self.synthetic_presses}"
-            )
-        require_bands("normal model", self.position_bands)
-        require_seed(self.seed)
-        if not 0 < self.learning_rate < 1:
-            raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")
+        counts = ("members", "steps", "batch_pixels", "disc_pixels", "flat_pixels", "zooms")
+        _require_settings(self, "normal model", counts)
+        require_range("synthetic_presses", self.synthetic_presses, 0, MOST_SYNTHETIC)
 
     @property
     def rings(self) -> tuple[tuple[float, float, int], ...]:

@@ -119,14 +119,8 @@ class UnfinishedCalibration:
     ) -> BlockOutcome:
         """Keep how a block ended, with its page, the profiles after it and the maps so far; returns
         the outcome with the place of its page."""
-        kept = BlockOutcome(
-            outcome.name,
-            outcome.state,
-            outcome.message,
-            outcome.seconds,
-            outcome.page,
-            None if outcome.page is None else self.folder / _REPORT / outcome.name,
-        )
+        written = None if outcome.page is None else self.folder / _REPORT / outcome.name
+        kept = replace(outcome, written=written)
         self.outcomes[outcome.name], self.profiles, self.maps = kept, profiles, maps
         with atomic_directory(self.folder) as staging:
             for earlier in self.outcomes.values():

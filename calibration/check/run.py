@@ -168,9 +168,6 @@ def check_captures(
             findings += check_slopes(folder, background.image)
     elif folder.background is None and not folder.presses and not _has_other(folder):
         findings.append(remarks.EMPTY())
-    grey = None if facts is None else facts.is_grey
-    if background is not None and grey is not True:
-        grey = is_grey(frames, thumb(background.image))
     # Of equal weight, those about most images first.
     findings.sort(key=lambda finding: (-RANK[finding.severity], -len(finding.frames)))
     return CaptureCheck(

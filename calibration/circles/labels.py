@@ -24,7 +24,7 @@ ball's equator one pixel of radius is 0.05 mm of depth.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -172,37 +172,31 @@ class LabelPlacement:
 def fuse_circles(
     labels: Sequence[ContactCircle],
     detected: Sequence[DetectedContact],
-    training: Sequence[bool] | None = None,
 ) -> tuple[list[ContactCircle], tuple[float, float]]:
-    """One circle per press from a given and a detected one, in order; the labels' scatter beside
-    their shift, along an axis and in radius [px].
-
-    What the presses have in common (the labels' shift and scatter, mean and spread of the radii) is
-    taken from the ``training`` presses; from all without.
-    """
+    """One circle per training press from a given and a detected one, in order; the labels' scatter
+    beside their shift, along an axis and in radius [px]."""
     if len(labels) != len(detected):
         raise InputError(f"{len(labels)} labels do not match {len(detected)} detected circles")
-    train = np.ones(len(labels), dtype=bool) if training is None else np.asarray(training, bool)
-    if not len(labels) or not train.any():
+    if not labels:
         raise InputError("circles are fused from at least one labelled training press")
     given = circle_array(labels)
     found = circle_array([contact.circle for contact in detected])
     stated = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in detected])
     variance = np.maximum(stated, MIN_SIGMA_PX) ** 2
-    scatter = _label_variance((given - found)[train], variance[train])
+    scatter = _label_variance(given - found, variance)
     weight = 1 / (variance + scatter)
-    chance = 1 / weight[train].sum(axis=0)
-    mean = chance * (weight * (given - found))[train].sum(axis=0)
-    of_labels, of_found = LABEL_SHIFT_PX**2, variance[train].min(axis=0)
+    chance = 1 / weight.sum(axis=0)
+    mean = chance * (weight * (given - found)).sum(axis=0)
+    of_labels, of_found = LABEL_SHIFT_PX**2, variance.min(axis=0)
     whole = of_labels + of_found + chance
     shift, moved = mean * of_labels / whole, -mean * of_found / whole
     true_by_found, true_by_label = found - moved, given - shift
     fused = true_by_found + variance * weight * (true_by_label - true_by_found)
     radius = fused[:, 2]
-    if train.sum() >= MIN_PRESSES and radius[train].std() > 0:
-        true_variance = np.cov(given[train, 2], found[train, 2])[0, 1]
-        share = float(np.clip(true_variance / radius[train].var(ddof=1), 0.0, 1.0))
-        middle = radius[train].mean()
+    if len(labels) >= MIN_PRESSES and radius.std() > 0:
+        true_variance = np.cov(given[:, 2], found[:, 2])[0, 1]
+        share = float(np.clip(true_variance / radius.var(ddof=1), 0.0, 1.0))
+        middle = radius.mean()
         fused[:, 2] = middle + share * (radius - middle)
     label_sigma_px = float(np.sqrt(scatter[0])), float(np.sqrt(scatter[2]))
     return [circle_of(shape) for shape in fused], label_sigma_px
@@ -212,13 +206,11 @@ def choose_circles(
     captures: CaptureSet,
     detected: Sequence[DetectedContact],
     which: Literal["fused", "labels", "detected"] = "fused",
-    training: Collection[str] | None = None,
 ) -> list[ContactCircle]:
     """Contact circle of every press: given, detected, or fused from both.
 
     A press without a given circle takes the detected one; a circle that a person has corrected
-    (``contacts.toml``) is taken as it is. ``training`` names the presses that may say what all
-    labels have in common; all may without.
+    (``contacts.toml``) is taken as it is.
     """
     circles = [contact.circle for contact in detected]
     for i, press in enumerate(captures.presses):
@@ -229,11 +221,7 @@ def choose_circles(
     labelled = [i for i, press in enumerate(captures.presses) if press.circle and not press.checked]
     given = [press.circle for press in captures.presses if press.circle and not press.checked]
     if which == "fused" and labelled:
-        known = [training is None or captures.presses[i].name in training for i in labelled]
-        if not any(known):
-            # Nothing tells where labels lie against detected circles.
-            return circles
-        given, _ = fuse_circles(given, [detected[i] for i in labelled], known)
+        given, _ = fuse_circles(given, [detected[i] for i in labelled])
     for i, circle in zip(labelled, given, strict=True):
         circles[i] = circle
     return circles

@@ -44,6 +44,7 @@ from taccel_lab.calibration.response.frame import (
     PressFrame,
     noise_floor_l1,
     place_region,
+    press_frames,
     score_image,
 )
 from taccel_lab.calibration.result import in_figures
@@ -124,20 +125,12 @@ def fit_color(
     Raises:
         InputError: Numbers that do not match, a press on both sides, or captures no fit can take.
     """
-    if not len(circles) == len(surfaces) == len(captures.presses):
-        raise InputError(
-            f"{len(captures.presses)} presses need as many circles and surfaces, got "
-            f"{len(circles)} and {len(surfaces)}"
-        )
+    frames = press_frames(captures, circles, surfaces)
     if heldout is not None:
         both = {p.name for p in captures.presses} & {p.name for p in heldout.captures.presses}
         if both:
             raise InputError(f"{', '.join(sorted(both))}: held out and fitted at once")
     scene = CaptureScene.of(captures, background)
-    frames = [
-        PressFrame(press.name, press.image(), circle, surface, press.sha256)
-        for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
-    ]
     fit = fit_color_model(frames, scene, options, progress)
     taxim = fit_taxim_table(frames, scene, fit.drifts) if table else None
     labels = labels or LabelPlacement.of(captures.presses, circles)

@@ -48,8 +48,7 @@ class PressScore:
 class ColorCalibration(ScoredFit[ColorFit]):
     """Result of ``calibrate_color``."""
 
-    heldout: list[HeldoutPress]
-    """Presses that were held out and could be rendered."""
+    heldout: Sequence[HeldoutPress]
     failures: list[HeldoutFailure]
     """Presses that were held out and could not: they count as the bare background, but those whose
     labels their images reject."""
@@ -72,11 +71,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
     def train_names(self) -> list[str]:
         """Names of the training presses in order."""
         return [press.name for press in self.captures.presses]
-
-    @property
-    def has_scores(self) -> bool:
-        """Whether there are figures of held-out presses."""
-        return bool(in_figures(self.heldout))
 
     @property
     def rejected(self) -> dict[str, float | None]:

@@ -21,7 +21,9 @@ from taccel_lab.calibration.base_profile import (
     MEASURED,
     captures_on_pad,
     lost_blocks,
+    measured_grid,
     on_grid,
+    presses_on_camera,
     require_image_of,
     require_labels_and_view,
     with_measured_scale,
@@ -117,12 +119,12 @@ def grey_captures(
         rectification.require_raw_size(raw, folder.source)
         return _rectified(captures, rectification), remarks
     require_image_of(base, folder)
+    if folder.mm_per_px is not None or measured_grid(folder, base) is not None:
+        return presses_on_camera(folder, base)[0], remarks
     grid, kind = base.camera.grid(), base.camera.provenance.kind
     captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
     same = (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px)
-    if folder.mm_per_px is not None and not (same and kind in MEASURED):
-        return captures_on_pad(folder.ball_presses(), base), remarks
-    if folder.mm_per_px is None and kind not in MEASURED:
+    if kind not in MEASURED:
         source = f"{grid.mm_per_px_x:.4g} mm/px of the profile ({kind})"
         remarks.append(SCALE_NOT_MEASURED(source=source))
     captures = replace(captures, grid=grid) if same else captures

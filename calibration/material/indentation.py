@@ -29,6 +29,7 @@ from taccel_lab.calibration.material.likelihood import (
     FittedParameter,
     Likelihood,
     Solution,
+    hull,
     widened,
 )
 from taccel_lab.calibration.result import NORMAL_95
@@ -394,8 +395,7 @@ def held_out(fit: IndentationFit, refit: Refit) -> tuple[HeldOut, ...]:
         one, free = refit(keep)
         for i, j in zip(owner[out].tolist(), place[out].tolist(), strict=True):
             depth, force = float(fit.points[i].depth_mm[j]), float(fit.points[i].force_n[j])
-            ends = [force_interval_n(f, i, depth, reading=True) for f in free]
-            interval = (min(low for low, _ in ends), max(high for _, high in ends))
+            interval = hull(force_interval_n(f, i, depth, reading=True) for f in free)
             predicted = float(one.predicted_n(i, np.array([depth]))[0])
             found.append(HeldOut(i, depth, force, predicted, interval))
     return tuple(sorted(found, key=lambda item: (item.index, item.depth_mm)))

@@ -47,7 +47,6 @@ from taccel_lab.calibration.remarks import (
     left_out_remarks,
 )
 from taccel_lab.calibration.response.frame import (
-    EXACT,
     CaptureScene,
     CircleSigma,
     HeldoutSet,
@@ -55,9 +54,9 @@ from taccel_lab.calibration.response.frame import (
     in_background_light,
     noise_floor_l1,
     place_region,
+    press_frames,
 )
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, counted, silent
@@ -169,22 +168,12 @@ def fit_normals(
         thickness_share: That of depths by the thickness of ``pad``, as a share of them.
         progress: Told of the fit's steps.
     """
-    if not len(circles) == len(surfaces) == len(captures.presses):
-        raise InputError(
-            f"{len(captures.presses)} presses need as many circles and surfaces, got "
-            f"{len(circles)} and {len(surfaces)}"
-        )
     scene = CaptureScene.of(captures, background, rest)
-    sigmas = circle_sigmas_px or [EXACT] * len(circles)
     training = [
-        PressFrame(
-            press.name, in_background_light(press.image(), scene), circle, surface, press.sha256,
-            sigma,
-        )
-        for press, circle, surface, sigma in zip(
-            captures.presses, circles, surfaces, sigmas, strict=True
-        )
-    ]  # fmt: skip
+        replace(frame, image=in_background_light(frame.image, scene))
+        for frame in press_frames(captures, circles, surfaces, circle_sigmas_px)
+    ]
+    sigmas = [frame.circle_sigma_px for frame in training]
     drawn, unseen = iter(()), iter(())
     if pad is not None and options.synthetic_presses:
         tools = _synthetic_presses(training, scene, pad, colors, options.seed, progress)

@@ -72,11 +72,6 @@ class NormalCalibration(ScoredFit[InverseFit]):
         found = {item.name: item.used.mean_deg for item in self.heldout}
         return {name: found.get(name) for name in sorted(self.rejected)}
 
-    @property
-    def has_scores(self) -> bool:
-        """Whether there are figures of held-out presses."""
-        return bool(in_figures(self.heldout))
-
     def absolute_means(self) -> dict[str, float]:
         """Mean absolute depth figures of the held-out presses that were read."""
         return mean_figures([item.depth for item in in_figures(self.heldout)])

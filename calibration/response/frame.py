@@ -99,6 +99,32 @@ class PressFrame:
     """How far the circle may be off."""
 
 
+def press_frames(
+    captures: CaptureSet,
+    circles: Sequence[ContactCircle],
+    surfaces: Sequence[BallSurface],
+    sigmas_px: Sequence[CircleSigma] | None = None,
+) -> list[PressFrame]:
+    """Presses of a set in their circles, with their surfaces, in order; circles are exact when
+    ``sigmas_px`` is None.
+
+    Raises:
+        InputError: Numbers that do not match.
+    """
+    if not len(circles) == len(surfaces) == len(captures.presses):
+        raise InputError(
+            f"{len(captures.presses)} presses need as many circles and surfaces, got "
+            f"{len(circles)} and {len(surfaces)}"
+        )
+    sigmas = sigmas_px or [EXACT] * len(circles)
+    return [
+        PressFrame(press.name, press.image(), circle, surface, press.sha256, sigma)
+        for press, circle, surface, sigma in zip(
+            captures.presses, circles, surfaces, sigmas, strict=True
+        )
+    ]
+
+
 def draw_pixels(
     frame: PressFrame,
     scene: CaptureScene,

@@ -424,5 +424,5 @@ def test_the_largest_seed_is_taken() -> None:
 
 
 def test_synthetic_presses_have_an_end() -> None:
-    with pytest.raises(InputError, match=r"synthetic_presses must lie in 0\.\.10000, got -1"):
+    with pytest.raises(InputError, match=r"synthetic_presses must lie in \[0, 10000\], got -1"):
         InverseFitOptions(synthetic_presses=-1)

@@ -71,7 +71,8 @@ def measured(captures: CaptureSet) -> tuple[np.ndarray, np.ndarray, Scatter]:
     own = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in found])
     covered = []
     for half in (np.arange(len(off)) % 2 == 0, np.arange(len(off)) % 2 == 1):
-        center, radius = fuse_circles(given, found, half.tolist())[1]
+        picked = np.flatnonzero(half).tolist()
+        center, radius = fuse_circles([given[i] for i in picked], [found[i] for i in picked])[1]
         left = off[~half] - off[half].mean(axis=0)
         covered.append(np.abs(left) < 1.96 * np.hypot(own[~half], (center, center, radius)))
     assert np.mean(np.concatenate(covered)) > 0.82

@@ -126,7 +126,7 @@ def test_bad_fits_are_refused() -> None:
         fit_color_model([], CaptureScene.of(captures, None))
     with pytest.raises(InputError, match="steps must be at least 1"):
         ColorFitOptions(steps=0)
-    with pytest.raises(InputError, match="learning_rate must be positive"):
+    with pytest.raises(InputError, match="learning_rate must lie in"):
         ColorFitOptions(learning_rate=-1.0)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
         fit_color(captures, [], surfaces)
