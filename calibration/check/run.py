@@ -146,6 +146,7 @@ def check_captures(
         findings.append(
             remarks.ASSUMED(count=len(folder.assumed), assumed=in_words(folder.assumed))
         )
+    others = folder.boards or folder.edges or folder.markers or folder.records
     frames: list[FrameFigures] = []
     grid, background = None, None
     grey = None if facts is None else facts.is_grey
@@ -166,7 +167,7 @@ def check_captures(
         spoilt = grey or any(finding.code in SPOILS_SLOPES for finding in findings)
         if fit_ball and not spoilt:
             findings += check_slopes(folder, background.image)
-    elif folder.background is None and not folder.presses and not _has_other(folder):
+    elif folder.background is None and not folder.presses and not others:
         findings.append(remarks.EMPTY())
     # Of equal weight, those about most images first.
     findings.sort(key=lambda finding: (-RANK[finding.severity], -len(finding.frames)))
@@ -179,10 +180,6 @@ def check_captures(
         background=background,
         notes=notes,
     )
-
-
-def _has_other(folder: CaptureFolder) -> bool:
-    return bool(folder.boards or folder.edges or folder.markers or folder.records)
 
 
 def press_grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:

@@ -26,17 +26,15 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.circles.color_change import (
+    MIN_RADIUS_PX,
     SUNK_RADII,
     ColorChange,
     WorkingSize,
     color_change,
-    smoothing_px,
-)
-from taccel_lab.calibration.circles.first_circle import (
-    MIN_RADIUS_PX,
     first_circle,
     fit_rim,
     gathered_share,
+    smoothing_px,
     turning_radius,
 )
 from taccel_lab.calibration.circles.grey import find_grey_contact

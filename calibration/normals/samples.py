@@ -30,7 +30,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import (
     WHOLE,
@@ -39,6 +38,7 @@ from taccel_lab.calibration.response.frame import (
     Ring,
     draw_pixels,
 )
+from taccel_lab.calibration.robust_fit import MIN_PRESSES, radius_factor
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import RAYLEIGH_95, NormalModelConfig
 from taccel_lab.signals.height_uncertainty import HeightUncertainty

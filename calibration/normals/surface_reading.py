@@ -88,7 +88,7 @@ def touch_of(rise_m: np.ndarray, sigma_m: np.ndarray | None, grid: PixelGrid) ->
     return Touch(pixels, least_mm, max(unseen_mm, CONTACT_MM))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class SurfaceReading(Summary):
     """What one image shows."""
 
@@ -104,14 +104,14 @@ class SurfaceReading(Summary):
     what is off along with a depth, such as the calibration's circles or scale, is not in it."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
-    sigma_deg: np.ndarray | None
+    sigma_deg: np.ndarray | None = None
     """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
-    radius95_deg: np.ndarray | None
+    radius95_deg: np.ndarray | None = None
     """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
-    beyond_balls: np.ndarray | None
+    beyond_balls: np.ndarray | None = None
     """Pixels that read steeper than any captured ball was, bool: their slopes are what the colour
     model makes of colours that nobody captured. None of a grey sensor."""
-    saturated: np.ndarray | None
+    saturated: np.ndarray | None = None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
     touch: Touch

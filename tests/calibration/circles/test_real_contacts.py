@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.color_change import color_change
-from taccel_lab.calibration.circles.first_circle import fit_rim
+from taccel_lab.calibration.circles.color_change import color_change, fit_rim
 from taccel_lab.calibration.circles.labels import DetectedContact, circle_array, fuse_circles
 from tests.calibration.circles.presses import contacts_of, offsets, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
