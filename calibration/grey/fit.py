@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -174,20 +174,26 @@ def fit_depth(
     captures, found, lost = usable_presses(captures, grey=options.channel)
     chosen = choose_circles(captures, found, "labels")
     off = [*lost, *label_remarks(captures, [contact.circle for contact in found])]
-    drops = [background - channel_of(p.image(), options.channel) for p in captures.presses]
-    sigma_px = [contact.radius_sigma_px for contact in found]
-    given = [press.circle is not None for press in captures.presses]
-    radii = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
-    for press, circle, radius in zip(captures.presses, chosen, radii, strict=True):
-        if circle.radius_px * captures.grid.mm_per_px_x >= radius:
+    contacts = [
+        _Contact(
+            press=press,
+            circle=circle,
+            sigma_px=contact.radius_sigma_px,
+            ball_mm=press.radius_mm or captures.ball_radius_mm,
+            radius_mm=circle.radius_px * captures.grid.mm_per_px_x,
+            drop=background - channel_of(press.image(), options.channel),
+        )
+        for press, circle, contact in zip(captures.presses, chosen, found, strict=True)
+    ]
+    for one in contacts:
+        if one.radius_mm >= one.ball_mm:
             raise InputError(
-                f"{press.source}: the contact's radius of "
-                f"{circle.radius_px * captures.grid.mm_per_px_x:.2f} mm is not below the ball's of "
-                f"{radius:g} mm; check the scale and the ball"
+                f"{one.press.source}: the contact's radius of {one.radius_mm:.2f} mm is not below "
+                f"the ball's of {one.ball_mm:g} mm; check the scale and the ball"
             )
     sunk = [0.0] * len(chosen)
     zeros = [sunk]
-    by_travel = _rims_by_travel(captures, chosen, radii)
+    by_travel = _rims_by_travel(contacts)
     zero = options.zero
     if zero == "auto":
         zero = "untouched" if by_travel is None else "travel"
@@ -197,11 +203,10 @@ def fit_depth(
         sunk = by_travel
 
     def pixels() -> tuple[ContactPixels, ...]:
+        grid = captures.grid
         return tuple(
-            contact_pixels(i, drop, background, circle, captures.grid, radius, rim, mask)
-            for i, (drop, circle, radius, rim) in enumerate(
-                zip(drops, chosen, radii, sunk, strict=True)
-            )
+            contact_pixels(i, one.drop, background, one.circle, grid, one.ball_mm, rim, mask)
+            for i, (one, rim) in enumerate(zip(contacts, sunk, strict=True))
         )
 
     parts = pixels()
@@ -219,12 +224,10 @@ def fit_depth(
     spread = curve_spread_mm(parts, response, np.random.default_rng(options.seed), BOOTSTRAPS)
     all_errors = np.concatenate(errors)
     figures = tuple(
-        _figures(part, response, captures, circle, sigma, flag, radius, rim)
-        for part, circle, sigma, flag, radius, rim in zip(
-            parts, chosen, sigma_px, given, radii, sunk, strict=True
-        )
+        _figures(part, response, one, rim)
+        for part, one, rim in zip(parts, contacts, sunk, strict=True)
     )
-    offset_mm = _offset_sigma_mm(chosen, sigma_px, radii, captures)
+    offset_mm = _offset_sigma_mm(contacts, captures.grid.mm_per_px_x)
     gap_mm = max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros)
     if zero == "travel":
         # The ball's lowest point is where the stage has it, whatever its circle.
@@ -254,23 +257,37 @@ def fit_depth(
         *off,
         *place_remarks(chosen),
         *error_remarks(all_errors, np.concatenate([part.depth_mm for part in parts]), left_out),
-        *curve_remarks(result, drops),
+        *curve_remarks(result, [one.drop for one in contacts]),
     )
     return replace(result, remarks=found_remarks)
 
 
-def _rims_by_travel(
-    captures: CaptureSet, circles: Sequence[ContactCircle], radii_mm: Sequence[float]
-) -> list[float] | None:
+@dataclass(frozen=True)
+class _Contact:
+    """A press in its circle."""
+
+    press: CapturedPress
+    circle: ContactCircle
+    sigma_px: float
+    """Standard deviation of the circle's radius."""
+    ball_mm: float
+    radius_mm: float
+    """Radius of the circle."""
+    drop: np.ndarray
+    """How far the channel darkens [levels], shape [height_px, width_px]."""
+
+    @property
+    def plane_mm(self) -> float:
+        """Distance of the circle's plane from the ball's centre."""
+        return math.sqrt(self.ball_mm**2 - self.radius_mm**2)
+
+
+def _rims_by_travel(contacts: Sequence[_Contact]) -> list[float] | None:
     """How deep each contact's rim lies below the untouched face [mm]: what the press's travel says
     beyond the ball's cap, for presses without travel the mean of the others; None without any."""
-    caps = [
-        ball - math.sqrt(ball**2 - (circle.radius_px * captures.grid.mm_per_px_x) ** 2)
-        for circle, ball in zip(circles, radii_mm, strict=True)
-    ]
     rims = [
-        press.depth_mm - cap if press.depth_mm else None
-        for press, cap in zip(captures.presses, caps, strict=True)
+        one.press.depth_mm - (one.ball_mm - one.plane_mm) if one.press.depth_mm else None
+        for one in contacts
     ]
     known = [rim for rim in rims if rim is not None]
     if not known:
@@ -279,47 +296,31 @@ def _rims_by_travel(
 
 
 def _figures(
-    part: ContactPixels,
-    response: DepthResponse,
-    captures: CaptureSet,
-    circle: ContactCircle,
-    sigma_px: float,
-    given: bool,
-    ball_radius_mm: float,
-    rim_mm: float,
+    part: ContactPixels, response: DepthResponse, contact: _Contact, rim_mm: float
 ) -> PressFigures:
+    circle = contact.circle
     left = response.depth_of(part.drop_levels) - part.depth_mm
     x = (part.u_px - circle.u_px) / circle.radius_px
     y = (part.v_px - circle.v_px) / circle.radius_px
     plane, *_ = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), left, rcond=None)
-    rim = circle.radius_px * captures.grid.mm_per_px_x
     return PressFigures(
-        name=captures.presses[part.press].name,
+        name=contact.press.name,
         u_px=circle.u_px,
         v_px=circle.v_px,
         radius_px=circle.radius_px,
-        radius_sigma_px=sigma_px,
-        given=given,
+        radius_sigma_px=contact.sigma_px,
+        given=contact.press.circle is not None,
         rim_depth_mm=rim_mm,
-        depth_mm=ball_radius_mm - math.sqrt(ball_radius_mm**2 - rim**2) + rim_mm,
+        depth_mm=contact.ball_mm - contact.plane_mm + rim_mm,
         mae_mm=float(np.abs(left).mean()),
         bias_mm=float(left.mean()),
         plane_mm=float(2 * np.hypot(plane[0], plane[1])),
     )
 
 
-def _offset_sigma_mm(
-    circles: Sequence[ContactCircle],
-    sigma_px: Sequence[float],
-    radii_mm: Sequence[float],
-    captures: CaptureSet,
-) -> float:
+def _offset_sigma_mm(contacts: Sequence[_Contact], mm_per_px: float) -> float:
     """Uncertain radius times the ball's slope at the rim, averaged over the presses."""
-    scale = captures.grid.mm_per_px_x
-    each = []
-    for circle, sigma, ball in zip(circles, sigma_px, radii_mm, strict=True):
-        rim = circle.radius_px * scale
-        each.append(sigma * scale * rim / math.sqrt(ball**2 - rim**2))
+    each = [one.sigma_px * mm_per_px * one.radius_mm / one.plane_mm for one in contacts]
     return float(np.sqrt(np.mean(np.square(each)) / len(each)))
 
 
