@@ -129,6 +129,7 @@ def test_a_calibration_names_what_the_user_gave(
         raise InputError(f"{folder.root / 'background.png'} of {folder.source} is dark")
 
     found = SimpleNamespace(apply_to=lambda base: base, maps=cropping_maps, remarks=())
+    found.scored = found
     blocks = (
         SimpleNamespace(name="camera", fit=lambda *_: found, page=lambda *_: None),
         SimpleNamespace(name="background", fit=refuse),
