@@ -45,6 +45,9 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.rest_surface import rest_surface
 
+MEAN_OF = 4
+"""Presses that have a mean light."""
+
 
 @dataclass(frozen=True)
 class Untouched:
@@ -173,10 +176,6 @@ def _without_label(training: CaptureSet) -> list[Remark]:
         return []
     names = sorted(training.rejected)
     return [LABELS_UNUSED(count=len(names), names=name_some(names), frames=names)]
-
-
-MEAN_OF = 4
-"""Presses that have a mean light."""
 
 
 def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProfile:

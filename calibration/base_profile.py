@@ -24,6 +24,8 @@ from taccel_lab.sensors.starters import is_starter
 
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
+FROM_CAPTURES = ("stated", "measured", "calibrated")
+"""Kinds of blocks that rest on captures; the others are the catalogue's."""
 
 
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
@@ -181,10 +183,6 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
             y=new.mm_per_px_y,
         )
     ]
-
-
-FROM_CAPTURES = ("stated", "measured", "calibrated")
-"""Kinds of blocks that rest on captures; the others are the catalogue's."""
 
 
 def with_session(

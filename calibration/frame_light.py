@@ -24,6 +24,34 @@ from taccel_lab.calibration.robust_fit import spread_of_lengths
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
+SAMPLE_COUNT = 8000
+"""Pixels that the robust fit looks at, on a regular lattice."""
+MIN_PIXELS = 200
+BIWEIGHT = 3.0
+"""Residual, in robust standard deviations, beyond which a pixel has no say."""
+MIN_SCALE_LEVELS = 1.0
+PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
+"""Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
+PRIOR_SAMPLES = 200.0
+"""Independent samples that a frame counts as against the prior: neighbours err alike."""
+SMOOTHING_SHARE = 1 / 160
+"""Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
+gain to 0 wherever the gradient can explain the background as well."""
+ITERATIONS = 12
+GAIN_DOUBT = 0.03
+"""Gain that sunk gel feigns: over 48 presses in one light (Taxim) a standard deviation of 0.02 to
+0.03."""
+GRADIENT_DOUBT_LEVELS = 1.5
+"""Standard deviation of a gradient that a press may hide: half of a lamp that has become 3 % weaker
+on one side."""
+NOTABLE_LEVELS = 2.0
+"""Spread of the light over the frames above which a correction pays."""
+BALANCE_LEVELS = 2.5
+"""Spread of the differences between channels that a free white balance leaves at least."""
+BALANCE_SHARE = 0.5
+"""Part of the whole spread that differences between channels have to be."""
+CHANNELS = ("red", "green", "blue")
+
 
 @dataclass(frozen=True)
 class LightDrift:
@@ -108,28 +136,6 @@ def smoothed(image: np.ndarray, mask: np.ndarray | None, sigma_px: float) -> np.
     total = cv2.GaussianBlur(weight, (0, 0), sigma_px)[..., None]
     spread = cv2.GaussianBlur(filled, (0, 0), sigma_px)
     return np.where(total > 1e-3, spread / np.maximum(total, 1e-3), 0.0).astype(np.float32)
-
-
-SAMPLE_COUNT = 8000
-"""Pixels that the robust fit looks at, on a regular lattice."""
-MIN_PIXELS = 200
-BIWEIGHT = 3.0
-"""Residual, in robust standard deviations, beyond which a pixel has no say."""
-MIN_SCALE_LEVELS = 1.0
-PRIOR_SIGMA = np.array([0.07, 30.0, 10.0, 10.0])
-"""Prior spread of gain, offset and the gradient's two parts [1, levels, levels, levels]."""
-PRIOR_SAMPLES = 200.0
-"""Independent samples that a frame counts as against the prior: neighbours err alike."""
-SMOOTHING_SHARE = 1 / 160
-"""Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
-gain to 0 wherever the gradient can explain the background as well."""
-ITERATIONS = 12
-GAIN_DOUBT = 0.03
-"""Gain that sunk gel feigns: over 48 presses in one light (Taxim) a standard deviation of 0.02 to
-0.03."""
-GRADIENT_DOUBT_LEVELS = 1.5
-"""Standard deviation of a gradient that a press may hide: half of a lamp that has become 3 % weaker
-on one side."""
 
 
 def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
@@ -284,15 +290,6 @@ def _with_prior(
 def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:
     """Frame minus the background in the frame's light [levels], float32."""
     return (image - light.apply(background.astype(np.float32))).astype(np.float32)
-
-
-NOTABLE_LEVELS = 2.0
-"""Spread of the light over the frames above which a correction pays."""
-BALANCE_LEVELS = 2.5
-"""Spread of the differences between channels that a free white balance leaves at least."""
-BALANCE_SHARE = 0.5
-"""Part of the whole spread that differences between channels have to be."""
-CHANNELS = ("red", "green", "blue")
 
 
 @dataclass(frozen=True)

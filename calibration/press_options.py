@@ -19,6 +19,14 @@ UNTOUCHED_RADII = 2.5
 
 ThicknessMode = Literal["auto", "fit"]
 """``auto`` keeps a thickness that somebody measured; ``fit`` fits it whatever is stated."""
+DISC_RADII = 1.3
+"""Contact radii within which the colours of a contact and its rim lie."""
+MOST_SYNTHETIC = 10_000
+"""Synthetic presses; each takes a tenth of a second."""
+RIM_RADII = 0.98
+"""Contact radii within which a pixel lies in the contact, as well as circles are known."""
+SINK_IN_RADII = 1.03
+"""Contact radii beyond which it surely lies outside."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +43,6 @@ class BallPressOptions:
     thickness: ThicknessMode = "auto"
     """Thickness of the gel: auto fits an unmeasured one to the sink-in around the balls and
     their depth_mm, and rejects a stated one that they contradict. fit always fits it."""
-
-
-DISC_RADII = 1.3
-"""Contact radii within which the colours of a contact and its rim lie."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,14 +116,6 @@ class ColorFitOptions(ColorTraining):
             (DISC_RADII, UNTOUCHED_RADII, self.ring_pixels),
             (UNTOUCHED_RADII, math.inf, self.far_pixels),
         )
-
-
-MOST_SYNTHETIC = 10_000
-"""Synthetic presses; each takes a tenth of a second."""
-RIM_RADII = 0.98
-"""Contact radii within which a pixel lies in the contact, as well as circles are known."""
-SINK_IN_RADII = 1.03
-"""Contact radii beyond which it surely lies outside."""
 
 
 @dataclass(frozen=True, kw_only=True)

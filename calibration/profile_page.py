@@ -29,6 +29,13 @@ CORE = ("gel", "material", "camera", "background", "color")
 """Blocks without which a sensor cannot be simulated with pictures."""
 DRAWS = 6
 """Sensors that are drawn from the spread."""
+PLACES = ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75))
+"""Shares of the image's width and height: the middle and near the corners."""
+DISC_SIZE = 65
+SPAN = 0.7
+"""Largest sine of the tilt at which colours are compared: 44 degrees."""
+DISPLACEMENT_MM = -0.3
+"""Indentation at which they are compared [mm]."""
 
 
 def profile_page(profile: SensorProfile) -> Page:
@@ -231,15 +238,6 @@ def _perturbed(profile: SensorProfile) -> Figure:
         panel.imshow(drawn.astype(np.uint8))
         panel.set_axis_off()
     return figure
-
-
-PLACES = ((0.5, 0.5), (0.2, 0.25), (0.8, 0.25), (0.2, 0.75), (0.8, 0.75))
-"""Shares of the image's width and height: the middle and near the corners."""
-DISC_SIZE = 65
-SPAN = 0.7
-"""Largest sine of the tilt at which colours are compared: 44 degrees."""
-DISPLACEMENT_MM = -0.3
-"""Indentation at which they are compared [mm]."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from taccel_lab.report.remark import Remark, Severity
 
 _LAST_STOP = re.compile(r"(?<!\.)\.$")
 _FIELD = re.compile(r"\{(\w+)[^}]*\}")
+MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -248,8 +249,6 @@ PAD_EDGE = info(
     ("color", "normals", "depth"),
     graver=Severity.WARNING,
 )
-
-MOST_NAMED = 6
 
 
 def name_some(names: Sequence[str]) -> str:

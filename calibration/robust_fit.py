@@ -29,6 +29,35 @@ from scipy.sparse import csr_array, issparse
 
 _MEDIAN_LENGTHS = {1: 0.6744897501960817, 2: 1.1774, 3: 1.538}
 """Median length of a vector of this number of standard normal variables."""
+_STEPS = 100
+_RESTING = 1e-9
+"""Step of a parameter, over its curvature's standard deviation, below which a refused step ends
+it."""
+Expanded = tuple[float, np.ndarray, np.ndarray]
+Expansion = Callable[[np.ndarray, float], Expanded]
+"""A function of parameters [k]: its value (infinite where it has none), its gradient [k] and, as
+Gauss and Newton have it, its curvature [k, k]. The derivatives are asked for where the value lies
+below the second argument."""
+HUBER = 2.0
+"""Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
+efficiency on normal noise in two dimensions."""
+_EXACT = 1e-9
+"""Scale of residuals below which they are taken for exact."""
+_ROUNDS, _STEADY = 30, 1e-3
+"""Fits at new scales at most, and the change of the scale, relative, that asks for no other."""
+_GAIN = 1e-11
+"""Gain of the loss by a step, relative, below which a search is over."""
+_STEP = 6e-6
+"""Relative step of differences: the cube root of the rounding error."""
+Residuals = Callable[[np.ndarray], np.ndarray]
+"""Residuals of the points by parameters, [k] -> [n, 2]; not finite where there is none."""
+Matrix = np.ndarray | csr_array
+Jacobian = Callable[[np.ndarray], Matrix]
+"""Derivatives of all u and v, point by point, [k] -> [2 n, k]; sparse where most are zero."""
+HIGHEST_LEVEL = 0.995
+LEVELS = 46
+MIN_PRESSES = 4
+"""Fewest presses: with fewer, nothing is known of how presses differ."""
 
 
 def spread_about_median(values: np.ndarray) -> float:
@@ -44,18 +73,6 @@ def spread_about_zero(values: np.ndarray) -> float:
 def spread_of_lengths(lengths: np.ndarray, dimensions: int) -> float:
     """Standard deviation along an axis of normal vectors of 1 to 3 dimensions, by their lengths."""
     return float(np.median(lengths)) / _MEDIAN_LENGTHS[dimensions]
-
-
-_STEPS = 100
-_RESTING = 1e-9
-"""Step of a parameter, over its curvature's standard deviation, below which a refused step ends
-it."""
-
-Expanded = tuple[float, np.ndarray, np.ndarray]
-Expansion = Callable[[np.ndarray, float], Expanded]
-"""A function of parameters [k]: its value (infinite where it has none), its gradient [k] and, as
-Gauss and Newton have it, its curvature [k, k]. The derivatives are asked for where the value lies
-below the second argument."""
 
 
 def damped_search(
@@ -108,25 +125,6 @@ def damped_search(
         else:
             damping = max(10 * damping, 1e-3)
     return theta, value, False
-
-
-HUBER = 2.0
-"""Length of a residual over the standard deviation along an axis from which on it counts less: 98 %
-efficiency on normal noise in two dimensions."""
-_EXACT = 1e-9
-"""Scale of residuals below which they are taken for exact."""
-_ROUNDS, _STEADY = 30, 1e-3
-"""Fits at new scales at most, and the change of the scale, relative, that asks for no other."""
-_GAIN = 1e-11
-"""Gain of the loss by a step, relative, below which a search is over."""
-_STEP = 6e-6
-"""Relative step of differences: the cube root of the rounding error."""
-
-Residuals = Callable[[np.ndarray], np.ndarray]
-"""Residuals of the points by parameters, [k] -> [n, 2]; not finite where there is none."""
-Matrix = np.ndarray | csr_array
-Jacobian = Callable[[np.ndarray], Matrix]
-"""Derivatives of all u and v, point by point, [k] -> [2 n, k]; sparse where most are zero."""
 
 
 @dataclass(frozen=True)
@@ -265,12 +263,6 @@ def fit_robustly(
     x, _, converged = searched(x, scale, _GAIN)
     left = residuals(x)
     return RobustFit(x, left, weigh(left, scale), of_points(x), of_prior(x), converged)
-
-
-HIGHEST_LEVEL = 0.995
-LEVELS = 46
-MIN_PRESSES = 4
-"""Fewest presses: with fewer, nothing is known of how presses differ."""
 
 
 def radius_factor(scores: Sequence[np.ndarray], share: float, otherwise: float) -> float:

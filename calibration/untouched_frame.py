@@ -42,6 +42,26 @@ from taccel_lab.sensors.starters import is_starter
 Fit = Callable[[np.ndarray, str], np.ndarray]
 """Makes of a file's image, which an error calls by a name, one of the profile's camera, such as by
 rectification or by a crop."""
+MOST_FRAMES = 128
+"""Most frames that are compared, evenly picked."""
+THUMB_PX = 60
+"""Longer side of the small images that are compared."""
+NOISE_TIMES, LEAST_LEVELS = 3.0, 2.0
+"""Two small images agree up to this multiple of the change of the stillest tenth of the frames, at
+least so much [levels], and never where a contact shows (``MIN_CONTACT_LEVELS``)."""
+STATES, WITNESSES = 5, 8
+"""Still states that are tried, those of most frames first, and frames that each is read against."""
+CLEARLY = 0.3
+"""Part of the largest change beyond which frames differ clearly."""
+AVERAGED = 16
+"""Frames that an untouched image is the mean of."""
+LEAST_MARGIN, MARGIN_OF_ONE = 0.15, 0.8
+"""Least margin, and over how few witnesses: 0.8 of one, 0.4 of two, 0.15 of six and more. The
+untouched gel of plain and dotted Minis and of 9DTact is higher than presses by 0.42 to 0.83, 0.19
+to 0.70 and 0.20 to 0.36, presses than other presses by -0.47 to 0.62, the least of six by 0.10 at
+most."""
+Frames = Callable[[], Iterator[tuple[str, np.ndarray]]]
+"""Names and RGB levels, shape [height_px, width_px, 3] of the profile; the same each time."""
 
 
 def _as_it_is(image: np.ndarray, _: str) -> np.ndarray:
@@ -175,29 +195,6 @@ def _fitted(
         return None
     camera = profile.camera
     return fitted if fitted.shape == (camera.height_px, camera.width_px, 3) else None
-
-
-MOST_FRAMES = 128
-"""Most frames that are compared, evenly picked."""
-THUMB_PX = 60
-"""Longer side of the small images that are compared."""
-NOISE_TIMES, LEAST_LEVELS = 3.0, 2.0
-"""Two small images agree up to this multiple of the change of the stillest tenth of the frames, at
-least so much [levels], and never where a contact shows (``MIN_CONTACT_LEVELS``)."""
-STATES, WITNESSES = 5, 8
-"""Still states that are tried, those of most frames first, and frames that each is read against."""
-CLEARLY = 0.3
-"""Part of the largest change beyond which frames differ clearly."""
-AVERAGED = 16
-"""Frames that an untouched image is the mean of."""
-LEAST_MARGIN, MARGIN_OF_ONE = 0.15, 0.8
-"""Least margin, and over how few witnesses: 0.8 of one, 0.4 of two, 0.15 of six and more. The
-untouched gel of plain and dotted Minis and of 9DTact is higher than presses by 0.42 to 0.83, 0.19
-to 0.70 and 0.20 to 0.36, presses than other presses by -0.47 to 0.62, the least of six by 0.10 at
-most."""
-
-Frames = Callable[[], Iterator[tuple[str, np.ndarray]]]
-"""Names and RGB levels, shape [height_px, width_px, 3] of the profile; the same each time."""
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,16 @@ FEW_SHARE = 0.1
 """So many contacts may be wrongly found or labelled before the radius is at fault."""
 SCALE_FACTOR = 1.4
 """Published scales of one and the same sensor differ by up to this."""
+FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
+"""Ball radii that are tried, over the stated one."""
+ROUNDS = 5
+SINK_INS = (SINK_IN_SCALE, SINK_IN_SCALE**2 / OTHER_SINK_IN_SCALE, OTHER_SINK_IN_SCALE)
+"""Damping lengths of the gel beside a contact: the usual one and both sides of it."""
+WORSE = 0.08
+"""Rise of the residual that our model of the sink-in does not explain: on real presses of balls of
+known radius the residual changes by up to 8 % between the stated radius and twice that."""
+SURE_RISE = 3.0
+"""Standard errors, over the presses, that a rise has to have."""
 
 
 def check_balls(
@@ -287,18 +297,6 @@ def check_scale(
     if not low < longer < high:
         found.append(remarks.SCALE_UNUSUAL(mm_per_px=grid.mm_per_px_x, length=longer, usual=usual))
     return found
-
-
-FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
-"""Ball radii that are tried, over the stated one."""
-ROUNDS = 5
-SINK_INS = (SINK_IN_SCALE, SINK_IN_SCALE**2 / OTHER_SINK_IN_SCALE, OTHER_SINK_IN_SCALE)
-"""Damping lengths of the gel beside a contact: the usual one and both sides of it."""
-WORSE = 0.08
-"""Rise of the residual that our model of the sink-in does not explain: on real presses of balls of
-known radius the residual changes by up to 8 % between the stated radius and twice that."""
-SURE_RISE = 3.0
-"""Standard errors, over the presses, that a rise has to have."""
 
 
 def check_ball(captures: CaptureSet, blocks: Sequence[str] = ()) -> Remark | None:

@@ -34,6 +34,10 @@ from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.registry import known_sensor
 
+GOOD_VIEWS = 10
+BOARD_COVERAGE = 0.5
+LABEL_DOT_PX, LABELS_LOST = 3.0, 0.1
+
 
 class Readiness(StrEnum):
     """Whether a command can be run on the folder."""
@@ -180,11 +184,6 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
     if not kinds:
         return "", "force records: indentation (E)"
     return ", ".join(f"{kinds.count(kind)} x {kind}" for kind in dict.fromkeys(kinds)), ""
-
-
-GOOD_VIEWS = 10
-BOARD_COVERAGE = 0.5
-LABEL_DOT_PX, LABELS_LOST = 3.0, 0.1
 
 
 def check_targets(folder: CaptureFolder) -> list[Remark]:

@@ -52,6 +52,22 @@ PAIR_THUMB_PX = 48
 MAX_PAIRED = 60
 HANDED = 0.7
 CHANNELS = "RGB"
+MIN_MEDIAN_PRESSES = 7
+DARK_LEVELS = 8.0
+_MEDIAN = "The median of the presses stands in for it; --background median of import keeps it"
+MIN_PRESSES = 5
+MIN_GHOST_LEVELS = 12.0
+GHOST_SHARE = 0.3
+"""Strength of the ghost against that of the presses' own contacts."""
+GHOST_AREA = 0.25
+"""Its area against that of a contact: dust that settled later is smaller."""
+AGREE = 0.35
+"""Presses that see the ghost differ from each other there by this share of it at most."""
+MIN_WITNESSES = 3
+MAX_COMPARED = 30
+"""Presses that are held against the background."""
+OPENING_SHARE = 1 / 40
+"""Half width of what is too small for a contact, as a part of the image's shorter side."""
 
 
 def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
@@ -205,11 +221,6 @@ def check_mixed(frames: Sequence[FrameFigures]) -> list[Remark]:
     ]
 
 
-MIN_MEDIAN_PRESSES = 7
-DARK_LEVELS = 8.0
-_MEDIAN = "The median of the presses stands in for it; --background median of import keeps it"
-
-
 @dataclass(frozen=True)
 class BackgroundCheck:
     """Which picture of the untouched gel the other checks compare with."""
@@ -309,21 +320,6 @@ def _check_untouched(folder: CaptureFolder) -> list[Remark]:
                 remarks.UNTOUCHED_DIFFERS(name=frame.name, misfit=misfit, frames=[frame.name])
             )
     return found
-
-
-MIN_PRESSES = 5
-MIN_GHOST_LEVELS = 12.0
-GHOST_SHARE = 0.3
-"""Strength of the ghost against that of the presses' own contacts."""
-GHOST_AREA = 0.25
-"""Its area against that of a contact: dust that settled later is smaller."""
-AGREE = 0.35
-"""Presses that see the ghost differ from each other there by this share of it at most."""
-MIN_WITNESSES = 3
-MAX_COMPARED = 30
-"""Presses that are held against the background."""
-OPENING_SHARE = 1 / 40
-"""Half width of what is too small for a contact, as a part of the image's shorter side."""
 
 
 def find_pressed_background(

@@ -47,6 +47,7 @@ ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
 SPOILS_SLOPES = {"channels_swapped", "mixed_sensors", "ball_too_small", "background_differs"}
 """Faults that leave nothing to learn about the ball from colours."""
+RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 @dataclass(frozen=True)
@@ -226,9 +227,6 @@ def press_findings(
             GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
         )
     return findings
-
-
-RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 def capture_findings(

@@ -30,6 +30,16 @@ SUNK_RADII = 2.0
 """The gel around a contact sinks notably up to this many contact radii."""
 SHORTER_PX = 480
 """Least pixels that pictures keep along their shorter side."""
+RAY_COUNT = 180
+MIN_RADIUS_PX = 4.0
+SPECK_SHARES = (1 / 75, 1 / 45)
+"""Half width of specks, dust and edges of dots, as a part of the image's shorter side."""
+GREY_SHARE = 0.1
+"""Weight of a change that is the same all round, the only one on a grey sensor."""
+SHADOW_LEVEL = 0.45
+"""Colour change, as a part of the strongest, that shadows beside a contact stay below."""
+SOUGHT_PX = 8
+"""Discs are compared in pictures so coarse that their radius is that to twice that."""
 
 
 @dataclass(frozen=True)
@@ -164,18 +174,6 @@ def _scaled(circle: ContactCircle, factor: float) -> ContactCircle:
         (circle.v_px + 0.5) * factor - 0.5,
         circle.radius_px * factor,
     )
-
-
-RAY_COUNT = 180
-MIN_RADIUS_PX = 4.0
-SPECK_SHARES = (1 / 75, 1 / 45)
-"""Half width of specks, dust and edges of dots, as a part of the image's shorter side."""
-GREY_SHARE = 0.1
-"""Weight of a change that is the same all round, the only one on a grey sensor."""
-SHADOW_LEVEL = 0.45
-"""Colour change, as a part of the strongest, that shadows beside a contact stay below."""
-SOUGHT_PX = 8
-"""Discs are compared in pictures so coarse that their radius is that to twice that."""
 
 
 @dataclass(frozen=True)

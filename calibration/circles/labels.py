@@ -38,6 +38,18 @@ from taccel_lab.calibration.capture.captures import (
 )
 from taccel_lab.errors import InputError
 
+SLOPE_PRIOR = 2.0
+"""Presses that the line of the radii counts a slope of one as."""
+MIN_PRESSES = 8
+"""Fewer presses say nothing by their scatter and covariance."""
+LABEL_SHIFT_PX = 3.0
+"""Standard deviation of a shift that all labels of a set share, along an axis and in radius."""
+LABEL_SIGMA_PX = 1.0
+"""Scatter of labels where there are too few to tell."""
+MIN_LABEL_SIGMA_PX = 0.29
+"""No label is better than one on whole pixels."""
+MIN_SIGMA_PX = 0.05
+
 
 @dataclass(frozen=True)
 class DetectedContact:
@@ -79,19 +91,6 @@ def circle_array(circles: Sequence[ContactCircle]) -> np.ndarray:
 def circle_of(shape: np.ndarray) -> ContactCircle:
     """The circle of u, v and radius [px], shape [3]."""
     return ContactCircle(*(float(x) for x in shape))
-
-
-SLOPE_PRIOR = 2.0
-"""Presses that the line of the radii counts a slope of one as."""
-MIN_PRESSES = 8
-"""Fewer presses say nothing by their scatter and covariance."""
-LABEL_SHIFT_PX = 3.0
-"""Standard deviation of a shift that all labels of a set share, along an axis and in radius."""
-LABEL_SIGMA_PX = 1.0
-"""Scatter of labels where there are too few to tell."""
-MIN_LABEL_SIGMA_PX = 0.29
-"""No label is better than one on whole pixels."""
-MIN_SIGMA_PX = 0.05
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,11 @@ WIDER_PX = 0.2
 SINK_IN_SCALE = 1.25
 """Damping length over ``sqrt(R^2 - a^2)``."""
 TABLE_STEPS = 280
+FACTORS = ("nx", "ny", "drop", "u", "v")
+PLACES = ((0, 0), (1, 0), (0, 1))
+"""Powers of u and v: none, or one of both."""
+PLAIN = 3
+"""Rows before the terms: u, v and 1."""
 
 
 def hertz_slope(ratio: np.ndarray) -> np.ndarray:
@@ -94,13 +99,6 @@ def _blur(both: np.ndarray, sigma: float) -> np.ndarray:
     other = both[..., reach:0:-1] * np.array([[-1.0], [1.0]])
     whole = np.concatenate([other, both], axis=-1)
     return gaussian_filter1d(whole, sigma, mode="nearest")[..., reach:]
-
-
-FACTORS = ("nx", "ny", "drop", "u", "v")
-PLACES = ((0, 0), (1, 0), (0, 1))
-"""Powers of u and v: none, or one of both."""
-PLAIN = 3
-"""Rows before the terms: u, v and 1."""
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,21 @@ from taccel_lab.report.remark import Remark
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
 """Findings of the check that the calibration says in its own words."""
+LEAST_PRESSES = 4
+"""Fewest presses: with fewer a model knows a few places and depths, and nothing tells of the
+others."""
+LEAST_GAIN_DB = 6.0
+"""A colour model that beats the bare background by less, in the crop, explains little."""
+OUTLIER_FACTOR = 2.5
+"""A press that is rendered worse than the median by this factor is named."""
+OUTLIER_LEVELS = 3.0
+"""And by these levels at least."""
+OUTLIERS = warning(
+    "outliers",
+    "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
+    "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
+    "not a clean ball press",
+)
 
 
 def calibrate_color(
@@ -183,24 +198,6 @@ def _by_table(table: TaximTable, item: HeldoutPress, scene: CaptureScene) -> Pre
     rendered = render_taxim_table(table, item.surface, scene.background)
     shown = in_light_of(item.captured, rendered, item.circle, scene)
     return PressScore(item.name, score_image(shown, item.captured, item.circle, scene.grid))
-
-
-LEAST_PRESSES = 4
-"""Fewest presses: with fewer a model knows a few places and depths, and nothing tells of the
-others."""
-LEAST_GAIN_DB = 6.0
-"""A colour model that beats the bare background by less, in the crop, explains little."""
-OUTLIER_FACTOR = 2.5
-"""A press that is rendered worse than the median by this factor is named."""
-OUTLIER_LEVELS = 3.0
-"""And by these levels at least."""
-
-OUTLIERS = warning(
-    "outliers",
-    "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
-    "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
-    "not a clean ball press",
-)
 
 
 def color_remarks(result: ColorCalibration) -> list[Remark]:

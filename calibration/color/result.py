@@ -35,6 +35,8 @@ from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.signals.tactile_image import tactile_images
 
+Placement = Literal["label", "found"]
+
 
 @dataclass(frozen=True)
 class PressScore:
@@ -219,9 +221,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
             )
         parts += [self.then_fitted] * (self.final is not None)
         return "; ".join(parts)
-
-
-Placement = Literal["label", "found"]
 
 
 @dataclass(frozen=True)

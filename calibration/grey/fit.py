@@ -68,6 +68,21 @@ from taccel_lab.signals.depth_response import DepthResponse, channel_of
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
+LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
+"""A label is off when its centre lies this part of its radius, and this far, from the dark patch:
+the limits of the check of coloured captures."""
+ONE_SPOT_RADII = 1.0
+"""Presses are at one spot when no two centres are this many contact radii apart."""
+POOR_CURVE, WRONG_CURVE = 0.15, 0.35
+"""Left-out error over the mean depth, from which a curve is only usable, or weak. Presses of one
+9DTact lie at 0.02 to 0.05, those of two different units under one curve at 0.1."""
+COLOR_LEVELS = 8.0
+"""Channels that differ by more inside the contacts, beside a quarter of the drop: colours."""
+ZERO_UNSURE = warning(
+    "zero_unsure",
+    "depths are counted from {start}; all of them may be off alike by {zero:.2f} mm, and by what "
+    "the rim itself has sunk. depth_mm of a press settles it",
+)
 
 
 def calibrate_depth(
@@ -322,26 +337,6 @@ def _offset_sigma_mm(contacts: Sequence[_Contact], mm_per_px: float) -> float:
     """Uncertain radius times the ball's slope at the rim, averaged over the presses."""
     each = [one.sigma_px * mm_per_px * one.radius_mm / one.plane_mm for one in contacts]
     return float(np.sqrt(np.mean(np.square(each)) / len(each)))
-
-
-LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
-"""A label is off when its centre lies this part of its radius, and this far, from the dark patch:
-the limits of the check of coloured captures."""
-ONE_SPOT_RADII = 1.0
-"""Presses are at one spot when no two centres are this many contact radii apart."""
-POOR_CURVE, WRONG_CURVE = 0.15, 0.35
-"""Left-out error over the mean depth, from which a curve is only usable, or weak. Presses of one
-9DTact lie at 0.02 to 0.05, those of two different units under one curve at 0.1."""
-
-COLOR_LEVELS = 8.0
-"""Channels that differ by more inside the contacts, beside a quarter of the drop: colours."""
-
-
-ZERO_UNSURE = warning(
-    "zero_unsure",
-    "depths are counted from {start}; all of them may be off alike by {zero:.2f} mm, and by what "
-    "the rim itself has sunk. depth_mm of a press settles it",
-)
 
 
 def label_remarks(captures: CaptureSet, found: Sequence[ContactCircle]) -> list[Remark]:

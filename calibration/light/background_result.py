@@ -27,6 +27,12 @@ from taccel_lab.report.style import CHANNELS, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SPECK_SHARE = 1 / 60
+"""Size below which something is a speck rather than a shade, as a part of the shorter side."""
+SIGMAS = 8.0
+MIN_LEVELS = 6.0
+SHOWN = 24
+
 
 @dataclass(frozen=True)
 class FrameLight:
@@ -174,12 +180,6 @@ class BackgroundCalibration(BlockResult):
         return profile.with_block(BackgroundBlock(provenance=provenance), self.image)
 
 
-SPECK_SHARE = 1 / 60
-"""Size below which something is a speck rather than a shade, as a part of the shorter side."""
-SIGMAS = 8.0
-MIN_LEVELS = 6.0
-
-
 def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
     """Specks of an image, bool, shape [height_px, width_px].
 
@@ -207,9 +207,6 @@ def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
 def speck_count(specks: np.ndarray) -> int:
     """Connected specks of a mask."""
     return int(cv2.connectedComponents(specks.astype(np.uint8))[0]) - 1
-
-
-SHOWN = 24
 
 
 def background_page(result: BackgroundCalibration) -> Page:

@@ -38,6 +38,18 @@ _EXCHANGED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored left to right": lambda image: image[:, ::-1],
     "mirrored top to bottom": lambda image: image[::-1],
 }
+SAME_PATTERN = 0.25
+"""Part of the background's own variation that may be left once the light is alike, where both show
+the same gel: frames of one unit leave 0.01 to 0.1, those of two units of a kind 0.4 to 1.5."""
+MOST_PX = 3.0
+"""Shift of a picture of 480 rows that readings bear: 9 px make a contact 47 % wider."""
+ROWS = 480
+GRAIN_SHARE = 1 / 40
+"""What is smooth over more than this part of the shorter side is light, not pattern."""
+ALIKE = 0.4
+"""Correlation of the patterns from which on they are the same one."""
+BETTER = 0.2
+"""How much better they agree shifted than as they are."""
 
 
 def unlike(
@@ -78,11 +90,6 @@ def _off(image: np.ndarray, background: np.ndarray, mask: np.ndarray | None) -> 
     return float(np.quantile(difference if mask is None else difference[mask], QUARTER))
 
 
-SAME_PATTERN = 0.25
-"""Part of the background's own variation that may be left once the light is alike, where both show
-the same gel: frames of one unit leave 0.01 to 0.1, those of two units of a kind 0.4 to 1.5."""
-
-
 def light_of_background(
     background: np.ndarray, known: np.ndarray, mask: np.ndarray | None = None
 ) -> LightDrift:
@@ -104,17 +111,6 @@ def light_of_background(
     if spread <= SAME_PATTERN * whole:
         return light
     return LightDrift(ratio, np.zeros(3))
-
-
-MOST_PX = 3.0
-"""Shift of a picture of 480 rows that readings bear: 9 px make a contact 47 % wider."""
-ROWS = 480
-GRAIN_SHARE = 1 / 40
-"""What is smooth over more than this part of the shorter side is light, not pattern."""
-ALIKE = 0.4
-"""Correlation of the patterns from which on they are the same one."""
-BETTER = 0.2
-"""How much better they agree shifted than as they are."""
 
 
 def pattern_shift(

@@ -46,6 +46,9 @@ ROUGH_RESPONSE_SIGMA = 0.1
 """The same above which it is worth a warning."""
 FRAME_DRIFT_LEVELS = 3.0
 MIN_GAIN_LEVELS = 0.1
+_PAIRS = (("before", "after"), ("whole_before", "whole_after"))
+NEAR_RADII = 1.8
+"""The model's own error matters less beyond this many contact radii."""
 
 
 def calibrate_refit(
@@ -133,9 +136,6 @@ def refit_profile(
     )
     _refuse_chance(refit, profile.color is not None)
     return refit
-
-
-_PAIRS = (("before", "after"), ("whole_before", "whole_after"))
 
 
 def _sure_gain(errors: Sequence[FrameError], before: str, after: str) -> float:
@@ -252,10 +252,6 @@ def _between(
     level = base.reshape(-1, 3).mean(axis=0)
     shifts = [fit_light(frame.image, base, mask).shift(level) for frame in frames]
     return float(np.sqrt(np.mean(np.square(shifts))))
-
-
-NEAR_RADII = 1.8
-"""The model's own error matters less beyond this many contact radii."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ MAX_RARELY_SEEN = 0.1
 """Share of the image that may be seen by fewer."""
 
 ReadImage = Callable[[], np.ndarray]
+ROWS_AT_ONCE = 64
 
 
 def untouched_pixels(
@@ -126,9 +127,6 @@ def background_from_presses(
             "spread over the gel"
         )
     return level
-
-
-ROWS_AT_ONCE = 64
 
 
 def median_where_seen(images: Sequence[np.ndarray], seen: Sequence[np.ndarray]) -> np.ndarray:

@@ -56,6 +56,8 @@ NO_DEPTH_MM = 1e-4
 """A tool that has not touched yet is taken to be this deep."""
 GEL_NU = (0.40, 0.499)
 """Poisson's ratios that gels may have: one that records leave open lies here."""
+FOLDS = 12
+"""Most groups of points that are held out, interleaved; fewer points go one by one."""
 
 
 @dataclass(frozen=True)
@@ -304,10 +306,6 @@ def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
         return given_mm
     many = len(np.unique(item.depth_mm)) >= MANY_POINTS
     return LOOSE_TOUCH_SIGMA_MM if many else TOUCH_SIGMA_MM[item.tool.kind]
-
-
-FOLDS = 12
-"""Most groups of points that are held out, interleaved; fewer points go one by one."""
 
 
 def force_interval_n(

@@ -70,6 +70,16 @@ FRICTION_ASSUMED = warning(
     "what the profile now says and what presses of it take; {others}. Give it with --fix friction=",
 )
 
+MISFIT = 0.05
+"""Root mean square residual, as a part of the force, that calls for a remark."""
+BAD_MISFIT = 0.15
+DISAGREEMENT = 0.1
+"""Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
+FEW = 2
+"""Points beyond the fitted numbers from which residuals say something."""
+UNCERTAIN = 0.25
+"""Relative half width of an interval that calls for a remark."""
+
 
 def require_plausible(
     points: Sequence[IndentationPoints], thickness_mm: float, poisson_ratio: float
@@ -130,17 +140,6 @@ def _guess(item: IndentationPoints, thickness_mm: float, poisson_ratio: float) -
     if not fits:
         return "No common mistake of units explains it; check the tool's radius and the thickness"
     return f"What would fit: {', or '.join(fits)}"
-
-
-MISFIT = 0.05
-"""Root mean square residual, as a part of the force, that calls for a remark."""
-BAD_MISFIT = 0.15
-DISAGREEMENT = 0.1
-"""Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
-FEW = 2
-"""Points beyond the fitted numbers from which residuals say something."""
-UNCERTAIN = 0.25
-"""Relative half width of an interval that calls for a remark."""
 
 
 def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:

@@ -69,6 +69,12 @@ CHECKED = 16
 """Synthetic presses that the networks never see and heights are judged by."""
 READING = "reading synthetic presses"
 READING_BALLS = "reading the training presses"
+ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
+"""Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""
+GOOD_OVER_FLAT = 0.25
+WEAK_OVER_FLAT = 0.5
+"""Error over that of guessing a flat surface, above which a model is only usable, or weak."""
+GREY_LEVELS = 1.5
 
 
 def calibrate_normals(
@@ -279,14 +285,6 @@ def _in_bands_of(
     factor = max(scored.config.error_factor, last.model.config.error_factor)
     config = replace(scored.config, error_factor=factor, **_shown(frames, scene))
     return replace(last, model=NormalModel(config, last.model.weights))
-
-
-ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
-"""Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""
-GOOD_OVER_FLAT = 0.25
-WEAK_OVER_FLAT = 0.5
-"""Error over that of guessing a flat surface, above which a model is only usable, or weak."""
-GREY_LEVELS = 1.5
 
 
 def remarks_of(

@@ -34,6 +34,10 @@ from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.signals.slope_integration import resting_height
 
 Method = Literal["auto", "normals", "depth"]
+COARSE_PX = 48
+"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
+PROBE_LEVELS = 2.0
+"""Change of colour that slopes are found for; small beside what they are linear in."""
 
 
 @dataclass(frozen=True)
@@ -291,12 +295,6 @@ class SurfaceReader:
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
     return None if values_mm is None else 1e-3 * values_mm
-
-
-COARSE_PX = 48
-"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
-PROBE_LEVELS = 2.0
-"""Change of colour that slopes are found for; small beside what they are linear in."""
 
 
 class LightErrors:

@@ -53,6 +53,13 @@ MIN_UPRIGHT = 0.2
 """Cosine of the tilt beyond which normals are as uncertain as there."""
 MAX_ZOOM = 2.0
 """Zooms are drawn between its inverse and it."""
+LENGTHS_PX = (4.0, 8.0, 16.0)
+"""Distances over which neighbours may err together that are tried."""
+EVERY_PX = 2
+"""Rows and columns apart that presses are read for their errors alone. All of them take three times
+as long; on FOTS they change factors by up to 2.5 %, errors of heights by 0.5 %."""
+SHARE = 0.95
+LEAST_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -216,15 +223,6 @@ def _window(circle: ContactCircle, grid: PixelGrid) -> tuple[slice, slice]:
         slice(max(0, int(circle.v_px - reach_v)), int(circle.v_px + reach_v) + 2),
         slice(max(0, int(circle.u_px - reach_u)), int(circle.u_px + reach_u) + 2),
     )
-
-
-LENGTHS_PX = (4.0, 8.0, 16.0)
-"""Distances over which neighbours may err together that are tried."""
-EVERY_PX = 2
-"""Rows and columns apart that presses are read for their errors alone. All of them take three times
-as long; on FOTS they change factors by up to 2.5 %, errors of heights by 0.5 %."""
-SHARE = 0.95
-LEAST_M = 1e-9
 
 
 @dataclass(frozen=True)

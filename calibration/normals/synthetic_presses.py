@@ -62,6 +62,11 @@ PRESSED_SHARE = 0.75
 """Share of the pixels drawn where the surface leans by more than that, or so near to it."""
 UNEVEN_PX = 30.0
 """Distance over about which colours are off together, in the model's light and in its colours."""
+Tool = Callable[[np.random.Generator, np.ndarray, np.ndarray, float], np.ndarray]
+"""(rng, x, y, reach_mm) -> height of the underside [mm], ``FAR_MM`` where there is none."""
+LEAN = 0.15
+"""Largest slope of a tool that leans; every second one does."""
+SIDE_BY_SIDE = (1, 1, 1, 2, 3)
 
 
 @dataclass(frozen=True)
@@ -215,14 +220,6 @@ def synthetic_samples(
         image_features(config, change, scene.background, mask=scene.mask, picked=picked),
         press.normals.reshape(-1, 3)[picked].astype(np.float32),
     )
-
-
-Tool = Callable[[np.random.Generator, np.ndarray, np.ndarray, float], np.ndarray]
-"""(rng, x, y, reach_mm) -> height of the underside [mm], ``FAR_MM`` where there is none."""
-
-LEAN = 0.15
-"""Largest slope of a tool that leans; every second one does."""
-SIDE_BY_SIDE = (1, 1, 1, 2, 3)
 
 
 def draw_tool(rng: np.random.Generator, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:

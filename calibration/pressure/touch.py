@@ -26,6 +26,18 @@ if TYPE_CHECKING:
 
 LEAST_KPA = 0.1
 """Top of the scale of pressures of a gel that nothing touches."""
+ARRAYS = (
+    "height_m",
+    "rise_m",
+    "height_sigma_m",
+    "reading_sigma_m",
+    "normals",
+    "sigma_deg",
+    "radius95_deg",
+    "beyond_balls",
+    "saturated",
+)
+"""Arrays of a reading, as they are stored; those that its method does not give are left out."""
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -163,20 +175,6 @@ def draw_reading(found: TouchReading, image: np.ndarray | None, title: str) -> F
     axes[-1].set(xlabel="from the deepest point [mm]", ylabel="depth [mm]")
     axes[-1].legend(loc="lower right")
     return figure
-
-
-ARRAYS = (
-    "height_m",
-    "rise_m",
-    "height_sigma_m",
-    "reading_sigma_m",
-    "normals",
-    "sigma_deg",
-    "radius95_deg",
-    "beyond_balls",
-    "saturated",
-)
-"""Arrays of a reading, as they are stored; those that its method does not give are left out."""
 
 
 def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:

@@ -45,6 +45,14 @@ EXACT: CircleSigma = (0.0, 0.0)
 Ring = tuple[float, float, int]
 """Inner and outer radius, in contact radii, and the most pixels that are drawn."""
 WHOLE = (slice(None), slice(None))
+SurfaceOf = Callable[[ContactCircle, float], BallSurface]
+"""Surface under a ball of a radius [mm] in a circle; InputError where it cannot leave that."""
+NEAREST_RADII = 2.0
+"""No pixel nearer than this many contact radii tells the light."""
+CROP_RADII = 1.6
+"""Half width of the crop in contact radii."""
+MAX_LEVEL = 255.0
+SSIM_WINDOW_PX = 11
 
 
 @dataclass(frozen=True)
@@ -164,10 +172,6 @@ def place_region(frames: Sequence[PressFrame]) -> dict[str, tuple[float, float]]
     return {"contact_u_px": (min(u), max(u)), "contact_v_px": (min(v), max(v))}
 
 
-SurfaceOf = Callable[[ContactCircle, float], BallSurface]
-"""Surface under a ball of a radius [mm] in a circle; InputError where it cannot leave that."""
-
-
 @dataclass(frozen=True)
 class HeldoutFailure:
     """A press that was held out and cannot be placed."""
@@ -217,10 +221,6 @@ class HeldoutSet:
                 yield HeldoutFailure(press.name, str(error), press.mislabelled)
 
 
-NEAREST_RADII = 2.0
-"""No pixel nearer than this many contact radii tells the light."""
-
-
 def light_beside(
     image: np.ndarray,
     scene: CaptureScene,
@@ -263,12 +263,6 @@ def beside_pixels(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
     beside = circle.distance_px(scene.grid) > NEAREST_RADII * circle.radius_px
     beside[crop_slices(circle, scene.grid)] = False
     return beside & scene.usable
-
-
-CROP_RADII = 1.6
-"""Half width of the crop in contact radii."""
-MAX_LEVEL = 255.0
-SSIM_WINDOW_PX = 11
 
 
 @dataclass(frozen=True)
