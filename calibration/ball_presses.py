@@ -12,6 +12,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
+    on_grid,
     presses_on_camera,
     require_labels_and_view,
     with_measured_scale,
@@ -40,6 +41,7 @@ from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
 from taccel_lab.calibration.response.frame import HeldoutSet
 from taccel_lab.calibration.result import BlockResult, Placed, in_figures
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -269,6 +271,16 @@ class ScoredFit(BlockResult, Generic[FitType]):
     def scored(self) -> Self:
         """Result with the model that the figures are of alone."""
         return self if self.final is None else replace(self, final=None)
+
+    def grounded(
+        self, profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
+    ) -> SensorProfile:
+        """``profile`` on the captures' grid, on the gel that their presses tell and, where it is
+        known, with the background that the model was fitted against."""
+        profile = on_grid(profile, grid, provenance)
+        if self.gel is not None:
+            profile = self.gel.apply_to(profile)
+        return profile if self.untouched is None else self.untouched.onto(profile)
 
     @property
     def then_fitted(self) -> str:

@@ -21,10 +21,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.importers.background_guess import (
     BACKGROUND_NAME,
@@ -38,6 +38,9 @@ from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.starters import is_starter
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture.camera.recording import Recording
 
 Fit = Callable[[np.ndarray, str], np.ndarray]
 """Makes of a file's image, which an error calls by a name, one of the profile's camera, such as by
@@ -137,6 +140,9 @@ class UntouchedFrame:
         for path, image in named:
             return cls._found(profile, image, str(path), f"{path}, by its name")
         pictures = all(path.is_file() and is_picture(path) for path in sources)
+        # Cameras are loaded by who needs them alone.
+        from taccel_lab.calibration.capture.camera.recording import Recording
+
         recording = Recording.of(folder if pictures else sources[0], camera)
         still = find_still_gel(profile, partial(frames, recording))
         if isinstance(still, str):

@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import ScoredFit, Untouched
-from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.ball_presses import ScoredFit
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.circles.ball_surface import BallSurface
@@ -149,17 +148,16 @@ class ColorCalibration(ScoredFit[ColorFit]):
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the blocks background and color."""
-        profile = on_grid(profile, self.captures.grid, self.captures.provenance)
-        if self.gel is not None:
-            profile = self.gel.apply_to(profile)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
+        profile = self.grounded(profile, self.captures.grid, self.captures.provenance)
         fit = self.last
-        untouched = self.untouched or Untouched(self._captured_background(), fit.background)
+        if self.untouched is None:
+            profile = profile.with_block(self._captured_background(), fit.background)
         block = ColorBlock(
             architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
         )
-        return untouched.onto(profile).with_block(block, fit.model.weights)
+        return profile.with_block(block, fit.model.weights)
 
     def _inputs(self, fit: ColorFit) -> dict[str, str]:
         return {"background": self.captures.background_sha256} | fit.inputs

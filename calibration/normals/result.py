@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import ScoredFit, with_captured_background
-from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.samples import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
@@ -122,11 +121,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the block normals, and a background where it has
         none."""
-        profile = on_grid(profile, self.scene.grid, self.provenance)
-        if self.gel is not None:
-            profile = self.gel.apply_to(profile)
-        if self.untouched is not None:
-            profile = self.untouched.onto(profile)
+        profile = self.grounded(profile, self.scene.grid, self.provenance)
         profile = with_captured_background(
             profile, self.scene.background, self.source, self.background_sha256
         )
