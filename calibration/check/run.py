@@ -84,11 +84,12 @@ class CaptureCheck:
             "blocks": [block.to_dict() for block in self.blocks],
             "findings": [asdict(finding) for finding in self.findings],
             "notes": list(self.notes),
-            "presses": self._press_figures(),
+            "presses": self.press_figures(),
             "coverage": self._coverage(),
         }
 
-    def _press_figures(self) -> list[dict[str, Any]]:
+    def press_figures(self) -> list[dict[str, Any]]:
+        """Circle, label and picture of each press, ready for JSON."""
         if self.grid is None:
             return []
         gaps = {gap.name: gap for gap in label_gaps(self.frames, self.grid)}

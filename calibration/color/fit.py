@@ -81,13 +81,9 @@ def calibrate_color(
     options: ColorOptions = ColorOptions(),
     progress: Progress = silent,
 ) -> ColorCalibration:
-    """Fit the colour model to the ball presses of ``folder``.
+    """Fit the colour model to the ball presses of ``folder``, against its background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends: its gel is what the ball sinks into.
-        options: Which presses are fitted, and how.
-        progress: Told what is done.
+    ``base`` is what the result extends: its gel is what the ball sinks into.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.

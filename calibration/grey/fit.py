@@ -91,14 +91,10 @@ def calibrate_depth(
     options: DepthOptions = DepthOptions(),
     progress: Progress = silent,
 ) -> DepthCalibration:
-    """Fit the depth of a grey sensor to the ball presses of ``folder``.
+    """Fit the depth of a grey sensor to the ball presses of ``folder``, against its background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends: its camera gives the scale where it was measured, or
-            where neither maps nor captures do.
-        options: What is read, and what depths are counted from.
-        progress: Told what is done.
+    ``base`` is what the result extends: its camera gives the scale where it was measured, or where
+    neither maps nor captures do.
 
     Raises:
         InputError: Captures that no curve can be fitted to, with what their check found.

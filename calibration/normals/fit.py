@@ -83,13 +83,10 @@ def calibrate_normals(
     options: NormalOptions = NormalOptions(),
     progress: Progress = silent,
 ) -> NormalCalibration:
-    """Fit the model from colour to surface normal to the ball presses of ``folder``.
+    """Fit the model from colour to surface normal to the ball presses of ``folder``, against its
+    background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends; its face at rest is what normals lean against.
-        options: Which presses are fitted, and how.
-        progress: Told what is done.
+    ``base`` is what the result extends: its face at rest is what normals lean against.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
