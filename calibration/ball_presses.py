@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from taccel_lab.calibration.background.fit import calibrate_background
-from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
+    on_grid,
     presses_on_camera,
     require_labels_and_view,
     with_measured_scale,
@@ -19,12 +20,11 @@ from taccel_lab.calibration.base_profile import (
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.check.block_findings import (
+from taccel_lab.calibration.check.run import (
+    capture_check,
     capture_findings,
     refusing_with,
-    rejected_labels,
 )
-from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.circles.ball_surface import (
     BallSurface,
     ball_surface,
@@ -33,15 +33,22 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import usable_circles
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift
+from taccel_lab.calibration.light.background import calibrate_background
+from taccel_lab.calibration.light.background_result import BackgroundCalibration
+from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
 from taccel_lab.calibration.press_options import BallPressOptions
-from taccel_lab.calibration.response.heldout import HeldoutSet
-from taccel_lab.calibration.shared_remarks import LABELS_OFF, LABELS_UNUSED
-from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
+from taccel_lab.calibration.remarks import LABELS_OFF, LABELS_UNUSED, name_some
+from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.result import BlockResult, Placed, in_figures
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.rest_surface import rest_surface
+
+MEAN_OF = 4
+"""Presses that have a mean light."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +129,7 @@ def ball_presses(
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         as_given = options.circles == "labels"
-        rejected = frozenset[str]() if as_given else rejected_labels(folder, progress)
+        rejected = frozenset[str]() if as_given else capture_check(folder, progress).rejected_labels
         kept = replace(folder, presses=without_labels(folder.presses, rejected))
         captures, profile = presses_on_camera(kept, base)
         split = captures.split(options.holdout_every)
@@ -173,10 +180,6 @@ def _without_label(training: CaptureSet) -> list[Remark]:
     return [LABELS_UNUSED(count=len(names), names=name_some(names), frames=names)]
 
 
-MEAN_OF = 4
-"""Presses that have a mean light."""
-
-
 def with_background(profile: SensorProfile, folder: CaptureFolder) -> SensorProfile:
     """``profile`` with the background of the captures in the mean light of their presses."""
     assert folder.background is not None
@@ -218,3 +221,70 @@ def with_captured_background(
         inputs={"background": sha256},
     )
     return profile.with_block(BackgroundBlock(provenance=provenance), image)
+
+
+class Fit(Protocol):
+    """A fitted model."""
+
+    @property
+    def inputs(self) -> Mapping[str, str]:
+        """SHA-256 of the images it was fitted to, by name."""
+        ...
+
+
+FitType = TypeVar("FitType", bound=Fit)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ScoredFit(BlockResult, Generic[FitType]):
+    """A model that is fitted, scored on held-out presses, and then fitted to all of them."""
+
+    fit: FitType
+    """Fit to the training presses: all figures are of it."""
+    final: FitType | None
+    """Fit to all presses, once the held-out ones were scored; what a profile gets. None where no
+    held-out press can be used."""
+    heldout: Sequence[Placed]
+    """Presses that were held out and could be rendered or read."""
+    split: PressSplit | None
+    """How the held-out presses were chosen; None where the fit was given no set of them."""
+    valid_region: dict[str, tuple[float, float]]
+    """Range of contact positions, tilts and displacements in the presses of the last fit."""
+    gel: GelThickness | None = None
+    """What the presses say of the gel's thickness; None where it is known and they agree."""
+    untouched: Untouched | None = None
+    """What it was fitted against; that of the captures when None."""
+    remarks: tuple[Remark, ...] = ()
+    """What a person has to know before the model is used."""
+
+    @property
+    def has_scores(self) -> bool:
+        """Whether there are figures of held-out presses."""
+        return bool(in_figures(self.heldout))
+
+    @property
+    def last(self) -> FitType:
+        """What a profile gets."""
+        return self.final or self.fit
+
+    @property
+    def scored(self) -> Self:
+        """Result with the model that the figures are of alone."""
+        return self if self.final is None else replace(self, final=None)
+
+    def grounded(
+        self, profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
+    ) -> SensorProfile:
+        """``profile`` on the captures' grid, on the gel that their presses tell and, where it is
+        known, with the background that the model was fitted against."""
+        profile = on_grid(profile, grid, provenance)
+        if self.gel is not None:
+            profile = self.gel.apply_to(profile)
+        return profile if self.untouched is None else self.untouched.onto(profile)
+
+    @property
+    def then_fitted(self) -> str:
+        """What the last fit was made to, for the record; empty where there is none."""
+        if self.final is None:
+            return ""
+        return f"scored so, then fitted to all {len(self.final.inputs)} presses"

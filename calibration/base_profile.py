@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The profile that a calibration starts from, and its pixel grid against that of the captures."""
+"""The profile that a calibration starts from, its pixel grid against that of the captures, and what
+it keeps of how these were recorded."""
 
 from __future__ import annotations
 
@@ -10,10 +11,11 @@ from pathlib import Path
 from taccel_lab.calibration.capture.captures import CaptureSet, check_place
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.pad import fitted_design, pixels_on_pad, require_view_on_pad
-from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
+from taccel_lab.calibration.remarks import BLOCKS_DROPPED
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
+from taccel_lab.profile.schema import Session
 from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor
 from taccel_lab.sensors.profile_family import IMPORTED
@@ -22,6 +24,8 @@ from taccel_lab.sensors.starters import is_starter
 
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
+FROM_CAPTURES = ("stated", "measured", "calibrated")
+"""Kinds of blocks that rest on captures; the others are the catalogue's."""
 
 
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
@@ -81,33 +85,31 @@ def require_image_of(profile: SensorProfile, folder: CaptureFolder) -> None:
 def with_measured_scale(folder: CaptureFolder, profile: SensorProfile) -> CaptureFolder:
     """The captures with the scale that the profile's camera has measured on this unit, where they
     state none and are of its size; else as they are."""
-    camera = profile.camera
-    if (
-        folder.mm_per_px is not None
-        or folder.background is None
-        or camera.provenance.kind not in MEASURED
-    ):
+    grid = measured_grid(folder, profile)
+    if grid is None or folder.mm_per_px is not None:
         return folder
-    height, width = folder.background.image().shape[:2]
-    if (camera.width_px, camera.height_px) != (width, height):
-        return folder
-    return replace(folder, mm_per_px=(camera.mm_per_px_x, camera.mm_per_px_y))
+    return replace(folder, mm_per_px=(grid.mm_per_px_x, grid.mm_per_px_y))
+
+
+def measured_grid(folder: CaptureFolder, profile: SensorProfile) -> PixelGrid | None:
+    """The grid of the profile's camera, where that was measured on this unit and the background is
+    of its size."""
+    if folder.background is None or profile.camera.provenance.kind not in MEASURED:
+        return None
+    grid, shape = profile.grid(), folder.background.image().shape[:2]
+    return grid if shape == (grid.height_px, grid.width_px) else None
 
 
 def presses_on_camera(
     folder: CaptureFolder, base: SensorProfile
 ) -> tuple[CaptureSet, SensorProfile]:
-    """Ball presses and profile on one pixel grid.
-
-    The grid is the profile's where its camera was measured on this unit and shows images of this
-    size; else the one that the captures state.
-    """
+    """Ball presses and profile on one pixel grid: ``measured_grid``, or else the one that the
+    captures state."""
     require_image_of(base, folder)
-    if base.camera.provenance.kind in MEASURED:
-        grid = base.camera.grid()
+    grid = measured_grid(folder, base)
+    if grid is not None:
         captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
-        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
-            return captures_on_pad(replace(captures, grid=grid), base), base
+        return captures_on_pad(replace(captures, grid=grid), base), base
     captures = folder.ball_presses()
     profile = on_grid(base, captures.grid, captures.provenance, rectified=folder.rectified)
     return captures_on_pad(captures, profile), profile
@@ -126,20 +128,15 @@ def require_labels_and_view(folder: CaptureFolder, base: SensorProfile, block: s
     Raises:
         InputError: Says which, and what is allowed.
     """
-    if folder.background is None or (folder.mm_per_px is None and not _is_measured(base)):
-        return  # Said of the captures as a whole.
-    grid = folder.grid(folder.mm_per_px or (base.camera.mm_per_px_x, base.camera.mm_per_px_y))
-    own = base.camera.grid()
-    if _is_measured(base) and (own.width_px, own.height_px) == (grid.width_px, grid.height_px):
-        grid = own
+    grid = measured_grid(folder, base)
+    if grid is None:
+        if folder.background is None or folder.mm_per_px is None:
+            return  # Said of the captures as a whole.
+        grid = folder.grid()
     for press in folder.presses:
         if press.circle is not None:
             check_place(press.circle, grid, press.source)
     require_view_on_pad(base, grid, folder.mask, folder.source, block)
-
-
-def _is_measured(base: SensorProfile) -> bool:
-    return base.camera.provenance.kind in MEASURED
 
 
 def on_grid(
@@ -186,3 +183,28 @@ def lost_blocks(before: SensorProfile, after: SensorProfile) -> list[Remark]:
             y=new.mm_per_px_y,
         )
     ]
+
+
+def with_session(
+    before: SensorProfile | None, after: SensorProfile, folder: CaptureFolder
+) -> SensorProfile:
+    """Profile ``after`` with what ``folder`` says of its recording for the blocks that come from
+    it: those that differ from ``before`` (None: from the catalogue), whatever an earlier session
+    said."""
+    old = {} if before is None else before.blocks()
+    new = tuple(
+        key
+        for key, block in after.blocks().items()
+        if block.provenance.kind in FROM_CAPTURES and block != old.get(key)
+    )
+    sessions = []
+    for session in after.sensor.recorded:
+        left = tuple(key for key in session.blocks if key not in new)
+        if left:
+            sessions.append(session.model_copy(update={"blocks": left}))
+    if folder.recorded is not None and new:
+        stated = {**folder.recorded.model_dump(), "source": folder.provenance.get("source")}
+        sessions.append(Session.model_validate({**stated, "blocks": new}))
+    if tuple(sessions) == after.sensor.recorded:
+        return after
+    return after.with_block(after.sensor.replace(recorded=tuple(sessions)))

@@ -74,10 +74,14 @@ class CalibrationBlock:
         options = allowed() if options is None else options
         return self.verb(folder, base, options, progress)
 
+    @property
+    def describe(self) -> Callable[..., Page]:
+        """Function that shows its result."""
+        return _loaded(f"{self.shown_in}:{self.name}_page")
+
     def page(self, result: BlockResult, folder: CaptureFolder) -> Page:
         """The result as a page; pictures are drawn when it is written."""
-        describe = _loaded(f"{self.shown_in}:{self.name}_page")
-        return describe(result, folder) if self.reads_folder else describe(result)
+        return self.describe(result, folder) if self.reads_folder else self.describe(result)
 
 
 def _loaded(name: str) -> Any:
@@ -91,15 +95,15 @@ BLOCKS = (
     CalibrationBlock("scale", "scale.fit", "scale.scale_page", reads_folder=True),
     CalibrationBlock(
         "background",
-        "background.fit",
-        "background.background_page",
-        "background.fit:BackgroundOptions",
+        "light.background",
+        "light.background_result",
+        "light.background:BackgroundOptions",
     ),
-    CalibrationBlock("color", "color.fit", "color.color_page", "color.options:ColorOptions"),
+    CalibrationBlock("color", "color.fit", "color.color_page", "press_options:ColorOptions"),
     CalibrationBlock(
-        "normals", "normals.fit", "normals.normals_page", "normals.options:NormalOptions"
+        "normals", "normals.fit", "normals.normals_page", "press_options:NormalOptions"
     ),
-    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "grey.options:DepthOptions"),
+    CalibrationBlock("depth", "grey.fit", "grey.depth_page", "press_options:DepthOptions"),
     CalibrationBlock("markers", "markers.fit", "markers.markers_page"),
     CalibrationBlock(
         "material", "material.fit", "material.material_page", "material.options:MaterialOptions"

@@ -16,21 +16,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.calibration.base_profile import base_profile, with_measured_scale
-from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
+from taccel_lab.calibration.base_profile import base_profile, with_measured_scale, with_session
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import LEFT_OUT, rectify_captures
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.check.block_findings import capture_check
 from taccel_lab.calibration.check.content import Readiness
-from taccel_lab.calibration.check.run import CaptureCheck
-from taccel_lab.calibration.profiles import Profiles
-from taccel_lab.calibration.recorded import with_session
-from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.calibration.report.remarks import BLOCK
-from taccel_lab.calibration.unfinished import UnfinishedCalibration, calibration_key
+from taccel_lab.calibration.check.run import CaptureCheck, capture_check
+from taccel_lab.calibration.profile_page import profile_page
+from taccel_lab.calibration.remarks import BLOCK
+from taccel_lab.calibration.unfinished import (
+    BlockOutcome,
+    BlockState,
+    Profiles,
+    UnfinishedCalibration,
+    calibration_key,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.processes.start_warp import start_warp
@@ -43,10 +45,10 @@ from taccel_lab.summary import Summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.background.result import BackgroundCalibration
     from taccel_lab.calibration.camera.result import CameraCalibration
     from taccel_lab.calibration.color.result import ColorCalibration
     from taccel_lab.calibration.grey.result import DepthCalibration
+    from taccel_lab.calibration.light.background_result import BackgroundCalibration
     from taccel_lab.calibration.markers.result import MarkerCalibration
     from taccel_lab.calibration.material.result import MaterialCalibration
     from taccel_lab.calibration.normals.result import NormalCalibration

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.shared_remarks import (
+from taccel_lab.calibration.remarks import (
     FLAT_PAD_ASSUMED,
     IMAGES_ACROSS,
     PAD_EDGE,

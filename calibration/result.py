@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -70,6 +70,12 @@ class BlockResult(Summary):
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` with the calibrated blocks, their evidence in the provenance."""
         raise NotImplementedError
+
+    @property
+    def scored(self) -> Self:
+        """What the figures are of alone: later blocks build on that, whose held-out presses are the
+        same."""
+        return self
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """The verdict, and at most ``MOST_SHOWN`` figures."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration of several blocks has finished: kept until all of it is, so that the same call
-goes on after a kill.
+"""How the blocks of a calibration ended, the profiles after them, and where both are kept until all
+is done, so that the same call goes on after a kill.
 
 The folder holds ``profile`` (usable as it is), ``basis`` where that differs (``Profiles``), the
 report of each finished block and the maps of a rectification. It is written anew, whole, after each
@@ -12,20 +12,20 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.profiles import Profiles
+from taccel_lab.calibration.result import BlockResult
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_folder import atomic_directory, remove_output, require_replaceable
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
-from taccel_lab.report.page import write_page
+from taccel_lab.report.page import Page, write_page
 from taccel_lab.version import __version__
 
 _STATE, _REPORT, _MAPS = "calibration.json", "report", "maps.npz"
@@ -119,14 +119,8 @@ class UnfinishedCalibration:
     ) -> BlockOutcome:
         """Keep how a block ended, with its page, the profiles after it and the maps so far; returns
         the outcome with the place of its page."""
-        kept = BlockOutcome(
-            outcome.name,
-            outcome.state,
-            outcome.message,
-            outcome.seconds,
-            outcome.page,
-            None if outcome.page is None else self.folder / _REPORT / outcome.name,
-        )
+        written = None if outcome.page is None else self.folder / _REPORT / outcome.name
+        kept = replace(outcome, written=written)
         self.outcomes[outcome.name], self.profiles, self.maps = kept, profiles, maps
         with atomic_directory(self.folder) as staging:
             for earlier in self.outcomes.values():
@@ -147,3 +141,65 @@ class UnfinishedCalibration:
     def remove(self) -> None:
         """Remove the folder: everything stands where it was asked for."""
         remove_output(self.folder)
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """The same object twice until a model is fitted to held-out presses, too."""
+
+    basis: SensorProfile
+    """Nothing in it has seen the presses that blocks hold out, which are the same ones."""
+    final: SensorProfile
+
+    @classmethod
+    def of(cls, profile: SensorProfile) -> Profiles:
+        """One that is both."""
+        return cls(profile, profile)
+
+    def after(self, result: BlockResult) -> Profiles:
+        """Both with what a block found; errors of ``apply_to``."""
+        scored, final = result.scored, result.apply_to(self.final)
+        alike = self.basis is self.final and scored is result
+        return Profiles(final if alike else scored.apply_to(self.basis), final)
+
+
+class BlockState(StrEnum):
+    """How the calibration of a block ended."""
+
+    DONE = "done"
+    SKIPPED = "skipped"
+    """There are no captures for it."""
+    BLOCKED = "blocked"
+    """The check of the captures found that they cannot be used for it."""
+    REFUSED = "refused"
+    """The calibration found that they cannot."""
+
+
+@dataclass(frozen=True)
+class BlockOutcome:
+    """How the calibration of one block ended."""
+
+    name: str
+    state: BlockState
+    message: str
+    """The verdict, or the reason why the block is as before."""
+    seconds: float = 0.0
+    page: Page | None = None
+    """Report of a block that is done; pictures are drawn when it is written. None where an earlier
+    run wrote it."""
+    written: Path | None = None
+    """Folder of the report where it has been written."""
+
+    @property
+    def is_unfit(self) -> bool:
+        """Whether there are captures for the block and they cannot be used."""
+        return self.state in (BlockState.BLOCKED, BlockState.REFUSED)
+
+    def figures(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "name": self.name,
+            "state": str(self.state),
+            "message": self.message,
+            "seconds": self.seconds,
+        }

@@ -35,7 +35,7 @@ from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 from taccel_lab.calibration.circles.ball_surface import layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.color.fit import fit_color
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.press_options import ColorFitOptions
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.rest_surface import rest_surface
 

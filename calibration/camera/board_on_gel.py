@@ -21,9 +21,9 @@ from taccel_lab.calibration.camera.plane import (
     fit_planes,
     plane_rotation,
 )
+from taccel_lab.calibration.remarks import HELDOUT_ERROR
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_fit import slopes
-from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

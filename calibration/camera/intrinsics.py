@@ -25,8 +25,8 @@ from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.bundle import MIN_VIEWS, BundleFit, fit_lenses, initial_pose
 from taccel_lab.calibration.camera.lens import LENSES, Lens, fit_pose
+from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.calibration.robust_fit import rms, robust_scale
-from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark

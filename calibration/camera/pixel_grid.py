@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.remarks import SCALE_DISAGREES
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES
 from taccel_lab.profile import CameraBlock, SensorProfile
 from taccel_lab.report.remark import Remark
 

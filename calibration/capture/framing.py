@@ -12,7 +12,7 @@ import itertools
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 
 THUMB_PX = 160
 """Longer side of the small images."""

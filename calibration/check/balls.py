@@ -8,16 +8,22 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (Hertz; K. L. Johnson, Contact Mechanics, 1985, eq. 4.22) and ``a^2 = 2 R d - d^2`` in a gel that
   does not rise beside the ball, so ``a^2 / 2 d < R < a^2 / d``;
 - slopes: a ball that is too small has contacts steeper than the gel beside them
-  (``taccel_lab.calibration.circles.ball_radius``). A ball that is stated too large does not show
-  there, which is remarked;
+  (``check_ball``). A ball that is stated too large does not show there, which is remarked;
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of two
   balls differ as their radii do.
+
+The map from slope to colour is free, so that the colours cannot tell a ball from a larger one that
+is pressed less steeply: they bound the radius from below only. A ball that is too small cannot hold
+the contacts (their radius ends at the ball's) and its slopes, steep towards the equator, do not fit
+the gel beside the contact. A gel that sinks in otherwise than the law says does not fit there
+either: before a ball is called wrong, each has had the sink-in that suits it best.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,12 +32,14 @@ from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, catalogue_view_mm
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.circles.ball_radius import check_ball
+from taccel_lab.calibration.circles.contact_finder import fit_together
 from taccel_lab.calibration.circles.grey import LABEL_SHARE, LABEL_SIGMA_PX
-from taccel_lab.calibration.circles.remarks import BALL_FROM_BELOW
+from taccel_lab.calibration.circles.joint_fit import PhotometricFit, fit_contacts
+from taccel_lab.calibration.circles.press_model import MAX_CONTACT_RATIO, SINK_IN_SCALE
+from taccel_lab.calibration.circles.uncertainty import OTHER_SINK_IN_SCALE
 from taccel_lab.calibration.pad import fitted_parameters, past_largest_pad, view_remarks
+from taccel_lab.calibration.remarks import name_some
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 
@@ -52,6 +60,16 @@ FEW_SHARE = 0.1
 """So many contacts may be wrongly found or labelled before the radius is at fault."""
 SCALE_FACTOR = 1.4
 """Published scales of one and the same sensor differ by up to this."""
+FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
+"""Ball radii that are tried, over the stated one."""
+ROUNDS = 5
+SINK_INS = (SINK_IN_SCALE, SINK_IN_SCALE**2 / OTHER_SINK_IN_SCALE, OTHER_SINK_IN_SCALE)
+"""Damping lengths of the gel beside a contact: the usual one and both sides of it."""
+WORSE = 0.08
+"""Rise of the residual that our model of the sink-in does not explain: on real presses of balls of
+known radius the residual changes by up to 8 % between the stated radius and twice that."""
+SURE_RISE = 3.0
+"""Standard errors, over the presses, that a rise has to have."""
 
 
 def check_balls(
@@ -229,7 +247,7 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         provenance={},
     )
     found = check_ball(chosen, remarks.BY_COLOR)
-    if found is None or (found.code == BALL_FROM_BELOW.code and _told_otherwise(folder)):
+    if found is None or (found.code == remarks.BALL_FROM_BELOW.code and _told_otherwise(folder)):
         return []
     return [found]
 
@@ -279,3 +297,81 @@ def check_scale(
     if not low < longer < high:
         found.append(remarks.SCALE_UNUSUAL(mm_per_px=grid.mm_per_px_x, length=longer, usual=usual))
     return found
+
+
+def check_ball(captures: CaptureSet, blocks: Sequence[str] = ()) -> Remark | None:
+    """Whether the colours of presses of one ball allow its stated radius: ``WRONG_BALL_RADIUS``, or
+    ``BALL_FROM_BELOW`` where they do. None with fewer than 4 fitted presses.
+
+    ``blocks`` are those that the remark concerns.
+    """
+    found, stated = fit_together(captures), captures.ball_radius_mm
+    if found.fit is None or len(found.samples) < MIN_PRESSES:
+        return None
+    start, count = found.fit, len(found.samples)
+
+    @cache
+    def fitted(factor: float, sink_in: float) -> PhotometricFit:
+        ball_px = [factor * ball for ball in found.ball_px]
+        return fit_contacts(found.samples, start, ball_px, iterations=ROUNDS, sink_in=sink_in)
+
+    def judged(fits: dict[float, PhotometricFit]) -> tuple[float, int]:
+        """Smallest radius [mm] that the colours allow, and presses whose contact is as large as the
+        stated ball."""
+        contacts = zip(fits[1.0].contacts, found.ball_px, strict=True)
+        largest = 0.99 * MAX_CONTACT_RATIO
+        pinned = sum(contact.circle.radius_px > largest * ball for contact, ball in contacts)
+        return stated * _lowest(fits), pinned
+
+    fits = {factor: fitted(factor, SINK_IN_SCALE) for factor in FACTORS if factor >= 1.0}
+    lowest, pinned = judged(fits)
+    # Where larger balls allow the stated one, smaller ones cannot take that back.
+    if stated < lowest or pinned > count / 4:
+        # Contacts as wide as the ball speak against it whatever the gel does beside them.
+        sink_ins = SINK_INS[:1] if pinned > count / 4 else SINK_INS
+        fits = {
+            factor: min((fitted(factor, one) for one in sink_ins), key=lambda fit: fit.rms_levels)
+            for factor in FACTORS
+        }
+        lowest, pinned = judged(fits)
+    if stated >= lowest and pinned <= count / 4:
+        return remarks.BALL_FROM_BELOW(
+            rms=fits[1.0].rms_levels,
+            stated=stated,
+            larger=FACTORS[-1] * stated,
+            larger_rms=fits[FACTORS[-1]].rms_levels,
+            blocks=blocks,
+        )
+    best = min(fits, key=lambda factor: fits[factor].rms_levels)
+    return remarks.WRONG_BALL_RADIUS(
+        rms=fits[1.0].rms_levels,
+        stated=stated,
+        best_rms=fits[best].rms_levels,
+        best=best * stated,
+        lowest=lowest,
+        pinned=pinned,
+        count=count,
+        blocks=blocks,
+    )
+
+
+def _lowest(fits: dict[float, PhotometricFit]) -> float:
+    """Smallest factor whose residuals do not surely exceed the best ones; factors rise.
+
+    Between two factors that are tried, the rise is taken as linear.
+    """
+    factors = list(fits)
+    log_sums = np.array([np.log(np.maximum(fit.sums_by_press, 1e-9)) for fit in fits.values()])
+    best = int(np.argmin(log_sums.mean(axis=1)))
+    rise = (log_sums - log_sums[best]) / 2  # of the residual, not of its square
+    mean = rise.mean(axis=1)
+    error = rise.std(axis=1, ddof=1) / np.sqrt(rise.shape[1])
+    excess = np.minimum(mean - np.log1p(WORSE), mean - SURE_RISE * error)
+    low = factors[0]
+    for k in range(best, 0, -1):
+        if excess[k - 1] > 0:
+            inside = max(-excess[k], 0.0)
+            part = inside / max(inside + excess[k - 1], 1e-9)
+            low = factors[k] + part * (factors[k - 1] - factors[k])
+            break
+    return float(low)

@@ -12,9 +12,9 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import coverage_map
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
-from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.check.presses import found_circles, label_gaps
+from taccel_lab.calibration.check.light import BackgroundCheck
+from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.page import Page, Picture, Table, picture
@@ -28,7 +28,7 @@ SHEET_COLUMNS, SHEET_FRAMES = 4, 60
 
 
 def check_page(check: CaptureCheck) -> Page:
-    """Describe the check for ``taccel_lab.calibration.report.write_page``."""
+    """Describe the check for ``taccel_lab.report.page.write_page``."""
     contents = [f"{n} {name.replace('_', ' ')}" for name, n in check.folder.contents().items() if n]
     state = (
         "Nothing stops what these captures are there for."
@@ -97,7 +97,7 @@ def _blocks(check: CaptureCheck) -> Table:
 def _presses(check: CaptureCheck) -> list[Table]:
     if check.grid is None or not check.frames:
         return []
-    gaps = {gap.name: gap for gap in label_gaps(check.frames, check.grid)}
+    figures = {row["name"]: row for row in check.press_figures()}
     remarks = remarks_by_frame(check)
     columns = (
         "press", "u [px]", "v [px]", "radius [px]", "confidence", "label off [px]",
@@ -105,16 +105,15 @@ def _presses(check: CaptureCheck) -> list[Table]:
     )  # fmt: skip
     rows = []
     for frame in _worst_first(check)[:MAX_ROWS]:
-        gap, circle = gaps.get(frame.press.name), frame.circle
+        row = figures[frame.press.name]
         rows.append(
             (
-                frame.press.name,
-                *((None,) * 3 if circle is None else (circle.u_px, circle.v_px, circle.radius_px)),
+                *(row[key] for key in ("name", "u_px", "v_px", "radius_px")),
                 None if frame.contact is None else frame.contact.confidence,
-                *((None,) * 2 if gap is None else (gap.center_px, gap.radius_px)),
-                float(abs(frame.shift_levels).max()),
-                100 * frame.saturated_share,
-                frame.rim_px,
+                *(row[key] for key in ("label_center_px", "label_radius_px")),
+                float(abs(row["shift_levels"]).max()),
+                100 * row["saturated_share"],
+                row["rim_px"],
                 ", ".join(remarks.get(frame.press.name, [])).replace("_", " "),
             )
         )

@@ -1,18 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a folder holds for each block, what is missing, and which command that stops."""
+"""What a folder holds for each block, what is missing, which command that stops, and findings about
+boards, edges, markers, videos and force records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from taccel_lab.calibration.capture.folder import CaptureFolder
+import numpy as np
+
+from taccel_lab.calibration.blocks import BLOCKS
+from taccel_lab.calibration.camera import remarks as camera
+from taccel_lab.calibration.camera.find_boards import detect_views
+from taccel_lab.calibration.capture.folder import (
+    BoardCaptures,
+    CaptureFolder,
+    EdgeCapture,
+    ForceRecord,
+    MarkerCaptures,
+    Video,
+)
+from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.capture.records import LIKELY_MPA, apparent_modulus_mpa
+from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.findings import COMMANDS
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
+from taccel_lab.calibration.markers.rest import find_rest
+from taccel_lab.calibration.remarks import LABELS_OFF, TOO_FEW, name_some
+from taccel_lab.errors import InputError
 from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.registry import known_sensor
+
+GOOD_VIEWS = 10
+BOARD_COVERAGE = 0.5
+LABEL_DOT_PX, LABELS_LOST = 3.0, 0.1
 
 
 class Readiness(StrEnum):
@@ -73,7 +97,7 @@ def block_statuses(
 ) -> list[BlockStatus]:
     """Readiness of every command; ``grey`` says that grey levels stand for depth."""
     statuses = []
-    for command in COMMANDS:
+    for command in (block.name for block in BLOCKS):
         found, missing = _needs(folder, command)
         if grey is False and command == "depth":
             found, missing = "", "a sensor whose grey levels stand for depth, such as a 9DTact"
@@ -160,3 +184,160 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
     if not kinds:
         return "", "force records: indentation (E)"
     return ", ".join(f"{kinds.count(kind)} x {kind}" for kind in dict.fromkeys(kinds)), ""
+
+
+def check_targets(folder: CaptureFolder) -> list[Remark]:
+    """All findings of this module."""
+    findings = [finding for board in folder.boards for finding in _check_board(board)]
+    if folder.markers is not None:
+        findings += _check_markers(folder.markers)
+    findings += _check_edges(folder.edges)
+    findings += [finding for record in folder.records for finding in _check_record(record)]
+    return findings
+
+
+def _check_board(board: BoardCaptures) -> list[Remark]:
+    entry = board.entry
+    what = f"{entry.kind} {entry.columns} x {entry.rows}"
+    use = ("scale",) if entry.on_gel else ("camera",)
+    try:
+        found = detect_views([board])
+    except InputError as fault:
+        return [remarks.BOARD_NOT_FOUND(board=what, reason=fault, blocks=use)]
+    findings = []
+    if found.refused:
+        count, total = len(found.refused), len(board.frames)
+        seen = {view.name for view in found.views}
+        findings.append(
+            camera.BOARDS_REFUSED(
+                count=count,
+                total=total,
+                reasons=found.refused[0],
+                frames=[frame.name for frame in board.frames if frame.name not in seen],
+                blocks=use,
+                grave=count * 3 > total,
+            )
+        )
+    if entry.on_gel:
+        if entry.pitch_mm is None:
+            findings.append(remarks.BOARD_WITHOUT_PITCH(board=what, blocks=use))
+        return findings
+    if len(found.views) < GOOD_VIEWS:
+        findings.append(
+            TOO_FEW(
+                count=len(found.views),
+                what=f"views of {what}",
+                wanted=camera.MORE_VIEWS,
+                blocks=use,
+            )
+        )
+    points = np.concatenate([view.uv_px for view in found.views])
+    width, height = found.views[0].size_px
+    cells = {(int(u / width * 4), int(v / height * 4)) for u, v in points}
+    if len(cells) < BOARD_COVERAGE * 16:
+        findings.append(camera.LENS_COVERAGE(share=len(cells) / 16, blocks=use))
+    return findings
+
+
+def _check_markers(markers: MarkerCaptures) -> list[Remark]:
+    findings = _check_labels(markers)
+    try:
+        rest = find_rest(markers)
+    except InputError as fault:
+        return [*findings, remarks.NO_REST_FRAME(reason=fault)]
+    image = rest.frame.image()
+    try:
+        find_markers(image)
+    except InputError as fault:
+        return [remarks.NO_REST_FRAME(reason=f"{rest.frame.name} shows no grid of dots: {fault}")]
+    findings += [replace(remark, blocks=("markers", "scale")) for remark in rest.remarks]
+    for video in markers.videos:
+        findings += _check_video(video, image)
+    return findings
+
+
+def _check_labels(markers: MarkerCaptures) -> list[Remark]:
+    """Whether measured dots lie where the image that they were measured in shows some."""
+    frame = markers.rest if markers.labels_frame is None else markers.labels_frame
+    if not markers.labels or frame is None:
+        return []
+    try:
+        near = find_markers(frame.image()).dots.uv_px
+    except InputError as fault:
+        return [remarks.NO_REST_FRAME(reason=f"{frame.name} shows no grid of dots: {fault}")]
+    u, v, du, dv = (markers.labels[name] for name in ("u_px", "v_px", "du_px", "dv_px"))
+    given = np.column_stack([u + du, v + dv])
+    gap = np.linalg.norm(given[:, None] - near[None], axis=-1).min(axis=1)
+    lost = int((gap > LABEL_DOT_PX).sum())
+    if lost <= LABELS_LOST * len(gap):
+        return []
+    how = (
+        f"moved by their displacements they are more than {LABEL_DOT_PX:g} px from any dot of "
+        f"{frame.name} (median {np.median(gap):.1f} px)"
+    )
+    figures = {"off": lost, "count": len(gap), "advice": "Measure them again", "how": how}
+    return [LABELS_OFF(what="measured dots", blocks=("markers",), **figures)]
+
+
+def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
+    fault = cut_short(video)
+    findings = [] if fault is None else [VIDEO_CUT_SHORT(reason=fault, blocks=("markers",))]
+    small = []
+    for frame in video.frames():
+        if frame.shape != rest.shape:
+            return [
+                remarks.VIDEO_SIZE(
+                    video=video.source,
+                    width=frame.shape[1],
+                    height=frame.shape[0],
+                    rest_width=rest.shape[1],
+                    rest_height=rest.shape[0],
+                )
+            ]
+        small.append(thumb(frame))
+    moved = max(float(np.percentile(np.abs(image - small[0]), 99)) for image in small)
+    if moved < 4.0:
+        findings.append(remarks.NO_MOTION(video=video.source, count=len(small)))
+    return findings
+
+
+def _check_edges(edges: Sequence[EdgeCapture]) -> list[Remark]:
+    findings = []
+    scales = [
+        edge.entry.length_mm / edge.entry.line.length_px
+        for edge in edges
+        if edge.entry.line is not None
+    ]
+    if len(scales) > 2:
+        middle = float(np.median(scales))
+        off = [
+            edge.frame.name
+            for edge in edges
+            if edge.entry.line is not None
+            and abs(edge.entry.length_mm / edge.entry.line.length_px / middle - 1) > 0.15
+        ]
+        if off:
+            how = f"more than 15 % longer or shorter than {middle:.4f} mm/px says; {name_some(off)}"
+            figures = {"off": len(off), "count": len(scales), "advice": "Look at them"}
+            findings.append(
+                LABELS_OFF(what="labelled edges", how=how, frames=off, blocks=("scale",), **figures)
+            )
+    return findings
+
+
+def _check_record(record: ForceRecord) -> list[Remark]:
+    entry, columns = record.entry, record.columns
+    findings = []
+    if entry.tool.radius_mm is None and entry.tool.kind != "flat":
+        findings.append(remarks.TOOL_UNKNOWN(record=record.source, tool=entry.tool.kind))
+    if entry.kind == "indentation" and entry.tool.radius_mm is not None:
+        modulus = apparent_modulus_mpa(
+            columns["depth_mm"], columns["force_n"], entry.tool.radius_mm
+        )
+        if not LIKELY_MPA[0] <= modulus <= LIKELY_MPA[1]:
+            findings.append(
+                remarks.MODULUS_UNUSUAL(
+                    record=record.source, modulus=modulus, low=LIKELY_MPA[0], high=LIKELY_MPA[1]
+                )
+            )
+    return findings

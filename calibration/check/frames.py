@@ -13,9 +13,8 @@ from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
-from taccel_lab.calibration.circles.result import CutContactError, DetectedContact, UntouchedError
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
+from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -100,13 +99,8 @@ def _measure(
     image = press.image()
     small = thumb(image)
     light = fit_light(small, background_small)
-    contact, fault, cut, untouched = None, "", False, False
-    try:
-        contact = seen_contact(press, background, grid, mask, grey)
-    except InputError as error:
-        fault = str(error).removeprefix(f"{press.source}: ")
-        cut = isinstance(error, CutContactError)
-        untouched = isinstance(error, UntouchedError)
+    found = seen_contact(press, background, grid, mask, grey)
+    contact = None if isinstance(found, InputError) else found
     circle = contact.circle if contact is not None else press.circle
     size = WorkingSize(grid)
     saturated = size.picture((image.max(axis=-1) >= SATURATED_LEVEL).astype(np.float32))
@@ -132,9 +126,9 @@ def _measure(
         light=light,
         shift_levels=light.shift(background_small.reshape(-1, 3).mean(axis=0)),
         contact=contact,
-        fault=fault,
-        cut=cut,
-        untouched=untouched,
+        fault="" if contact is not None else str(found).removeprefix(f"{press.source}: "),
+        cut=isinstance(found, CutContactError),
+        untouched=isinstance(found, UntouchedError),
         saturated_share=float(saturated[disc].mean(dtype=np.float64)) if disc.any() else 0.0,
         texture=texture,
         texture_correlation=correlation,

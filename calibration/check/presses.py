@@ -11,11 +11,10 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle, check_place, widest_gap_px
 from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_cells
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
+from taccel_lab.calibration.circles.labels import DetectedContact, circle_array
 from taccel_lab.calibration.circles.usable import too_many_lost
-from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
+from taccel_lab.calibration.remarks import LABELS_OFF, TOO_FEW, name_some
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole check of a capture folder."""
+"""The whole check of a capture folder, and what it says of one block."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -13,21 +15,29 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.background import BackgroundCheck, check_background
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
-from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
-from taccel_lab.calibration.check.findings import worst_first
+from taccel_lab.calibration.check.content import (
+    BlockStatus,
+    block_statuses,
+    check_content,
+    check_targets,
+)
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
-from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
+from taccel_lab.calibration.check.light import (
+    BackgroundCheck,
+    check_background,
+    check_handedness,
+    check_light,
+    is_grey,
+)
 from taccel_lab.calibration.check.presses import (
     check_contacts,
     found_circles,
     label_gaps,
     rejected_labels,
 )
-from taccel_lab.calibration.check.targets import check_targets
 from taccel_lab.calibration.pad import design_remarks
-from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
+from taccel_lab.calibration.remarks import GREY_OR_COLOUR
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -37,6 +47,7 @@ ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""
 SPOILS_SLOPES = {"channels_swapped", "mixed_sensors", "ball_too_small", "background_differs"}
 """Faults that leave nothing to learn about the ball from colours."""
+RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 @dataclass(frozen=True)
@@ -73,11 +84,12 @@ class CaptureCheck:
             "blocks": [block.to_dict() for block in self.blocks],
             "findings": [asdict(finding) for finding in self.findings],
             "notes": list(self.notes),
-            "presses": self._press_figures(),
+            "presses": self.press_figures(),
             "coverage": self._coverage(),
         }
 
-    def _press_figures(self) -> list[dict[str, Any]]:
+    def press_figures(self) -> list[dict[str, Any]]:
+        """Circle, label and picture of each press, ready for JSON."""
         if self.grid is None:
             return []
         gaps = {gap.name: gap for gap in label_gaps(self.frames, self.grid)}
@@ -136,6 +148,7 @@ def check_captures(
         findings.append(
             remarks.ASSUMED(count=len(folder.assumed), assumed=in_words(folder.assumed))
         )
+    others = folder.boards or folder.edges or folder.markers or folder.records
     frames: list[FrameFigures] = []
     grid, background = None, None
     grey = None if facts is None else facts.is_grey
@@ -156,12 +169,10 @@ def check_captures(
         spoilt = grey or any(finding.code in SPOILS_SLOPES for finding in findings)
         if fit_ball and not spoilt:
             findings += check_slopes(folder, background.image)
-    elif folder.background is None and not folder.presses and not _has_other(folder):
+    elif folder.background is None and not folder.presses and not others:
         findings.append(remarks.EMPTY())
-    grey = None if facts is None else facts.is_grey
-    if background is not None and grey is not True:
-        grey = is_grey(frames, thumb(background.image))
-    findings = worst_first(findings)
+    # Of equal weight, those about most images first.
+    findings.sort(key=lambda finding: (-RANK[finding.severity], -len(finding.frames)))
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -171,10 +182,6 @@ def check_captures(
         background=background,
         notes=notes,
     )
-
-
-def _has_other(folder: CaptureFolder) -> bool:
-    return bool(folder.boards or folder.edges or folder.markers or folder.records)
 
 
 def press_grid(folder: CaptureFolder, image: np.ndarray) -> PixelGrid:
@@ -221,3 +228,52 @@ def press_findings(
             GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
         )
     return findings
+
+
+def capture_findings(
+    folder: CaptureFolder, block: str, progress: Progress = silent
+) -> list[Remark]:
+    """Findings of ``taccel-lab capture check`` that name ``block``, worst first.
+
+    A fit to captures that contradict themselves can leave small residuals: the check holds them
+    against the ball, the sensor and each other.
+    """
+    found = capture_check(folder, progress)
+    return [finding for finding in found.findings if block in finding.blocks]
+
+
+def capture_check(folder: CaptureFolder, progress: Progress = silent) -> CaptureCheck:
+    """The check of ``folder``, which its blocks share."""
+    return folder.once.of("check", lambda: check_captures(folder, progress=progress))
+
+
+@contextmanager
+def refusing_with(findings: Sequence[Remark]) -> Iterator[None]:
+    """A refusal inside names what the check found as well: the cause may be among it. Remarks that
+    concern no block say nothing of the captures and are passed over."""
+    try:
+        yield
+    except InputError as fault:
+        also = [
+            f"- {finding.message}"
+            for finding in findings
+            if finding.blocks and finding.severity != Severity.INFO and finding.code != "no_contact"
+        ]
+        heading = ["the captures have more faults:"] if also else []
+        raise InputError("\n".join([str(fault), *heading, *also])) from None
+
+
+def joined(findings: Sequence[Remark], remarks: Sequence[Remark]) -> tuple[Remark, ...]:
+    """Findings, then remarks of the fit; where both have one thing to say, the graver one does.
+
+    A remark says what a finding says when it has its code, or that with the block before it:
+    ``normals_few_presses`` goes with ``few_presses``.
+    """
+    said = {code: RANK[finding.severity] for finding in findings for code in _codes(finding)}
+    graver = [remark for remark in remarks if RANK[remark.severity] > said.get(remark.code, -1)]
+    codes = {remark.code for remark in graver}
+    return (*(finding for finding in findings if not _codes(finding) & codes), *graver)
+
+
+def _codes(finding: Remark) -> set[str]:
+    return {finding.code, *(f"{block}_{finding.code}" for block in finding.blocks)}

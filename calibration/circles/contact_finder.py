@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the contact circles of ball presses in their images, without anybody clicking.
 
-1. The light's drift is taken off each frame (``light``); what is left, smoothed, is the colour
+1. The drift of the light is taken off (``frame_light``); what is left, smoothed, is the colour
    change of the press (``color_change``).
 2. A disc that stands out gives a first circle (``first_circle``), the steepest drop of colour along
    rays from its centre says whether it is round.
@@ -26,17 +26,15 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.circles.color_change import (
+    MIN_RADIUS_PX,
     SUNK_RADII,
     ColorChange,
     WorkingSize,
     color_change,
-    smoothing_px,
-)
-from taccel_lab.calibration.circles.first_circle import (
-    MIN_RADIUS_PX,
     first_circle,
     fit_rim,
     gathered_share,
+    smoothing_px,
     turning_radius,
 )
 from taccel_lab.calibration.circles.grey import find_grey_contact
@@ -47,15 +45,14 @@ from taccel_lab.calibration.circles.joint_fit import (
     fit_contacts,
     sample_rings,
 )
-from taccel_lab.calibration.circles.result import (
+from taccel_lab.calibration.circles.labels import (
     CutContactError,
     DetectedContact,
     UntouchedError,
 )
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
-from taccel_lab.calibration.light.fit import enough_pixels
-from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.frame_light import LightDrift, enough_pixels
+from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
@@ -133,31 +130,27 @@ def seen_contact(
     grid: PixelGrid,
     mask: np.ndarray | None = None,
     grey: Channel | None = None,
-) -> DetectedContact:
-    """Contact of ``press`` as its image alone shows it, without ball or scale, found once: the
-    check of the captures, which may be made before and after the scale is known, and the scale
-    itself look for the same circles.
+) -> DetectedContact | InputError:
+    """Contact of ``press`` as its image alone shows it, without ball or scale, found once, or the
+    error of ``detect_contact``: the check of the captures, which may be made before and after the
+    scale is known, and the scale itself look for the same circles.
 
-    Of ``grid`` only the proportions of a pixel count. Errors as of ``detect_contact``, with the
-    press's source.
+    Of ``grid`` only the proportions of a pixel count.
     """
     ratio = round(grid.mm_per_px_y / grid.mm_per_px_x, 9)
     own = PixelGrid(grid.width_px, grid.height_px, min(1.0, 1 / ratio), min(1.0, ratio))
 
     def look() -> DetectedContact | InputError:
-        try:
-            return detect_contact(
+        found: dict[int, DetectedContact | InputError] = {}
+        with _refused(0, found):
+            found[0] = detect_contact(
                 press.image(), background, own, mask=mask, name=press.source, label=press.circle,
                 grey=grey, once=press.once,
             )  # fmt: skip
-        except InputError as fault:
-            return fault
+        return found[0]
 
     seen = content_key({"background": background, "mask": mask, "ratio": ratio, "grey": grey})
-    found = press.once.of(("contact", seen), look)
-    if isinstance(found, InputError):
-        raise found
-    return found
+    return press.once.of(("contact", seen), look)
 
 
 def find_contacts(

@@ -16,10 +16,14 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.circles.color_change import square_pixels
-from taccel_lab.calibration.circles.first_circle import RAY_COUNT, circle_on_rays, sample_rays
-from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.circles.color_change import (
+    RAY_COUNT,
+    circle_on_rays,
+    sample_rays,
+    square_pixels,
+)
+from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact
+from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -24,14 +24,15 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.circles.result import circle_of
-from taccel_lab.calibration.circles.slope_law import (
+from taccel_lab.calibration.circles.labels import circle_of
+from taccel_lab.calibration.circles.press_model import (
     MAX_CONTACT_RATIO,
+    PLAIN,
     SINK_IN_SCALE,
+    MapTerms,
     slope_law,
 )
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.robust_fit import spread_about_zero
 
 RING_COUNT = 34
 RAY_COUNT = 48

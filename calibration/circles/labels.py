@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two measurements of each contact circle, by hand and by detection, made into one better one.
+"""Contacts that were found in images, and two measurements of each circle, by hand and by
+detection, made into one better one.
 
 Where presses lie against each other, labels and detection tell independently. Where all of them
 lie, and where a contact is said to end, they do not: labels of one set may all lie to one side, or
@@ -23,7 +24,7 @@ ball's equator one pixel of radius is 0.05 mm of depth.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,7 +36,6 @@ from taccel_lab.calibration.capture.captures import (
     CaptureSet,
     ContactCircle,
 )
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array, circle_of
 from taccel_lab.errors import InputError
 
 SLOPE_PRIOR = 2.0
@@ -49,6 +49,48 @@ LABEL_SIGMA_PX = 1.0
 MIN_LABEL_SIGMA_PX = 0.29
 """No label is better than one on whole pixels."""
 MIN_SIGMA_PX = 0.05
+
+
+@dataclass(frozen=True)
+class DetectedContact:
+    """A contact found in an image, with what speaks for it."""
+
+    circle: ContactCircle
+    radius_sigma_px: float
+    """Standard deviation of the radius."""
+    contrast_levels: float
+    """90th percentile of the smoothed colour change in the contact [levels]."""
+    center_sigma_px: float = 0.0
+    """Standard deviation of the centre along an axis."""
+    explained: float = 1.0
+    """Share of the colour change that the ball's slope explains."""
+    visible: float = 1.0
+    """Share of the contact and its surroundings that lies in the image and outside the mask."""
+
+    @property
+    def confidence(self) -> float:
+        """0..1: explained share times visible share, less the more uncertain the circle is."""
+        sigma = np.hypot(self.center_sigma_px, self.radius_sigma_px)
+        doubt = 1 + (sigma / (0.08 * self.circle.radius_px)) ** 2
+        return float(np.clip(self.explained, 0, 1) * min(1.0, self.visible) / doubt)
+
+
+class UntouchedError(InputError):
+    """An image in which no change of colour stands out from the noise: nothing touches the gel."""
+
+
+class CutContactError(InputError):
+    """A contact that reaches out of the image, or is mostly masked: no fault of the captures."""
+
+
+def circle_array(circles: Sequence[ContactCircle]) -> np.ndarray:
+    """u, v and radius of each circle [px], shape [n, 3]."""
+    return np.array([(c.u_px, c.v_px, c.radius_px) for c in circles]).reshape(-1, 3)
+
+
+def circle_of(shape: np.ndarray) -> ContactCircle:
+    """The circle of u, v and radius [px], shape [3]."""
+    return ContactCircle(*(float(x) for x in shape))
 
 
 @dataclass(frozen=True)
@@ -129,37 +171,31 @@ class LabelPlacement:
 def fuse_circles(
     labels: Sequence[ContactCircle],
     detected: Sequence[DetectedContact],
-    training: Sequence[bool] | None = None,
 ) -> tuple[list[ContactCircle], tuple[float, float]]:
-    """One circle per press from a given and a detected one, in order; the labels' scatter beside
-    their shift, along an axis and in radius [px].
-
-    What the presses have in common (the labels' shift and scatter, mean and spread of the radii) is
-    taken from the ``training`` presses; from all without.
-    """
+    """One circle per training press from a given and a detected one, in order; the labels' scatter
+    beside their shift, along an axis and in radius [px]."""
     if len(labels) != len(detected):
         raise InputError(f"{len(labels)} labels do not match {len(detected)} detected circles")
-    train = np.ones(len(labels), dtype=bool) if training is None else np.asarray(training, bool)
-    if not len(labels) or not train.any():
+    if not labels:
         raise InputError("circles are fused from at least one labelled training press")
     given = circle_array(labels)
     found = circle_array([contact.circle for contact in detected])
     stated = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in detected])
     variance = np.maximum(stated, MIN_SIGMA_PX) ** 2
-    scatter = _label_variance((given - found)[train], variance[train])
+    scatter = _label_variance(given - found, variance)
     weight = 1 / (variance + scatter)
-    chance = 1 / weight[train].sum(axis=0)
-    mean = chance * (weight * (given - found))[train].sum(axis=0)
-    of_labels, of_found = LABEL_SHIFT_PX**2, variance[train].min(axis=0)
+    chance = 1 / weight.sum(axis=0)
+    mean = chance * (weight * (given - found)).sum(axis=0)
+    of_labels, of_found = LABEL_SHIFT_PX**2, variance.min(axis=0)
     whole = of_labels + of_found + chance
     shift, moved = mean * of_labels / whole, -mean * of_found / whole
     true_by_found, true_by_label = found - moved, given - shift
     fused = true_by_found + variance * weight * (true_by_label - true_by_found)
     radius = fused[:, 2]
-    if train.sum() >= MIN_PRESSES and radius[train].std() > 0:
-        true_variance = np.cov(given[train, 2], found[train, 2])[0, 1]
-        share = float(np.clip(true_variance / radius[train].var(ddof=1), 0.0, 1.0))
-        middle = radius[train].mean()
+    if len(labels) >= MIN_PRESSES and radius.std() > 0:
+        true_variance = np.cov(given[:, 2], found[:, 2])[0, 1]
+        share = float(np.clip(true_variance / radius.var(ddof=1), 0.0, 1.0))
+        middle = radius.mean()
         fused[:, 2] = middle + share * (radius - middle)
     label_sigma_px = float(np.sqrt(scatter[0])), float(np.sqrt(scatter[2]))
     return [circle_of(shape) for shape in fused], label_sigma_px
@@ -169,13 +205,11 @@ def choose_circles(
     captures: CaptureSet,
     detected: Sequence[DetectedContact],
     which: Literal["fused", "labels", "detected"] = "fused",
-    training: Collection[str] | None = None,
 ) -> list[ContactCircle]:
     """Contact circle of every press: given, detected, or fused from both.
 
     A press without a given circle takes the detected one; a circle that a person has corrected
-    (``contacts.toml``) is taken as it is. ``training`` names the presses that may say what all
-    labels have in common; all may without.
+    (``contacts.toml``) is taken as it is.
     """
     circles = [contact.circle for contact in detected]
     for i, press in enumerate(captures.presses):
@@ -186,11 +220,7 @@ def choose_circles(
     labelled = [i for i, press in enumerate(captures.presses) if press.circle and not press.checked]
     given = [press.circle for press in captures.presses if press.circle and not press.checked]
     if which == "fused" and labelled:
-        known = [training is None or captures.presses[i].name in training for i in labelled]
-        if not any(known):
-            # Nothing tells where labels lie against detected circles.
-            return circles
-        given, _ = fuse_circles(given, [detected[i] for i in labelled], known)
+        given, _ = fuse_circles(given, [detected[i] for i in labelled])
     for i, circle in zip(labelled, given, strict=True):
         circles[i] = circle
     return circles

@@ -20,9 +20,8 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.circles.joint_fit import PhotometricFit, RingSamples, fit_contacts
-from taccel_lab.calibration.circles.map_terms import MapTerms
-from taccel_lab.calibration.circles.result import circle_array
-from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE
+from taccel_lab.calibration.circles.labels import circle_array
+from taccel_lab.calibration.circles.press_model import SINK_IN_SCALE, MapTerms
 
 OTHER_SINK_IN_SCALE = 2.0
 OTHER_ROUNDS = 12

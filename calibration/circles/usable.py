@@ -18,17 +18,17 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-import taccel_lab.calibration.circles
-import taccel_lab.calibration.light
+from taccel_lab.calibration import frame_light
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
+    CutContactError,
+    DetectedContact,
     LabelPlacement,
     choose_circles,
     fuse_circles,
 )
-from taccel_lab.calibration.circles.remarks import PRESSES_LEFT_OUT
-from taccel_lab.calibration.circles.result import CutContactError, DetectedContact
+from taccel_lab.calibration.remarks import PRESSES_LEFT_OUT
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CachedFile
@@ -133,9 +133,7 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 @cache
 def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
-    packages = (taccel_lab.calibration.circles, taccel_lab.calibration.light)
-    folders = [Path(str(package.__file__)).parent for package in packages]
-    files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(frame_light.__file__)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

@@ -2,8 +2,8 @@
 """Captures and the surfaces of their presses to the profile blocks ``background`` and ``color``.
 
 All that is chosen rests on the training presses; then the model is frozen, and the held-out
-presses are read, placed and scored (``taccel_lab.calibration.color.score``). Last, the same fit
-is made to all presses: profiles get that one, with the scores of the first.
+presses are read, placed and scored (``taccel_lab.calibration.color.result``). Last, the same
+fit is made to all presses: profiles get that one, with the scores of the first.
 """
 
 from __future__ import annotations
@@ -19,24 +19,60 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions, ColorOptions, ColorTraining
-from taccel_lab.calibration.color.remarks import color_remarks
-from taccel_lab.calibration.color.result import ColorCalibration, PressScore
-from taccel_lab.calibration.color.score import HeldoutPress, in_light_of, score_heldout
+from taccel_lab.calibration.color.result import (
+    ColorCalibration,
+    HeldoutPress,
+    PressScore,
+    in_light_of,
+    mean_bare,
+    score_heldout,
+)
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
-from taccel_lab.calibration.response.evaluate import score_image
-from taccel_lab.calibration.response.frame import CaptureScene, PressFrame, place_region
-from taccel_lab.calibration.response.heldout import HeldoutFailure, HeldoutSet
-from taccel_lab.calibration.response.untouched_light import noise_floor_l1
+from taccel_lab.calibration.press_options import ColorFitOptions, ColorOptions, ColorTraining
+from taccel_lab.calibration.remarks import (
+    HELDOUT_ERROR,
+    NOTHING_HELD_OUT,
+    TOO_FEW,
+    left_out_remarks,
+    name_some,
+    warning,
+)
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    HeldoutFailure,
+    HeldoutSet,
+    PressFrame,
+    noise_floor_l1,
+    place_region,
+    press_frames,
+    score_image,
+)
+from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.networks.color_settings import STEEPEST
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.report.remark import Remark
 
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
 """Findings of the check that the calibration says in its own words."""
+LEAST_PRESSES = 4
+"""Fewest presses: with fewer a model knows a few places and depths, and nothing tells of the
+others."""
+LEAST_GAIN_DB = 6.0
+"""A colour model that beats the bare background by less, in the crop, explains little."""
+OUTLIER_FACTOR = 2.5
+"""A press that is rendered worse than the median by this factor is named."""
+OUTLIER_LEVELS = 3.0
+"""And by these levels at least."""
+OUTLIERS = warning(
+    "outliers",
+    "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
+    "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
+    "not a clean ball press",
+)
 
 
 def calibrate_color(
@@ -45,13 +81,9 @@ def calibrate_color(
     options: ColorOptions = ColorOptions(),
     progress: Progress = silent,
 ) -> ColorCalibration:
-    """Fit the colour model to the ball presses of ``folder``.
+    """Fit the colour model to the ball presses of ``folder``, against its background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends: its gel is what the ball sinks into.
-        options: Which presses are fitted, and how.
-        progress: Told what is done.
+    ``base`` is what the result extends: its gel is what the ball sinks into.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
@@ -104,20 +136,12 @@ def fit_color(
     Raises:
         InputError: Numbers that do not match, a press on both sides, or captures no fit can take.
     """
-    if not len(circles) == len(surfaces) == len(captures.presses):
-        raise InputError(
-            f"{len(captures.presses)} presses need as many circles and surfaces, got "
-            f"{len(circles)} and {len(surfaces)}"
-        )
+    frames = press_frames(captures, circles, surfaces)
     if heldout is not None:
         both = {p.name for p in captures.presses} & {p.name for p in heldout.captures.presses}
         if both:
             raise InputError(f"{', '.join(sorted(both))}: held out and fitted at once")
     scene = CaptureScene.of(captures, background)
-    frames = [
-        PressFrame(press.name, press.image(), circle, surface, press.sha256)
-        for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
-    ]
     fit = fit_color_model(frames, scene, options, progress)
     taxim = fit_taxim_table(frames, scene, fit.drifts) if table else None
     labels = labels or LabelPlacement.of(captures.presses, circles)
@@ -170,3 +194,47 @@ def _by_table(table: TaximTable, item: HeldoutPress, scene: CaptureScene) -> Pre
     rendered = render_taxim_table(table, item.surface, scene.background)
     shown = in_light_of(item.captured, rendered, item.circle, scene)
     return PressScore(item.name, score_image(shown, item.captured, item.circle, scene.grid))
+
+
+def color_remarks(result: ColorCalibration) -> list[Remark]:
+    """Remarks on a fit and its figures."""
+    found, count = [], len(result.train_names)
+    if count < LEAST_PRESSES:
+        wanted = (
+            "the model holds at their places and depths at best. Give 30 to 50, all over the gel"
+        )
+        found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=True))
+    failures = {item.name: item.reason for item in in_figures(result.failures)}
+    return [
+        *found,
+        *_against_background(result),
+        *left_out_remarks(failures, result.rejected, "dB"),
+        *_outliers(result),
+    ]
+
+
+def _against_background(result: ColorCalibration) -> list[Remark]:
+    if not result.has_scores:
+        return [NOTHING_HELD_OUT()]
+    model = result.heldout_means()["crop_psnr_db"]
+    bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
+    if model - bare >= LEAST_GAIN_DB:
+        return []
+    error = f"{model:.1f} dB, the bare background alone by {bare:.1f} dB"
+    advice = (
+        "circles, scale, ball or background are wrong, or the gel was not pressed where these are"
+    )
+    return [HELDOUT_ERROR(what="colours", error=error, advice=advice, grave=True)]
+
+
+def _outliers(result: ColorCalibration) -> list[Remark]:
+    values = {**result.fit.disc_l1_train, **result.heldout_l1()}
+    if len(values) < 5:
+        return []
+    median = float(np.median(list(values.values())))
+    limit = max(OUTLIER_FACTOR * median, median + OUTLIER_LEVELS)
+    worst = sorted((name for name in values if values[name] > limit), key=lambda n: -values[n])
+    if not worst:
+        return []
+    names = name_some([f"{name} ({values[name]:.1f})" for name in worst])
+    return [OUTLIERS(worse=len(worst), count=len(values), median=median, names=names)]

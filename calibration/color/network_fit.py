@@ -11,9 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.response.frame import CaptureScene, PressFrame, draw_pixels
+from taccel_lab.calibration.frame_light import LightDrift
+from taccel_lab.calibration.press_options import ColorFitOptions
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    PressFrame,
+    draw_pixels,
+    light_beside,
+)
 from taccel_lab.calibration.response.training import (
     arrays_of,
     descend,
@@ -21,7 +26,6 @@ from taccel_lab.calibration.response.training import (
     one_thread,
     trainable,
 )
-from taccel_lab.calibration.response.untouched_light import light_beside
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig, pixel_uv, stack_inputs

@@ -1,27 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a colour calibration found: the fit, its figures, and the blocks that it becomes."""
+"""What a colour calibration found: the fit, its figures, and the blocks that it becomes.
+
+Held-out presses are rendered by the frozen model, and scored. One that cannot be placed, or that is
+gone, counts as the bare background. One whose label its image rejects is rendered where it is
+found, and stands beside the mean figures.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import Untouched
-from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.ball_presses import ScoredFit
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import source_of
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.color.score import HeldoutPress, Placement, mean_bare, mean_heldout
-from taccel_lab.calibration.response.evaluate import ImageScore
-from taccel_lab.calibration.response.heldout import HeldoutFailure
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    HeldoutFailure,
+    ImageScore,
+    PressFrame,
+    light_beside,
+    score_image,
+)
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
-from taccel_lab.calibration.scored_fit import ScoredFit
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+from taccel_lab.signals.tactile_image import tactile_images
+
+Placement = Literal["label", "found"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +49,7 @@ class PressScore:
 class ColorCalibration(ScoredFit[ColorFit]):
     """Result of ``calibrate_color``."""
 
-    heldout: list[HeldoutPress]
-    """Presses that were held out and could be rendered."""
+    heldout: Sequence[HeldoutPress]
     failures: list[HeldoutFailure]
     """Presses that were held out and could not: they count as the bare background, but those whose
     labels their images reject."""
@@ -60,11 +72,6 @@ class ColorCalibration(ScoredFit[ColorFit]):
     def train_names(self) -> list[str]:
         """Names of the training presses in order."""
         return [press.name for press in self.captures.presses]
-
-    @property
-    def has_scores(self) -> bool:
-        """Whether there are figures of held-out presses."""
-        return bool(in_figures(self.heldout))
 
     @property
     def rejected(self) -> dict[str, float | None]:
@@ -141,17 +148,16 @@ class ColorCalibration(ScoredFit[ColorFit]):
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the blocks background and color."""
-        profile = on_grid(profile, self.captures.grid, self.captures.provenance)
-        if self.gel is not None:
-            profile = self.gel.apply_to(profile)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
+        profile = self.grounded(profile, self.captures.grid, self.captures.provenance)
         fit = self.last
-        untouched = self.untouched or Untouched(self._captured_background(), fit.background)
+        if self.untouched is None:
+            profile = profile.with_block(self._captured_background(), fit.background)
         block = ColorBlock(
             architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
         )
-        return untouched.onto(profile).with_block(block, fit.model.weights)
+        return profile.with_block(block, fit.model.weights)
 
     def _inputs(self, fit: ColorFit) -> dict[str, str]:
         return {"background": self.captures.background_sha256} | fit.inputs
@@ -213,3 +219,80 @@ class ColorCalibration(ScoredFit[ColorFit]):
             )
         parts += [self.then_fitted] * (self.final is not None)
         return "; ".join(parts)
+
+
+@dataclass(frozen=True)
+class HeldoutPress:
+    """A press the fit never saw: capture, render and figures."""
+
+    name: str
+    captured: np.ndarray
+    """RGB uint8, shape [height_px, width_px, 3]."""
+    circle: ContactCircle
+    """Circle in which the figures are taken: the label, or what was found without one."""
+    placed: ContactCircle
+    """Where it is rendered: where its label puts it, or where it was found."""
+    placement: Placement
+    rejected: bool
+    """Whether the image rejects the label."""
+    surface: BallSurface
+    """Surface under the press in that circle."""
+    rendered: np.ndarray
+    """RGB levels in the light of the background, float32, shape [height_px, width_px, 3]."""
+    shown: np.ndarray
+    """The same in the light of the capture."""
+    score: ImageScore
+    """Score of ``shown``."""
+    background_only: ImageScore
+    """The captured background alone against the capture."""
+
+
+def score_heldout(
+    press: CapturedPress,
+    frame: PressFrame,
+    fit: ColorFit,
+    scene: CaptureScene,
+    captured_background: np.ndarray,
+) -> HeldoutPress:
+    """A press in its place, rendered by ``fit`` and compared with its capture."""
+    figures_in = press.circle or frame.circle
+    (rendered,) = tactile_images(fit.model, fit.background, [frame.surface])
+    shown = in_light_of(frame.image, rendered, figures_in, scene)
+    return HeldoutPress(
+        press.name, frame.image, figures_in, frame.circle,
+        "found" if press.circle is None else "label", press.mislabelled, frame.surface, rendered,
+        shown,
+        score_image(shown, frame.image, figures_in, scene.grid),
+        score_image(captured_background, frame.image, figures_in, scene.grid),
+    )  # fmt: skip
+
+
+def in_light_of(
+    captured: np.ndarray, rendered: np.ndarray, circle: ContactCircle, scene: CaptureScene
+) -> np.ndarray:
+    """A render in the light of its capture, levels, shape [height_px, width_px, 3]."""
+    # Against the render, which has the gel's shade beside the contact, too.
+    light = light_beside(captured, scene, circle, rendered)
+    return np.clip(light.apply(rendered), 0.0, 255.0)
+
+
+def mean_heldout(
+    presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
+) -> dict[str, float]:
+    """Mean figures of the held-out presses but those with rejected labels, failures as the bare
+    background."""
+    return mean_figures([item.score for item in in_figures(presses)] + _bare(presses, failures))
+
+
+def mean_bare(
+    presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
+) -> dict[str, float]:
+    """Mean figures of the bare background over the same presses."""
+    kept = [item.background_only for item in in_figures(presses)]
+    return mean_figures(kept + _bare(presses, failures))
+
+
+def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -> list[ImageScore]:
+    """What failures count as: nobody knows where to look, so the worst background of the others."""
+    worst = min((item.background_only for item in presses), key=lambda score: score.crop_psnr_db)
+    return [worst] * len(in_figures(failures))

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
@@ -43,10 +43,6 @@ def fit_taxim_table(
     frames: Sequence[PressFrame],
     scene: CaptureScene,
     drifts: Mapping[str, LightDrift],
-    *,
-    bins: int = BINS,
-    reach_radii: float = REACH_RADII,
-    ridge: float = RIDGE,
 ) -> TaximTable:
     """Fit the table to the contacts of ``frames``.
 
@@ -54,15 +50,11 @@ def fit_taxim_table(
         frames: Presses that the table is fitted to.
         scene: What the changes count from, and the pixels that may be used.
         drifts: Drift of each frame's light against the background, by the frame's name.
-        bins: Bins of tilt and of direction.
-        reach_radii: Contact radii around each contact's middle within which pixels are taken; 1
-            fits the discs alone, as Taxim does.
-        ridge: Pull of all terms but the constant towards zero, against the mean square of the
-            terms over the image.
 
     Raises:
         InputError: No usable pixel lies in a contact.
     """
+    bins = BINS
     gram = np.zeros((bins * bins, TERMS, TERMS))
     moment = np.zeros((bins * bins, TERMS, 3))
     grid, background = scene.grid, scene.background
@@ -70,7 +62,7 @@ def fit_taxim_table(
     half = np.array([(grid.width_px - 1) / 2, (grid.height_px - 1) / 2])
     for frame in frames:
         radii = frame.circle.distance_px(grid) / frame.circle.radius_px
-        near = scene.usable & (radii <= reach_radii)
+        near = scene.usable & (radii <= REACH_RADII)
         v, u = np.nonzero(near)
         light = drifts[frame.name].at(np.flatnonzero(near), grid.height_px, grid.width_px)
         image = light.remove(frame.image[near].astype(np.float64))
@@ -83,7 +75,7 @@ def fit_taxim_table(
     filled = np.flatnonzero(count > 0)
     if len(filled) == 0:
         raise InputError("no usable pixel lies in a contact; the Taxim table cannot be fitted")
-    pull = np.array([ridge] * (TERMS - 1) + [_CONSTANT_RIDGE])
+    pull = np.array([RIDGE] * (TERMS - 1) + [_CONSTANT_RIDGE])
     damped = gram[filled] + count[filled, None, None] * np.diag(pull)
     solved = np.linalg.solve(damped, moment[filled])
     coefficients = np.einsum("ij,bjc->bic", _to_pixels(half), solved)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
 
 MIN_SIZE_PX = 32

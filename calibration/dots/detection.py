@@ -20,7 +20,7 @@ from taccel_lab.calibration.dots.blobs import (
     response,
 )
 from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots, joined
-from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.robust_fit import spread_about_median
 
 _LARGE_PX = 10.0
 """Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""

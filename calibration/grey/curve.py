@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.cross_conformal import radius_factor
+from taccel_lab.calibration.robust_fit import radius_factor
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import Channel, DepthResponse

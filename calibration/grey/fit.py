@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +21,22 @@ from taccel_lab.calibration.base_profile import (
     MEASURED,
     captures_on_pad,
     lost_blocks,
+    measured_grid,
     on_grid,
+    presses_on_camera,
     require_image_of,
     require_labels_and_view,
     with_measured_scale,
 )
 from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import (
+    CapturedPress,
+    CaptureSet,
+    ContactCircle,
+    widest_gap_px,
+)
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
+from taccel_lab.calibration.check.run import capture_findings, joined, refusing_with
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.calibration.grey.curve import (
@@ -41,16 +48,17 @@ from taccel_lab.calibration.grey.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
-from taccel_lab.calibration.grey.options import DepthOptions
-from taccel_lab.calibration.grey.remarks import (
-    curve_remarks,
-    error_remarks,
-    label_remarks,
-    place_remarks,
-)
 from taccel_lab.calibration.grey.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
-from taccel_lab.calibration.thickness.fit import TOUCH_MM
+from taccel_lab.calibration.light.thickness import TOUCH_MM
+from taccel_lab.calibration.press_options import DepthOptions
+from taccel_lab.calibration.remarks import (
+    GREY_OR_COLOUR,
+    HELDOUT_ERROR,
+    LABELS_OFF,
+    SCALE_NOT_MEASURED,
+    TOO_FEW,
+    warning,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma
@@ -60,6 +68,21 @@ from taccel_lab.signals.depth_response import DepthResponse, channel_of
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
+LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
+"""A label is off when its centre lies this part of its radius, and this far, from the dark patch:
+the limits of the check of coloured captures."""
+ONE_SPOT_RADII = 1.0
+"""Presses are at one spot when no two centres are this many contact radii apart."""
+POOR_CURVE, WRONG_CURVE = 0.15, 0.35
+"""Left-out error over the mean depth, from which a curve is only usable, or weak. Presses of one
+9DTact lie at 0.02 to 0.05, those of two different units under one curve at 0.1."""
+COLOR_LEVELS = 8.0
+"""Channels that differ by more inside the contacts, beside a quarter of the drop: colours."""
+ZERO_UNSURE = warning(
+    "zero_unsure",
+    "depths are counted from {start}; all of them may be off alike by {zero:.2f} mm, and by what "
+    "the rim itself has sunk. depth_mm of a press settles it",
+)
 
 
 def calibrate_depth(
@@ -68,14 +91,10 @@ def calibrate_depth(
     options: DepthOptions = DepthOptions(),
     progress: Progress = silent,
 ) -> DepthCalibration:
-    """Fit the depth of a grey sensor to the ball presses of ``folder``.
+    """Fit the depth of a grey sensor to the ball presses of ``folder``, against its background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends: its camera gives the scale where it was measured, or
-            where neither maps nor captures do.
-        options: What is read, and what depths are counted from.
-        progress: Told what is done.
+    ``base`` is what the result extends: its camera gives the scale where it was measured, or where
+    neither maps nor captures do.
 
     Raises:
         InputError: Captures that no curve can be fitted to, with what their check found.
@@ -111,12 +130,12 @@ def grey_captures(
         rectification.require_raw_size(raw, folder.source)
         return _rectified(captures, rectification), remarks
     require_image_of(base, folder)
+    if folder.mm_per_px is not None or measured_grid(folder, base) is not None:
+        return presses_on_camera(folder, base)[0], remarks
     grid, kind = base.camera.grid(), base.camera.provenance.kind
     captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
     same = (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px)
-    if folder.mm_per_px is not None and not (same and kind in MEASURED):
-        return captures_on_pad(folder.ball_presses(), base), remarks
-    if folder.mm_per_px is None and kind not in MEASURED:
+    if kind not in MEASURED:
         source = f"{grid.mm_per_px_x:.4g} mm/px of the profile ({kind})"
         remarks.append(SCALE_NOT_MEASURED(source=source))
     captures = replace(captures, grid=grid) if same else captures
@@ -166,20 +185,26 @@ def fit_depth(
     captures, found, lost = usable_presses(captures, grey=options.channel)
     chosen = choose_circles(captures, found, "labels")
     off = [*lost, *label_remarks(captures, [contact.circle for contact in found])]
-    drops = [background - channel_of(p.image(), options.channel) for p in captures.presses]
-    sigma_px = [contact.radius_sigma_px for contact in found]
-    given = [press.circle is not None for press in captures.presses]
-    radii = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
-    for press, circle, radius in zip(captures.presses, chosen, radii, strict=True):
-        if circle.radius_px * captures.grid.mm_per_px_x >= radius:
+    contacts = [
+        _Contact(
+            press=press,
+            circle=circle,
+            sigma_px=contact.radius_sigma_px,
+            ball_mm=press.radius_mm or captures.ball_radius_mm,
+            radius_mm=circle.radius_px * captures.grid.mm_per_px_x,
+            drop=background - channel_of(press.image(), options.channel),
+        )
+        for press, circle, contact in zip(captures.presses, chosen, found, strict=True)
+    ]
+    for one in contacts:
+        if one.radius_mm >= one.ball_mm:
             raise InputError(
-                f"{press.source}: the contact's radius of "
-                f"{circle.radius_px * captures.grid.mm_per_px_x:.2f} mm is not below the ball's of "
-                f"{radius:g} mm; check the scale and the ball"
+                f"{one.press.source}: the contact's radius of {one.radius_mm:.2f} mm is not below "
+                f"the ball's of {one.ball_mm:g} mm; check the scale and the ball"
             )
     sunk = [0.0] * len(chosen)
     zeros = [sunk]
-    by_travel = _rims_by_travel(captures, chosen, radii)
+    by_travel = _rims_by_travel(contacts)
     zero = options.zero
     if zero == "auto":
         zero = "untouched" if by_travel is None else "travel"
@@ -189,11 +214,10 @@ def fit_depth(
         sunk = by_travel
 
     def pixels() -> tuple[ContactPixels, ...]:
+        grid = captures.grid
         return tuple(
-            contact_pixels(i, drop, background, circle, captures.grid, radius, rim, mask)
-            for i, (drop, circle, radius, rim) in enumerate(
-                zip(drops, chosen, radii, sunk, strict=True)
-            )
+            contact_pixels(i, one.drop, background, one.circle, grid, one.ball_mm, rim, mask)
+            for i, (one, rim) in enumerate(zip(contacts, sunk, strict=True))
         )
 
     parts = pixels()
@@ -211,12 +235,10 @@ def fit_depth(
     spread = curve_spread_mm(parts, response, np.random.default_rng(options.seed), BOOTSTRAPS)
     all_errors = np.concatenate(errors)
     figures = tuple(
-        _figures(part, response, captures, circle, sigma, flag, radius, rim)
-        for part, circle, sigma, flag, radius, rim in zip(
-            parts, chosen, sigma_px, given, radii, sunk, strict=True
-        )
+        _figures(part, response, one, rim)
+        for part, one, rim in zip(parts, contacts, sunk, strict=True)
     )
-    offset_mm = _offset_sigma_mm(chosen, sigma_px, radii, captures)
+    offset_mm = _offset_sigma_mm(contacts, captures.grid.mm_per_px_x)
     gap_mm = max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros)
     if zero == "travel":
         # The ball's lowest point is where the stage has it, whatever its circle.
@@ -246,23 +268,37 @@ def fit_depth(
         *off,
         *place_remarks(chosen),
         *error_remarks(all_errors, np.concatenate([part.depth_mm for part in parts]), left_out),
-        *curve_remarks(result, drops),
+        *curve_remarks(result, [one.drop for one in contacts]),
     )
     return replace(result, remarks=found_remarks)
 
 
-def _rims_by_travel(
-    captures: CaptureSet, circles: Sequence[ContactCircle], radii_mm: Sequence[float]
-) -> list[float] | None:
+@dataclass(frozen=True)
+class _Contact:
+    """A press in its circle."""
+
+    press: CapturedPress
+    circle: ContactCircle
+    sigma_px: float
+    """Standard deviation of the circle's radius."""
+    ball_mm: float
+    radius_mm: float
+    """Radius of the circle."""
+    drop: np.ndarray
+    """How far the channel darkens [levels], shape [height_px, width_px]."""
+
+    @property
+    def plane_mm(self) -> float:
+        """Distance of the circle's plane from the ball's centre."""
+        return math.sqrt(self.ball_mm**2 - self.radius_mm**2)
+
+
+def _rims_by_travel(contacts: Sequence[_Contact]) -> list[float] | None:
     """How deep each contact's rim lies below the untouched face [mm]: what the press's travel says
     beyond the ball's cap, for presses without travel the mean of the others; None without any."""
-    caps = [
-        ball - math.sqrt(ball**2 - (circle.radius_px * captures.grid.mm_per_px_x) ** 2)
-        for circle, ball in zip(circles, radii_mm, strict=True)
-    ]
     rims = [
-        press.depth_mm - cap if press.depth_mm else None
-        for press, cap in zip(captures.presses, caps, strict=True)
+        one.press.depth_mm - (one.ball_mm - one.plane_mm) if one.press.depth_mm else None
+        for one in contacts
     ]
     known = [rim for rim in rims if rim is not None]
     if not known:
@@ -271,45 +307,93 @@ def _rims_by_travel(
 
 
 def _figures(
-    part: ContactPixels,
-    response: DepthResponse,
-    captures: CaptureSet,
-    circle: ContactCircle,
-    sigma_px: float,
-    given: bool,
-    ball_radius_mm: float,
-    rim_mm: float,
+    part: ContactPixels, response: DepthResponse, contact: _Contact, rim_mm: float
 ) -> PressFigures:
+    circle = contact.circle
     left = response.depth_of(part.drop_levels) - part.depth_mm
     x = (part.u_px - circle.u_px) / circle.radius_px
     y = (part.v_px - circle.v_px) / circle.radius_px
     plane, *_ = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), left, rcond=None)
-    rim = circle.radius_px * captures.grid.mm_per_px_x
     return PressFigures(
-        name=captures.presses[part.press].name,
+        name=contact.press.name,
         u_px=circle.u_px,
         v_px=circle.v_px,
         radius_px=circle.radius_px,
-        radius_sigma_px=sigma_px,
-        given=given,
+        radius_sigma_px=contact.sigma_px,
+        given=contact.press.circle is not None,
         rim_depth_mm=rim_mm,
-        depth_mm=ball_radius_mm - math.sqrt(ball_radius_mm**2 - rim**2) + rim_mm,
+        depth_mm=contact.ball_mm - contact.plane_mm + rim_mm,
         mae_mm=float(np.abs(left).mean()),
         bias_mm=float(left.mean()),
         plane_mm=float(2 * np.hypot(plane[0], plane[1])),
     )
 
 
-def _offset_sigma_mm(
-    circles: Sequence[ContactCircle],
-    sigma_px: Sequence[float],
-    radii_mm: Sequence[float],
-    captures: CaptureSet,
-) -> float:
+def _offset_sigma_mm(contacts: Sequence[_Contact], mm_per_px: float) -> float:
     """Uncertain radius times the ball's slope at the rim, averaged over the presses."""
-    scale = captures.grid.mm_per_px_x
-    each = []
-    for circle, sigma, ball in zip(circles, sigma_px, radii_mm, strict=True):
-        rim = circle.radius_px * scale
-        each.append(sigma * scale * rim / math.sqrt(ball**2 - rim**2))
+    each = [one.sigma_px * mm_per_px * one.radius_mm / one.plane_mm for one in contacts]
     return float(np.sqrt(np.mean(np.square(each)) / len(each)))
+
+
+def label_remarks(captures: CaptureSet, found: Sequence[ContactCircle]) -> list[Remark]:
+    """Whether given circles lie on the dark patches of their images."""
+    gaps = {
+        press.name: seen.center_gap_px(press.circle, captures.grid)
+        for press, seen in zip(captures.presses, found, strict=True)
+        if press.circle is not None
+    }
+    radii = {press.name: press.circle.radius_px for press in captures.presses if press.circle}
+    off = [n for n, gap in gaps.items() if gap > max(LABEL_OFF_PX, LABEL_OFF_SHARE * radii[n])]
+    if not off:
+        return []
+    off.sort(key=lambda name: -gaps[name])
+    worst = ", ".join(f"{name} by {gaps[name]:.0f} px" for name in off[:4])
+    advice = "Calibrate with the circles found (--circles detected), or correct them"
+    figures = {"off": len(off), "count": len(gaps), "how": worst, "advice": advice}
+    return [LABELS_OFF(what="given circles", grave=True, **figures)]
+
+
+def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:
+    """Whether all presses are at one place."""
+    reach = widest_gap_px(circles)
+    if len(circles) > 1 and reach < ONE_SPOT_RADII * float(
+        np.median([c.radius_px for c in circles])
+    ):
+        wanted = f"all lie within {reach:.0f} px; press in the middle and near the borders"
+        return [TOO_FEW(count=len(circles), what="presses at one spot", wanted=wanted)]
+    return []
+
+
+def error_remarks(left_out_mm: np.ndarray, depth_mm: np.ndarray, left_out: str) -> list[Remark]:
+    """Whether left-out pixels lie far from the curve, for the depths that there are."""
+    share = float(left_out_mm.mean() / max(float(depth_mm.mean()), 1e-9))
+    if share <= POOR_CURVE:
+        return []
+    error = f"{left_out_mm.mean():.3f} mm, {share:.0%} of the mean depth"
+    advice = "check circles, balls, and that all presses are of one sensor under one light"
+    what = f"pixels of a {left_out}"
+    return [HELDOUT_ERROR(what=what, error=error, advice=advice, grave=share > WRONG_CURVE)]
+
+
+def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list[Remark]:
+    """Remarks on the curve and the images; ``drops`` are the presses' grey drops [levels]."""
+    found: list[Remark] = []
+    if len(result.presses) < 3:
+        wanted = "give three or more, one in the middle and others near the borders"
+        found.append(TOO_FEW(count=len(result.presses), what="presses", wanted=wanted))
+    sigma, zero = result.offset_sigma_mm, result.zero_sigma_mm
+    depth = float(np.concatenate([part.depth_mm for part in result.parts]).mean())
+    if zero > POOR_CURVE * depth and result.zero in ("untouched", "rim"):
+        rim = f"the contact's rim, which is known to {sigma:.2f} mm"
+        start = rim if result.zero == "rim" else "where the grey is that of untouched gel"
+        found.append(ZERO_UNSURE(start=start, zero=zero))
+    background = result.captures.background
+    colors = [
+        np.abs(np.ptp(background - p.image().astype(np.float64), axis=-1))[d > d.max() / 2]
+        for p, d in zip(result.captures.presses, drops, strict=True)
+    ]
+    spread = float(np.mean([c.mean() for c in colors]))
+    if spread > COLOR_LEVELS + 0.25 * max(float(d.max()) for d in drops):
+        coloured = f"coloured (channels differ by {spread:.0f} levels in the contacts)"
+        found.append(GREY_OR_COLOUR(found=coloured, expected="grey", grave=True))
+    return found

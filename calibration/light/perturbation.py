@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.light.drift import drift_spread, triple
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift, drift_spread, fit_light, triple
+from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.calibration.result import calibrated
-from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, SensorProfile
 from taccel_lab.report.remark import Remark

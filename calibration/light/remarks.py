@@ -1,12 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the comparison of the light of several frames can remark."""
+"""What the calibration of the background and a refit can remark."""
 
 from __future__ import annotations
 
 from taccel_lab.calibration.remarks import warning
 
-LIGHT_DRIFTS = warning(
-    "light_drifts",
-    "over {frame_count} frames the untouched gel changes by {changes} levels (standard deviation), "
-    "at most {largest:.0f}. {cause}",
+NO_UNTOUCHED_IMAGE = warning(
+    "no_untouched_image",
+    "no image of the untouched sensor: the background is the median of {count} presses; what they "
+    "all touch is wrong. Record one",
+)
+BACKGROUND_CLIPPED = warning(
+    "background_clipped",
+    "{clipped:.0%} of the background's pixels are at 0 or 255 in a channel: their change cannot be "
+    "read. Change the exposure",
+)
+NEW_DUST = warning(
+    "new_dust",
+    "{specks} specks lie in the later frames and not in the background image: the gel has "
+    "collected dust since. Clean it, or record a new background",
+)
+
+
+ROUGH_RESPONSE = warning(
+    "rough_response",
+    "the frames disagree by {percent:.0f} % on the response of {channel}: more presses, in "
+    "steadier light, would tell it better",
+)
+SOME_WORSE = warning(
+    "some_worse",
+    "{names} fits worse than before when it is left out: the light changes between the new frames, "
+    "or a press is off",
+)
+LIGHT_UNSTEADY = warning(
+    "light_unsteady",
+    "the light of the new frames differs by {levels:.1f} levels among themselves: one correction "
+    "cannot follow. Fix exposure and white balance",
 )

@@ -15,8 +15,7 @@ from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import StripChart, pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
-from taccel_lab.calibration.pressure.reading_files import write_reading
-from taccel_lab.calibration.pressure.touch import TouchReading
+from taccel_lab.calibration.pressure.touch import TouchReading, write_reading
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import TrackStatus
-from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

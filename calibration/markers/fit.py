@@ -20,7 +20,7 @@ from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVide
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks
-from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent

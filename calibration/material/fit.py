@@ -9,13 +9,13 @@ import time
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.material.force_table import ForceTable, force_table
-from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.calibration.material.indentation_points import (
+from taccel_lab.calibration.material.gel import (
+    Gel,
     points_of_presses,
     points_of_record,
-    require_plausible,
 )
 from taccel_lab.calibration.material.options import MaterialOptions
+from taccel_lab.calibration.material.remarks import require_plausible
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import fit_stiffness
 from taccel_lab.errors import InputError, SimulationError

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is pressed where: the gel of a profile, a tool, and the mesh of a press.
+"""What is pressed where: the gel of a profile, a tool, the mesh of a press, and measured points.
 
 Simulated forces scale exactly with all moduli together (also the contact stiffness follows them),
 so every press here is that of a gel of 1 MPa, and Young's modulus never needs a simulation. The
 layers over a gel keep their ratio to it. Element, mesh, contact range and tolerance are those of
 ``taccel_lab.presses.physics``, which ``taccel-lab press`` presses with: what is fitted here comes
-out there.
+out there. Signs and order of a record of points were checked when it was read
+(``capture.record_checks``).
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import Indenter, parse_indenter
@@ -134,3 +137,100 @@ class Gel:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
         contact = tool.indenter().contact(depth_mm)
         return pad_press_mesh(self.pad, tool.at_mm, contact, self.physics.mesh)
+
+
+@dataclass(frozen=True)
+class IndentationPoints:
+    """One press of one tool."""
+
+    name: str
+    source: str
+    sha256: str
+    tool: CurveTool
+    depth_mm: np.ndarray
+    """Depth past first touch, shape [point]."""
+    force_n: np.ndarray
+    """Normal force into the gel, shape [point]."""
+    sigma_n: np.ndarray | None
+    """Standard deviation of each force [N]; None where the record does not say."""
+    zero: Estimate | None = None
+    """What the load cell read in air, which is taken off the forces [N]."""
+
+    @property
+    def deepest_mm(self) -> float:
+        return float(self.depth_mm.max())
+
+    def only(self, keep: np.ndarray) -> IndentationPoints:
+        """Some of the points, those of a mask (bool, [point])."""
+        sigma = None if self.sigma_n is None else self.sigma_n[keep]
+        return replace(
+            self, depth_mm=self.depth_mm[keep], force_n=self.force_n[keep], sigma_n=sigma
+        )
+
+
+def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> IndentationPoints:
+    """The points of an indentation record below first touch.
+
+    Raises:
+        InputError: No depth above 0, too few forces there, or a missing tool.
+    """
+    points = _touching(
+        record.name,
+        record.source,
+        record.sha256,
+        gel.tool(record.entry.tool, ball_mm),
+        record.columns["depth_mm"],
+        record.columns["force_n"],
+        record.sigma_n(),
+    )
+    return replace(points, zero=record.zero)
+
+
+def points_of_presses(folder: CaptureFolder, gel: Gel) -> list[IndentationPoints]:
+    """Ball presses whose manifest entries state both depth and force, one set for each ball."""
+    found: dict[float, list[tuple[float, float, str]]] = {}
+    # Copies of a picture are one press.
+    for press in {press.sha256: press for press in folder.presses}.values():
+        depth, force = getattr(press, "depth_mm", None), getattr(press, "force_n", None)
+        radius = getattr(press, "radius_mm", None) or folder.ball_radius_mm
+        if depth and force is not None and radius is not None:
+            found.setdefault(radius, []).append((depth, force, press.sha256))
+    sets = []
+    for radius, rows in sorted(found.items()):
+        tool = gel.tool(ToolEntry(kind="sphere", radius_mm=radius))
+        depth, force = np.array([row[:2] for row in rows]).T
+        name = f"ball presses of {radius:g} mm"
+        sets.append(_touching(name, folder.source, rows[0][2], tool, depth, force, None))
+    return sets
+
+
+def _touching(
+    name: str,
+    source: str,
+    sha256: str,
+    tool: CurveTool,
+    depth: np.ndarray,
+    force: np.ndarray,
+    sigma: np.ndarray | None,
+) -> IndentationPoints:
+    touching = depth > 0
+    if not touching.any():
+        raise InputError(
+            f"{source}: no row lies below first touch; depth_mm must be positive into the gel "
+            f"(found {depth.min():g} to {depth.max():g} mm)"
+        )
+    positive = force[touching] > 0
+    if positive.mean() < 0.5:
+        raise InputError(
+            f"{source}: {(~positive).sum()} of {len(positive)} rows below first touch show no "
+            "force; is depth_mm counted from first touch?"
+        )
+    return IndentationPoints(
+        name,
+        source,
+        sha256,
+        tool,
+        depth[touching],
+        force[touching],
+        None if sigma is None else sigma[touching],
+    )

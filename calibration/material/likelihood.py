@@ -16,7 +16,7 @@ optimisers (SLSQP, L-BFGS-B) find the same minima to eight digits, in 2.5 times 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import cast
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
-from taccel_lab.calibration.damped_search import Expanded, damped_search
+from taccel_lab.calibration.robust_fit import Expanded, damped_search
 
 TINY = 1e-12
 """Floor of a mean square: noise below a millionth of the residuals' unit is none, as of perfect
@@ -129,6 +129,12 @@ def widened(interval: tuple[float, float], value: float, half: float) -> tuple[f
         value - math.hypot(max(value - low, 0.0), half),
         value + math.hypot(max(high - value, 0.0), half),
     )
+
+
+def hull(intervals: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """The interval that holds all of these."""
+    lows, highs = zip(*intervals, strict=True)
+    return min(lows), max(highs)
 
 
 class Likelihood:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n
+from taccel_lab.calibration.material.indentation import HeldOut, force_interval_n
+from taccel_lab.calibration.material.likelihood import hull
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.report.page import Page, Picture, Table, picture
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 BAND = 9
 """Depths at which the band is computed."""
+MOST_POINTS = 12
+"""Points in the table of those predicted from the others."""
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
 _AXES = {"ln_e": "Young's modulus [kPa]", "nu": "Poisson's ratio"}
 _TITLES = {
@@ -98,9 +101,9 @@ def _tables(result: MaterialCalibration) -> list[Table]:
     return tables
 
 
-def _thinned(points: Sequence[HeldOut], most: int = 12) -> list[HeldOut]:
-    """Points, at most ``most`` of them, evenly chosen."""
-    chosen = np.linspace(0, len(points) - 1, min(len(points), most)).round().astype(int)
+def _thinned(points: Sequence[HeldOut]) -> list[HeldOut]:
+    """Points, at most ``MOST_POINTS`` of them, evenly chosen."""
+    chosen = np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).round().astype(int)
     return [points[i] for i in chosen]
 
 
@@ -131,10 +134,11 @@ def _indentation(stiffness: Stiffness) -> Figure:
         depth = np.linspace(1e-3, 1.03 * item.deepest_mm, 120)
         force = fit.predicted_n(i, depth)
         coarse = np.linspace(0.05, 1.0, BAND) * depth[-1]
-        ends = [[force_interval_n(one, i, float(d)) for one in stiffness.open_fits] for d in coarse]
-        low = [min(a for a, _ in row) for row in ends]
-        high = [max(b for _, b in row) for row in ends]
-        left.fill_between(coarse, low, high, color=colour, alpha=0.18, lw=0)
+        ends = [
+            hull(force_interval_n(one, i, float(at)) for one in stiffness.open_fits)
+            for at in coarse
+        ]
+        left.fill_between(coarse, *np.transpose(ends), color=colour, alpha=0.18, lw=0)
         left.plot(depth, force, color=colour, label=f"fit, {item.tool.description}")
         left.errorbar(
             item.depth_mm, item.force_n, None if item.sigma_n is None else 2 * item.sigma_n,

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 
 FIXABLE = ("e", "nu", "mooney_ratio", "friction")
@@ -34,8 +35,6 @@ class MaterialOptions:
                 raise InputError(
                     f"{name!r} cannot be held; use one of {', '.join(FIXABLE)}, as in nu=0.48"
                 )
-            low, high = limits[name]
-            if not low <= value <= high:
-                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
-        if self.touch_sigma_mm is not None and not 0 <= self.touch_sigma_mm <= 1:
-            raise InputError(f"touch_sigma_mm must lie in [0, 1] mm, got {self.touch_sigma_mm:g}")
+            require_range(name, value, *limits[name])
+        if self.touch_sigma_mm is not None:
+            require_range("touch_sigma_mm", self.touch_sigma_mm, 0, 1, "mm")

@@ -15,23 +15,26 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.material.force_table import ForceTable
+from taccel_lab.calibration.material.gel import IndentationPoints
 from taccel_lab.calibration.material.indentation import (
     GEL_NU,
     LAW_NAMES,
+    HeldOut,
     IndentationFit,
     fit_indentation,
+    force_interval_n,
+    held_out,
     touch_sigma,
 )
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.indentation_remarks import (
+from taccel_lab.calibration.material.likelihood import hull
+from taccel_lab.calibration.material.remarks import (
+    YOUNG_GIVEN_NU,
     few_degrees_of_freedom,
     friction_assumed,
     records_disagree,
     residual_remarks,
     young_uncertain,
 )
-from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
-from taccel_lab.calibration.material.remarks import YOUNG_GIVEN_NU
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.report.remark import Remark
 
@@ -171,20 +174,20 @@ class Stiffness:
                 float(force),
                 self.force_interval_n(index, depth),
                 float(fit.predicted_n(index, np.array([depth]))[0]),
-                self.reading_interval_n(index, depth),
+                self.force_interval_n(index, depth, reading=True),
             )
             for depth, force in zip(depths.tolist(), forces, strict=True)
         ]
 
-    def force_interval_n(self, index: int, depth_mm: float) -> tuple[float, float]:
-        """95 % interval of the force [N] of a press of tool ``index`` past first touch."""
-        ends = [force_interval_n(fit, index, depth_mm, recorded=False) for fit in self.open_fits]
-        return min(low for low, _ in ends), max(high for _, high in ends)
-
-    def reading_interval_n(self, index: int, depth_mm: float) -> tuple[float, float]:
-        """95 % interval of a reading [N] at a depth as record ``index`` counts it."""
-        ends = [force_interval_n(fit, index, depth_mm, reading=True) for fit in self.open_fits]
-        return min(low for low, _ in ends), max(high for _, high in ends)
+    def force_interval_n(
+        self, index: int, depth_mm: float, *, reading: bool = False
+    ) -> tuple[float, float]:
+        """95 % interval of the force [N] of a press of tool ``index`` past first touch, or of a
+        ``reading`` at a depth as its record counts it."""
+        return hull(
+            force_interval_n(fit, index, depth_mm, recorded=reading, reading=reading)
+            for fit in self.open_fits
+        )
 
 
 def fit_stiffness(
@@ -302,7 +305,6 @@ def _poisson(fit: IndentationFit) -> Estimate:
 
 def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
     """Young's modulus with the interval over all that is left open [Pa]."""
-    ends = [found.young_interval_pa, *(item.young_interval_pa for item in left)]
-    low, high = min(a for a, _ in ends), max(b for _, b in ends)
+    low, high = hull(item.young_interval_pa for item in (found, *left))
     value = found.young_modulus_pa
     return Estimate(value, value * math.log(high / low) / (2 * NORMAL_95), "Pa", (low, high))

@@ -18,7 +18,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
-from taccel_lab.calibration.check.block_findings import joined
+from taccel_lab.calibration.check.run import joined
 from taccel_lab.calibration.circles.ball_surface import (
     BallSurface,
     depth_share,
@@ -28,33 +28,39 @@ from taccel_lab.calibration.circles.ball_surface import (
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
-from taccel_lab.calibration.normals.options import (
+from taccel_lab.calibration.normals.result import NormalCalibration
+from taccel_lab.calibration.normals.samples import KnownPress, with_reading_errors
+from taccel_lab.calibration.normals.score import read_heldout, reliability_of
+from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
+from taccel_lab.calibration.press_options import (
+    ColorFitOptions,
     InverseFitOptions,
     NormalOptions,
     NormalTraining,
 )
-from taccel_lab.calibration.normals.reading_error import with_reading_errors
-from taccel_lab.calibration.normals.remarks import remarks_of
-from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import KnownPress
-from taccel_lab.calibration.normals.score import read_heldout, reliability_of
-from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
+from taccel_lab.calibration.remarks import (
+    GREY_OR_COLOUR,
+    HELDOUT_ERROR,
+    NOTHING_HELD_OUT,
+    TOO_FEW,
+    left_out_remarks,
+)
 from taccel_lab.calibration.response.frame import (
-    EXACT,
     CaptureScene,
     CircleSigma,
+    HeldoutSet,
     PressFrame,
+    in_background_light,
+    noise_floor_l1,
     place_region,
+    press_frames,
 )
-from taccel_lab.calibration.response.heldout import HeldoutSet
-from taccel_lab.calibration.response.untouched_light import in_background_light, noise_floor_l1
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
@@ -63,6 +69,12 @@ CHECKED = 16
 """Synthetic presses that the networks never see and heights are judged by."""
 READING = "reading synthetic presses"
 READING_BALLS = "reading the training presses"
+ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
+"""Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""
+GOOD_OVER_FLAT = 0.25
+WEAK_OVER_FLAT = 0.5
+"""Error over that of guessing a flat surface, above which a model is only usable, or weak."""
+GREY_LEVELS = 1.5
 
 
 def calibrate_normals(
@@ -71,13 +83,10 @@ def calibrate_normals(
     options: NormalOptions = NormalOptions(),
     progress: Progress = silent,
 ) -> NormalCalibration:
-    """Fit the model from colour to surface normal to the ball presses of ``folder``.
+    """Fit the model from colour to surface normal to the ball presses of ``folder``, against its
+    background.
 
-    Args:
-        folder: Its background and presses are used.
-        base: Profile that the result extends; its face at rest is what normals lean against.
-        options: Which presses are fitted, and how.
-        progress: Told what is done.
+    ``base`` is what the result extends: its face at rest is what normals lean against.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
@@ -162,22 +171,12 @@ def fit_normals(
         thickness_share: That of depths by the thickness of ``pad``, as a share of them.
         progress: Told of the fit's steps.
     """
-    if not len(circles) == len(surfaces) == len(captures.presses):
-        raise InputError(
-            f"{len(captures.presses)} presses need as many circles and surfaces, got "
-            f"{len(circles)} and {len(surfaces)}"
-        )
     scene = CaptureScene.of(captures, background, rest)
-    sigmas = circle_sigmas_px or [EXACT] * len(circles)
     training = [
-        PressFrame(
-            press.name, in_background_light(press.image(), scene), circle, surface, press.sha256,
-            sigma,
-        )
-        for press, circle, surface, sigma in zip(
-            captures.presses, circles, surfaces, sigmas, strict=True
-        )
-    ]  # fmt: skip
+        replace(frame, image=in_background_light(frame.image, scene))
+        for frame in press_frames(captures, circles, surfaces, circle_sigmas_px)
+    ]
+    sigmas = [frame.circle_sigma_px for frame in training]
     drawn, unseen = iter(()), iter(())
     if pad is not None and options.synthetic_presses:
         tools = _synthetic_presses(training, scene, pad, colors, options.seed, progress)
@@ -283,3 +282,38 @@ def _in_bands_of(
     factor = max(scored.config.error_factor, last.model.config.error_factor)
     config = replace(scored.config, error_factor=factor, **_shown(frames, scene))
     return replace(last, model=NormalModel(config, last.model.weights))
+
+
+def remarks_of(
+    result: NormalCalibration, training: Sequence[PressFrame], scene: CaptureScene
+) -> tuple[Remark, ...]:
+    """Remarks on the data and on how well the held-out presses are read."""
+    found: list[Remark] = []
+    if len(training) < ENOUGH_PRESSES:
+        count = len(training)
+        wanted = "give 30 to 50, spread over the image"
+        grave = count < LEAST_PRESSES
+        found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=grave))
+    if not result.has_scores:
+        found.append(NOTHING_HELD_OUT())
+    else:
+        scores = result.heldout_means("used")
+        share = scores["mean_deg"] / max(scores["flat_deg"], 1e-9)
+        if share > GOOD_OVER_FLAT:
+            grave = share > WEAK_OVER_FLAT
+            error = f"{scores['mean_deg']:.1f} degrees, {share:.0%} of what a flat guess is off"
+            advice = "check the circles, the ball's radius and the scale, or give more presses"
+            found.append(HELDOUT_ERROR(what="normals", error=error, advice=advice, grave=grave))
+    found += left_out_remarks(result.failed, result.rejected_deg(), "degrees")
+    change = np.mean([_grey_share(frame, scene) for frame in training])
+    if change < GREY_LEVELS:
+        alike = f"grey (channels change alike, to {change:.1f} levels)"
+        found.append(GREY_OR_COLOUR(found=alike, expected="coloured", grave=True))
+    return tuple(found)
+
+
+def _grey_share(frame: PressFrame, scene: CaptureScene) -> float:
+    """How far the channels' changes differ inside the contact [levels]."""
+    inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
+    change = (frame.image - scene.background)[inside]
+    return float(np.abs(change - change.mean(axis=1, keepdims=True)).mean())

@@ -10,8 +10,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
-from taccel_lab.calibration.response.evaluate import crop_slices
-from taccel_lab.calibration.response.frame import CaptureScene
+from taccel_lab.calibration.response.frame import CaptureScene, crop_slices
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.page import Page, Table, picture

@@ -3,48 +3,41 @@
 
 Colour sensors tell slopes, which are integrated; grey ones tell depths. Heights are in the gel
 frame: the rise over the resting face, and the face itself, which is curved on some sensors.
+
+What the uncertain light of an image does to heights is found once for each sensor, at rest. Gain,
+offset and gradient of each channel are known to a covariance. Each of them, off by a little,
+changes colours all over the image, and with them slopes and their integral. That is linear in small
+errors and hardly depends on what is pressed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.dots.dot_mask import DotMask
-from taccel_lab.calibration.light.fit import fit_light, fit_press_light
-from taccel_lab.calibration.light.image_match import unlike
-from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.light.other_light import light_of_background
-from taccel_lab.calibration.light.pattern_shift import pattern_shift
-from taccel_lab.calibration.normals.light_errors import LightErrors, grey_light_sigma_mm
-from taccel_lab.calibration.normals.touch import Touch, touch_of
-from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.calibration.frame_light import LightDrift, fit_light, fit_press_light
+from taccel_lab.calibration.light.image_match import light_of_background, pattern_shift, unlike
+from taccel_lab.calibration.normals.surface_reading import SigmaOf, SurfaceReading, touch_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.depth_response import DepthResponse
+from taccel_lab.signals.depth_response import LUMA, DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.read_heights import ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
-from taccel_lab.summary import Summary
-from taccel_lab.with_error import with_error
+from taccel_lab.signals.slope_integration import resting_height
 
 Method = Literal["auto", "normals", "depth"]
-STEEP_SHARE = 0.02
-"""Share of pixels that the calibration says nothing of, from which on a user is warned."""
-SigmaOf = Literal["absolute depth", "reading alone"]
-NO_SIGMA = (
-    "the profile does not say how uncertain its depths are: it was calibrated by an earlier "
-    "version or without synthetic presses; calibrate again"
-)
-READING_ALONE = (
-    "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
-    "absolute depths are off by more; calibrate again to have it whole"
-)
+COARSE_PX = 48
+"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
+PROBE_LEVELS = 2.0
+"""Change of colour that slopes are found for; small beside what they are linear in."""
 
 
 @dataclass(frozen=True)
@@ -59,138 +52,6 @@ class LitImage:
     """The same if nothing touches: a contact takes part of a gradient of the light."""
     mask: np.ndarray | None
     """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
-
-
-@dataclass(frozen=True, repr=False)
-class SurfaceReading(Summary):
-    """What one image shows."""
-
-    height_m: np.ndarray
-    """z of the contact face [m], gel frame, shape [height_px, width_px]."""
-    rise_m: np.ndarray
-    """Its rise over the resting face [m], negative in a dent."""
-    height_sigma_m: np.ndarray | None
-    """Standard deviation of both heights [m]. None of models that were fitted without synthetic
-    presses, and of curves of earlier versions."""
-    reading_sigma_m: np.ndarray | None
-    """Standard deviation of a place if nothing touches [m], by the reading and the image's light:
-    what is off along with a depth, such as the calibration's circles or scale, is not in it."""
-    normals: np.ndarray
-    """Outward unit normals, shape [height_px, width_px, 3]."""
-    sigma_deg: np.ndarray | None
-    """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
-    radius95_deg: np.ndarray | None
-    """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
-    beyond_balls: np.ndarray | None
-    """Pixels that read steeper than any captured ball was, bool: their slopes are what the colour
-    model makes of colours that nobody captured. None of a grey sensor."""
-    saturated: np.ndarray | None
-    """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
-    method: Literal["normals", "depth"]
-    touch: Touch
-    """Where the gel is touched: the one decision that area, pressure and force follow."""
-    sigma_of: SigmaOf | None = None
-    """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
-    that know no more, the reading alone; None where the profile tells none."""
-    remarks: tuple[str, ...] = ()
-    """What the profile says of itself, such as that it is of another unit."""
-
-    def summary(self) -> tuple[str, list[tuple[str, str]]]:
-        """How deep the gel is pressed, and by which model."""
-        height, width = self.rise_m.shape
-        return f"surface read from {self.method}", [
-            ("deepest", self.depth_words),
-            ("pixels", f"{width} x {height}"),
-            *(("note", remark) for remark in self.remarks),
-        ]
-
-    @property
-    def deepest_px(self) -> tuple[int, int]:
-        """Row and column of the deepest place that is touched; of the image where nothing is."""
-        depth = -self.rise_m
-        if self.touch.any:
-            depth = np.where(self.touch.pixels, depth, -np.inf)
-        row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-        return int(row), int(column)
-
-    @property
-    def depth_interval_mm(self) -> tuple[float, float] | None:
-        """95 % interval of the deepest place [mm], from 0 where nothing touches; None where the
-        profile states no deviation."""
-        if self.height_sigma_m is None:
-            return None
-        if not self.touch.any:
-            return 0.0, self.touch.unseen_mm
-        at = self.deepest_px
-        depth, off = -1e3 * float(self.rise_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
-        return max(depth - off, 0.0), depth + off
-
-    @property
-    def depth_words(self) -> str:
-        """Depth and its standard deviation, or that nothing touches, in words."""
-        row, column = self.deepest_px
-        if not self.touch.any:
-            return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
-        sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
-        depth = with_error(
-            -1e3 * self.rise_m[row, column], None if sigma_m is None else 1e3 * sigma_m
-        )
-        return f"{depth} mm at ({column}, {row}) px"
-
-    def figures(self, grid: PixelGrid) -> dict[str, Any]:
-        """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
-        depth_mm = -1e3 * self.rise_m
-        row, column = self.deepest_px
-        touched = self.touch.pixels
-        pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
-        at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
-        found: dict[str, Any] = {
-            "method": self.method,
-            "touched": self.touch.any,
-            "depth_words": self.depth_words,
-            "max_depth_mm": float(depth_mm[row, column]) if self.touch.any else 0.0,
-            "max_depth_interval95_mm": self.depth_interval_mm and list(self.depth_interval_mm),
-            "max_depth_sigma_mm": None
-            if self.height_sigma_m is None
-            else float(1e3 * self.height_sigma_m[row, column]),
-            "sigma_of": self.sigma_of,
-            "deepest_px": [int(column), int(row)],
-            "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
-            "touched_mm2": float(touched.sum() * pixel_mm2),
-            "touched_deeper_than_mm": self.touch.least_mm,
-            "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
-        }
-        inside = touched if touched.any() else np.ones_like(touched)
-        if self.sigma_deg is not None:
-            found["sigma_deg"] = float(self.sigma_deg[inside].mean())
-        if self.radius95_deg is not None:
-            found["radius95_deg"] = float(self.radius95_deg[inside].mean())
-        if self.height_sigma_m is not None:
-            found["depth_sigma_mm"] = float(1e3 * self.height_sigma_m[inside].mean())
-        if self.beyond_balls is not None:
-            found["beyond_balls_share"] = float(self.beyond_balls[inside].mean())
-        if self.saturated is not None:
-            found["saturated_share"] = float(self.saturated.mean())
-        found["warnings"] = self._warnings(found)
-        return found
-
-    def _warnings(self, figures: dict[str, Any]) -> list[str]:
-        """What a user should know before trusting the heights, one sentence each."""
-        said = list(self.remarks)
-        if self.sigma_of != "absolute depth":
-            said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
-        steep = figures.get("beyond_balls_share", 0.0)
-        if steep > STEEP_SHARE:
-            said.append(
-                f"{steep:.0%} of what is touched is steeper than any ball that was captured; its "
-                "slopes are a guess from the colour model (beyond_balls marks them)"
-            )
-        if figures.get("saturated_share", 0.0) > STEEP_SHARE:
-            said.append(
-                f"{figures['saturated_share']:.0%} of the image is darker than any press that was "
-                "captured; it is at least as deep as it reads"
-            )
-        return said
 
 
 class SurfaceReader:
@@ -375,9 +236,6 @@ class SurfaceReader:
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
             normals=normals_from_height(height, self.grid),
-            sigma_deg=None,
-            radius95_deg=None,
-            beyond_balls=None,
             saturated=found.saturated,
             method="depth",
             touch=touch_of(found.height_m, alone_m, self.grid),
@@ -417,7 +275,6 @@ class SurfaceReader:
             sigma_deg=read.sigma_deg,
             radius95_deg=read.radius95_deg,
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
-            saturated=None,
             method="normals",
             touch=touch_of(found.rise_m, self._last_sigma_m, self.grid),
             sigma_of=self.sigma_of,
@@ -438,3 +295,93 @@ class SurfaceReader:
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
     return None if values_mm is None else 1e-3 * values_mm
+
+
+class LightErrors:
+    """Heights' standard deviations by the light, for images of one sensor."""
+
+    def __init__(
+        self,
+        model: NormalModel,
+        background: np.ndarray,
+        grid: PixelGrid,
+        mask: np.ndarray | None = None,
+        rest_normals: np.ndarray | None = None,
+    ) -> None:
+        """
+        Args:
+            model: From colours to normals.
+            background: The untouched sensor, RGB levels, shape [height_px, width_px, 3].
+            grid: Pixel grid of the images.
+            mask: Pixels that count, bool, shape [height_px, width_px].
+            rest_normals: Of the face at rest, shape [h, w, 3]; flat when None.
+        """
+        self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
+        self._part = np.s_[::every, ::every]
+        self._grid, self._size = grid.thinned(every), background.shape[1::-1]
+        self._level = background.reshape(-1, 3).mean(axis=0)
+        terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
+        self._weights = None if mask is None else mask[self._part].astype(float)
+        rest = 0.0
+        if rest_normals is not None:
+            thin = rest_normals[self._part]
+            rest = thin[..., :2] / thin[..., 2:]
+        self._slopes = np.empty((3, 4, self._grid.height_px, self._grid.width_px, 2))
+        for channel in range(3):
+            for k, term in enumerate(terms):
+                probe = PROBE_LEVELS / max(float(np.abs(term[..., channel]).max()), 1e-9)
+                image = background.astype(np.float32)
+                image[..., channel] += probe * term[..., channel]
+                read = model.predict(
+                    image, background, mask=mask, rest_normals=rest_normals, every=every
+                )
+                self._slopes[channel, k] = (read.slopes() + rest) / probe
+
+    def sigma_m(
+        self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
+    ) -> list[np.ndarray]:
+        """Standard deviations of the heights [m] for each light of one image, [height, width].
+
+        Args:
+            lights: Of the image against the background.
+            zero: Pixels that its heights are counted from, as of ``ReadHeights``.
+            every: Rows and columns apart that these are of: 1, or ``self.every``.
+        """
+        import cv2
+
+        part = zero if zero is None or every > 1 else zero[self._part]
+        if part is not None and not part.any():
+            part = None
+        heights = resting_height(self._slopes, self._grid, weights=self._weights, zero=part)
+        found = []
+        for light in lights:
+            covariance = light.covariance_at(self._level)
+            variance = np.einsum("ckhw,ckl,clhw->hw", heights, covariance, heights)
+            if every == 1:
+                variance = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
+            found.append(np.sqrt(np.maximum(variance, 0.0)))
+        return found
+
+
+def grey_light_sigma_mm(
+    response: DepthResponse, light: LightDrift, background: np.ndarray, depth_mm: np.ndarray
+) -> np.ndarray:
+    """The same of a grey sensor, whose depths follow the curve ``response`` pixel by pixel [mm].
+
+    ``background``: untouched sensor, RGB levels, shape [h, w, 3]; ``depth_mm``: what is read, shape
+    [h, w].
+    """
+    names = ("red", "green", "blue")
+    shares = (
+        LUMA
+        if response.channel == "grey"
+        else np.array([float(name == response.channel) for name in names])
+    )
+    terms = light.terms(background)
+    variance = sum(
+        share**2 * np.einsum("khw,kl,lhw->hw", terms[..., c], light.covariance[c], terms[..., c])
+        for c, share in enumerate(shares)
+    )
+    drop = response.drop_of(depth_mm)
+    per_level = response.depth_of(drop + 1.0) - response.depth_of(drop)
+    return per_level * np.sqrt(np.maximum(variance, 0.0))

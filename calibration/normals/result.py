@@ -8,14 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import with_captured_background
-from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.ball_presses import ScoredFit, with_captured_background
 from taccel_lab.calibration.normals.network_fit import InverseFit
-from taccel_lab.calibration.normals.reading_error import SyntheticScore
+from taccel_lab.calibration.normals.samples import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
-from taccel_lab.calibration.scored_fit import ScoredFit
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import judge
 
@@ -73,11 +71,6 @@ class NormalCalibration(ScoredFit[InverseFit]):
         found = {item.name: item.used.mean_deg for item in self.heldout}
         return {name: found.get(name) for name in sorted(self.rejected)}
 
-    @property
-    def has_scores(self) -> bool:
-        """Whether there are figures of held-out presses."""
-        return bool(in_figures(self.heldout))
-
     def absolute_means(self) -> dict[str, float]:
         """Mean absolute depth figures of the held-out presses that were read."""
         return mean_figures([item.depth for item in in_figures(self.heldout)])
@@ -128,11 +121,7 @@ class NormalCalibration(ScoredFit[InverseFit]):
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the block normals, and a background where it has
         none."""
-        profile = on_grid(profile, self.scene.grid, self.provenance)
-        if self.gel is not None:
-            profile = self.gel.apply_to(profile)
-        if self.untouched is not None:
-            profile = self.untouched.onto(profile)
+        profile = self.grounded(profile, self.scene.grid, self.provenance)
         profile = with_captured_background(
             profile, self.scene.background, self.source, self.background_sha256
         )

@@ -11,23 +11,29 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII, deeper_per_mm
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.normals.reading_error import errors_of, widened
 from taccel_lab.calibration.normals.samples import (
     KnownPress,
     angle_between_deg,
     ball_normals,
     circle_angle_rad,
+    errors_of,
     true_normals,
+    widened,
 )
-from taccel_lab.calibration.response.frame import CaptureScene, CircleSigma, PressFrame
-from taccel_lab.calibration.response.heldout import HeldoutFailure, HeldoutSet
-from taccel_lab.calibration.response.untouched_light import in_background_light
+from taccel_lab.calibration.response.frame import (
+    CaptureScene,
+    CircleSigma,
+    HeldoutFailure,
+    HeldoutSet,
+    PressFrame,
+    in_background_light,
+)
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
-from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
+from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights, with_deviations
 
 READING = "reading the held-out presses"
 RIM_BAND = 0.04
@@ -161,31 +167,26 @@ def read_heldout(
         try:
             image = in_background_light(captured.image.astype(np.float32), scene)
             frame = replace(captured, image=image, circle_sigma_px=sigma_px)
-            read = _read(model, frame, scene, False)
+            read = read_heights(
+                model, image, scene.background, scene.grid, mask=scene.mask,
+                rest_normals=scene.rest_normals, uncertainty=False,
+            )  # fmt: skip
         except InputError as error:
             failures[press.name] = str(error)
             continue
-        found.append((press, frame))
+        found.append((press, frame, read))
         if not press.mislabelled:
             known = KnownPress.of_ball(frame, scene, rise_sigma_m=_rise_sigma_m(frame, scene))
             errors.append(errors_of(model, known, scene, read))
     model = widened(model, [error for error in errors if error is not None])
     items = [
         score_heldout(
-            _read(model, frame, scene), frame, press.circle, scene, rejected=press.mislabelled
+            with_deviations(read, model.config, scene.grid, scene.mask), frame, press.circle, scene,
+            rejected=press.mislabelled,
         )
-        for press, frame in found
-    ]
+        for press, frame, read in found
+    ]  # fmt: skip
     return HeldoutReading(model, tuple(items), failures)
-
-
-def _read(
-    model: NormalModel, frame: PressFrame, scene: CaptureScene, uncertainty: bool = True
-) -> ReadHeights:
-    return read_heights(
-        model, frame.image, scene.background, scene.grid, mask=scene.mask,
-        rest_normals=scene.rest_normals, uncertainty=uncertainty,
-    )  # fmt: skip
 
 
 def _rise_sigma_m(frame: PressFrame, scene: CaptureScene) -> float:

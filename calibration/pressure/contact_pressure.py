@@ -2,7 +2,7 @@
 r"""What presses a gel into the shape that was read: pressure, force, contact.
 
 The seen face is taken for the underside of a tool, wherever it is pressed in. A bonded layer of the
-profile's thickness, modulus and Poisson's ratio lies under it (``surfaces.bonded_layer``):
+profile's thickness, modulus and Poisson's ratio lies under it (``circles.bonded_layer``):
 pressures push only, and act only where the layer meets the seen face. So a gel that sinks beside a
 contact needs no pressure there, and no training is needed.
 
@@ -18,7 +18,7 @@ to touch, the force is 0, and its upper end is that of a ball as wide as the gel
 as deep as this image could hide. Friction between gel and tool is not seen; the layer's error holds
 for coefficients of 0 to 1.
 
-A gel that relaxes pushes back harder at first (``overstress``). Of one image nobody knows how long
+A gel that relaxes pushes back harder at first (``Overstress``). Of one image nobody knows how long
 it was held: the interval then reaches from the relaxed gel to a sudden press. A tool that goes back
 may push less than either. Frames whose times are known tell all of it.
 """
@@ -26,14 +26,14 @@ may push less than either. Frames whose times are known tell all of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, pressure_under
-from taccel_lab.calibration.normals.touch import Touch
-from taccel_lab.calibration.pressure.overstress import Overstress
+from taccel_lab.calibration.normals.surface_reading import Touch
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -361,3 +361,59 @@ def _about(profile: SensorProfile) -> tuple[str, ...]:
         f"{material.provenance.kind}: the force's interval holds {1e-3 * low_pa:.3g} to "
         f"{1e-3 * high_pa:.3g} kPa",
     )
+
+
+class Overstress:
+    r"""Pressure that a gel that relaxes adds to that of its relaxed layer, from frame to frame.
+
+    With Poisson's ratio constant, space and time part: pressure p(t) of a surface whose relaxed
+    layer would need p_e(t) is p_e plus, for each Maxwell branch g, tau [the correspondence
+    principle: Christensen 1982, Theory of Viscoelasticity, 2.4],
+
+        q(t) = g \int exp(-(t - s) / tau) dp_e(s)
+
+    which from frame to frame, p_e even in between, is a recursion of one map a branch:
+
+        q  <-  exp(-h) q + g (1 - exp(-h)) / h (p_e - p_e before),  h = dt / tau
+
+    A first frame does not say how long it was held: q is between 0 and g p_e. What is not known
+    fades by exp(-h) too.
+    """
+
+    def __init__(self, branches: Sequence[tuple[float, float]]) -> None:
+        """``branches``: relative modulus and time [s] of each."""
+        self.branches = tuple(branches)
+        self._maps: list[np.ndarray] = []
+        self._unknown: list[float] = []
+        self._last: tuple[np.ndarray, float] | None = None
+
+    @property
+    def most(self) -> float:
+        """Largest overstress over the relaxed pressure."""
+        return sum(modulus for modulus, _ in self.branches)
+
+    def follow(self, relaxed: np.ndarray, time_s: float | None) -> tuple[np.ndarray, float]:
+        """Take the next frame.
+
+        Args:
+            relaxed: Pressure that the relaxed layer needs, any unit, [h, w].
+            time_s: When the frame was taken, later than the one before [s]. None where that is not
+                known: the frame is taken as a first one.
+
+        Returns:
+            The overstress, [h, w], and how far its sum may be from that either way.
+        """
+        if time_s is None or self._last is None or not time_s > self._last[1]:
+            self._maps = [0.5 * modulus * relaxed for modulus, _ in self.branches]
+            self._unknown = [float(q.sum()) for q in self._maps]
+        else:
+            before, at = self._last
+            change = relaxed - before
+            for number, (modulus, tau) in enumerate(self.branches):
+                h = (time_s - at) / tau
+                left = math.exp(-h)
+                grown = -math.expm1(-h) / h
+                self._maps[number] = left * self._maps[number] + modulus * grown * change
+                self._unknown[number] *= left
+        self._last = None if time_s is None else (relaxed, time_s)
+        return np.sum(self._maps, axis=0), sum(self._unknown)

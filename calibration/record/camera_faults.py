@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import Shot
-from taccel_lab.calibration.check.background import DARK_LEVELS
-from taccel_lab.calibration.light.drift import NOTABLE_LEVELS
+from taccel_lab.calibration.check.light import DARK_LEVELS
+from taccel_lab.calibration.frame_light import NOTABLE_LEVELS
 
 PLAIN_LEVELS = 8.0
 """Range of colours over a small image below which a black or white one shows no gel: untouched gels

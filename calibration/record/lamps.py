@@ -16,8 +16,12 @@ from taccel_lab.calibration.capture.camera.camera import ControlLock
 from taccel_lab.calibration.check.frames import SATURATED_LEVEL, texture_seen
 from taccel_lab.calibration.check.light import SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
-from taccel_lab.calibration.light.drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import (
+    BALANCE_LEVELS,
+    BALANCE_SHARE,
+    NOTABLE_LEVELS,
+    LightDrift,
+)
 from taccel_lab.calibration.record.camera_faults import flicker_words
 
 State = Literal["ok", "warn", "bad", "unknown"]

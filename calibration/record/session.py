@@ -19,7 +19,7 @@ from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import detect_contact
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.record.camera_faults import FrozenWatch
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.folder import RecordFolder

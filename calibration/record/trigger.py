@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.light.fit import fit_light, without_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift, fit_light, without_light
 from taccel_lab.calibration.record.camera_faults import nothing_seen
 
 SMOOTHING_SHARE = 1 / 60

@@ -31,7 +31,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.robust_spread import spread_about_zero
+from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -82,10 +82,9 @@ def measure_contacts(
         if press.circle is not None:
             found.append(BallContact(press, ball, press.circle))
             continue
-        try:
-            contact = seen_contact(press, background, grid, folder.mask, grey)
-        except InputError as error:
-            refused.append(str(error))
+        contact = seen_contact(press, background, grid, folder.mask, grey)
+        if isinstance(contact, InputError):
+            refused.append(str(contact))
             continue
         sigma_px = max(contact.radius_sigma_px, MIN_SIGMA_PX)
         found.append(BallContact(press, ball, contact.circle, sigma_px))

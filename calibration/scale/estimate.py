@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from taccel_lab.calibration.remarks import SCALE_DISAGREES
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL
-from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES
 from taccel_lab.report.remark import Remark
 
 DISAGREES = 0.01

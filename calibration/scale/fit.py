@@ -12,6 +12,7 @@ from taccel_lab.calibration.camera.pixel_grid import origin_px, stated_scale_rem
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, MarkerCaptures
 from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest
+from taccel_lab.calibration.remarks import SCALE_NOT_MEASURED
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.ball_contacts import (
@@ -27,7 +28,6 @@ from taccel_lab.calibration.scale.estimate import (
     combine,
 )
 from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
-from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent

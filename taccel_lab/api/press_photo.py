@@ -20,7 +20,8 @@ from taccel_lab.exporters.image_files import eight_bit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+    from taccel_lab.calibration.normals.read_surface import SurfaceReader
+    from taccel_lab.calibration.normals.surface_reading import SurfaceReading
     from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
 
@@ -197,7 +198,7 @@ class PressPhoto:
             the mean absolute error [levels], and both of the untouched image.
         """
         from taccel_lab.calibration.capture.captures import ContactCircle
-        from taccel_lab.calibration.response.evaluate import crop_slices, psnr_db
+        from taccel_lab.calibration.response.frame import crop_slices, psnr_db
 
         grid = profile.grid()
         u, v = grid.pixel_from_gel(np.array(self.at_mm))

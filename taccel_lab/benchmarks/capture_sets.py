@@ -231,7 +231,7 @@ def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
 def _contact_report(folder: Path) -> dict[str, Any]:
     """Contacts found without any label, against the labels."""
     from taccel_lab.calibration.capture import load_captures
-    from taccel_lab.calibration.circles.result import circle_array
+    from taccel_lab.calibration.circles.labels import circle_array
     from taccel_lab.calibration.circles.usable import usable_presses
 
     captures, contacts, _ = usable_presses(load_captures(folder))

@@ -53,8 +53,7 @@ class Depth:
     def run(self) -> None:
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
-        from taccel_lab.calibration.pressure.reading_files import read_mask, write_reading
-        from taccel_lab.calibration.pressure.touch import TouchReader
+        from taccel_lab.calibration.pressure.touch import TouchReader, read_mask, write_reading
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.cli.each_image import each_image, require_images
         from taccel_lab.files.images import image_size, read_image

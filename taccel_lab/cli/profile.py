@@ -94,7 +94,7 @@ class ProfileReport:
     def run(self) -> None:
         from json import loads
 
-        from taccel_lab.calibration.report.profile_page import profile_page
+        from taccel_lab.calibration.profile_page import profile_page
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.profile import load_profile

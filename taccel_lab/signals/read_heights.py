@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalMap, NormalModel
 from taccel_lab.signals.slope_integration import resting_height
@@ -87,23 +88,43 @@ def read_heights(
         rest = tensor_of(rest_normals[part], like=slope)
         slope = slope + rest[..., :2] / rest[..., 2:]
     rise = resting_height(slope, grid, weights=weights, zero=zero)
-    sigma = reading = None
-    if uncertainty and model.config.height_factor > 0:
-        config, slope_sigma = model.config, found.slope_sigma()
-        trials = HeightUncertainty(grid, config.error_length_px / every)
-        reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=zero)
-        along = trials.along_m(slope, slope_sigma, weights=weights, zero=zero)
-        off = torch.hypot(config.along_factor * along, config.depth_share * rise)
-        sigma = torch.hypot(reading, off)
-        sigma, reading = as_given(sigma, image), as_given(reading, image)
-    return ReadHeights(
+    read = ReadHeights(
         found.like(image),
         as_given(slope, image),
         as_given(rise, image),
         as_given(zero, image),
-        sigma,
-        reading,
+        None,
+        None,
     )
+    return with_deviations(read, model.config, grid, mask, every) if uncertainty else read
+
+
+def with_deviations(
+    read: ReadHeights[Array],
+    config: NormalModelConfig,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+    every: int = 1,
+) -> ReadHeights[Array]:
+    """What was read with the radius of normals and the deviations of heights by ``config``, which
+    may state wider ones than the model had; the rest as of ``read_heights``, thinned by
+    ``every``."""
+    import torch
+
+    normals = read.normals
+    normals = replace(normals, radius95_deg=config.radius95_sigmas * normals.sigma_deg)
+    read = replace(read, normals=normals)
+    if config.height_factor <= 0:
+        return read
+    weights = None if mask is None else mask.astype(float)
+    slope_sigma = tensor_of(normals.slope_sigma())
+    slope, rise = tensor_of(read.slope), tensor_of(read.rise_m)
+    trials = HeightUncertainty(grid, config.error_length_px / every)
+    reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=read.zero)
+    along = trials.along_m(slope, slope_sigma, weights=weights, zero=read.zero)
+    off = torch.hypot(config.along_factor * along, config.depth_share * rise)
+    sigma, given = torch.hypot(reading, off), read.rise_m
+    return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))
 
 
 def resting_border(found: NormalMap[torch.Tensor], mask: np.ndarray | None = None) -> torch.Tensor:

@@ -17,8 +17,7 @@ import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto, SeenPress
 from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
-from taccel_lab.calibration.normals.read_surface import SurfaceReading
-from taccel_lab.calibration.normals.touch import Touch
+from taccel_lab.calibration.normals.surface_reading import SurfaceReading, Touch
 from taccel_lab.cli.app import main
 from taccel_lab.exporters.image_files import write_rgb
 from taccel_lab.geometry import PixelGrid

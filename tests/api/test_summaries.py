@@ -11,8 +11,8 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.study import StudyResult
-from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.calibrate import Calibration
+from taccel_lab.calibration.unfinished import BlockOutcome, BlockState
 from taccel_lab.geometry.block import free_block
 from taccel_lab.report.page import Page, Picture, first_figure
 from taccel_lab.studies.evaluate.runner import StudyOutcome

@@ -17,15 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.block_outcome import BlockState
 from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.check import block_findings
-from taccel_lab.calibration.check.findings import COMMANDS
+from taccel_lab.calibration.check import run as block_findings
 from taccel_lab.calibration.check.run import CaptureCheck
-from taccel_lab.calibration.color.options import ColorOptions
+from taccel_lab.calibration.press_options import ColorOptions
+from taccel_lab.calibration.unfinished import BlockState
 from taccel_lab.errors import InputError
 from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
@@ -64,10 +63,6 @@ def quick_color(monkeypatch: pytest.MonkeyPatch) -> None:
 def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
     module = import_module(f"taccel_lab.calibration.{block_named(name).fitted_in}")
     monkeypatch.setattr(module, f"calibrate_{name}", fit)
-
-
-def test_every_block_is_checked_for() -> None:
-    assert tuple(block.name for block in BLOCKS) == COMMANDS
 
 
 def test_a_block_loads_no_other() -> None:

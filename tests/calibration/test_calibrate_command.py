@@ -12,7 +12,7 @@ import pytest
 
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.check.block_findings import capture_check
+from taccel_lab.calibration.check.run import capture_check
 from taccel_lab.cli.calibrate.blocks import CalibrateColor
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError

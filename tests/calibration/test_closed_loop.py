@@ -18,7 +18,7 @@ import pytest
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.samples import angle_between_deg
-from taccel_lab.calibration.response.evaluate import psnr_db
+from taccel_lab.calibration.response.frame import psnr_db
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions

@@ -15,16 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab import calibration, learning
+from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import load_capture_folder
-from taccel_lab.calibration.check.findings import COMMANDS
-from taccel_lab.calibration.cross_conformal import radius_factor
+from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.run import run_session
 from taccel_lab.calibration.record.session import Recorder
 from taccel_lab.calibration.remarks import RemarkKind, remark_kinds, remark_table
-from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.robust_fit import radius_factor
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.report.remark import Severity
@@ -45,7 +45,7 @@ def test_kinds_are_sound(kind: RemarkKind) -> None:
     fields = {name for _, name, _, _ in string.Formatter().parse(kind.text) if name is not None}
     assert all(name.isidentifier() for name in fields)
     assert not fields & {"frames", "blocks", "grave"}
-    assert set(kind.blocks) <= set(COMMANDS)
+    assert set(kind.blocks) <= {block.name for block in BLOCKS}
     # Where a figure is a sentence, another one follows behind one stop.
     assert "}{" not in kind.text
     parts = string.Formatter().parse(kind.text)

@@ -8,10 +8,11 @@ import pytest
 from scipy.optimize import least_squares, minimize
 from scipy.sparse import csr_array
 
-from taccel_lab.calibration.damped_search import Expanded, damped_search
 from taccel_lab.calibration.robust_fit import (
     HUBER,
+    Expanded,
     RobustFit,
+    damped_search,
     fit_robustly,
     robust_scale,
     slopes,

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.color.options import ColorFitOptions
+from taccel_lab.calibration.press_options import ColorFitOptions
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile, validate_profile

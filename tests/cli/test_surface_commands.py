@@ -19,9 +19,9 @@ from PIL import Image
 from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.check.block_findings import joined, refusing_with
+from taccel_lab.calibration.check.run import joined, refusing_with
 from taccel_lab.calibration.normals import fit as normals_fit
-from taccel_lab.calibration.pressure import reading_files
+from taccel_lab.calibration.pressure import touch as reading_files
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.learning.force.training_file import TrainingFile

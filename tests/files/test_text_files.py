@@ -14,9 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.grey.options import DepthOptions
-from taccel_lab.calibration.normals.options import InverseFitOptions
+from taccel_lab.calibration.press_options import ColorFitOptions, DepthOptions, InverseFitOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files import table_file
 from taccel_lab.files.cell_number import number
@@ -426,5 +424,5 @@ def test_the_largest_seed_is_taken() -> None:
 
 
 def test_synthetic_presses_have_an_end() -> None:
-    with pytest.raises(InputError, match=r"synthetic_presses must lie in 0\.\.10000, got -1"):
+    with pytest.raises(InputError, match=r"synthetic_presses must lie in \[0, 10000\], got -1"):
         InverseFitOptions(synthetic_presses=-1)

@@ -65,7 +65,7 @@ def _show_profile(given: Path, out: Path) -> None:
 
 
 def _read_depth(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.pressure import reading_files
+    from taccel_lab.calibration.pressure import touch as reading_files
     from taccel_lab.cli.depth import Depth
 
     command = Depth(

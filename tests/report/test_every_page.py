@@ -15,7 +15,7 @@ import taccel_lab.report.page as page_module
 from taccel_lab.benchmarks.results import benchmark_page, read_result
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures, check_page
-from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.report.page import write_page_file
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.studies.evaluate.runner import run_study

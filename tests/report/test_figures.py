@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.report.color_discs import disc_normals
+from taccel_lab.calibration.profile_page import disc_normals
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.report import (

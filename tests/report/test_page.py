@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from websockets.sync import client
 
-from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.printable import readable
 from taccel_lab.profile import DepthResponseBlock, Provenance
 from taccel_lab.report.live_page import PageOptions, live_page, page_address

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.report.page import write_page
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.viewer.browser import chromium_page, picture, shared_browser, wait_for  # noqa: F401

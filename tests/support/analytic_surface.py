@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.circles.slope_law import hertz_slope
+from taccel_lab.calibration.circles.press_model import hertz_slope
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

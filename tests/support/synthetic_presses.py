@@ -7,6 +7,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -17,7 +18,7 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.response.heldout import HeldoutSet
+from taccel_lab.calibration.response.frame import HeldoutSet
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
@@ -199,7 +200,8 @@ def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits go without the check of the captures, whose findings other tests look at."""
     monkeypatch.setattr("taccel_lab.calibration.ball_presses.capture_findings", lambda *_: [])
     monkeypatch.setattr(
-        "taccel_lab.calibration.ball_presses.rejected_labels", lambda *_: frozenset()
+        "taccel_lab.calibration.ball_presses.capture_check",
+        lambda *_: SimpleNamespace(rejected_labels=frozenset()),
     )
 
 

@@ -70,7 +70,7 @@ def require_closed_loop(
     points = list(zip(item.depth_mm.tolist(), item.force_n.tolist(), strict=True))
     for depth, force in points[first:]:
         assert pressed_n(feats, depth - fit.touch_mm(0), *options) == pytest.approx(force, rel=0.03)
-        low, high = found.stiffness.reading_interval_n(0, depth)
+        low, high = found.stiffness.force_interval_n(0, depth, reading=True)
         assert low < force < high
     low, high = found.stiffness.force_interval_n(0, depth)
     assert low < pressed_n(feats, depth, *options) < high

@@ -71,8 +71,7 @@ class CalibrateAll(CalibrationFiles):
             raise SystemExit(1)
 
     def _options(self) -> dict[str, Any]:
-        from taccel_lab.calibration.color.options import ColorOptions
-        from taccel_lab.calibration.normals.options import NormalOptions
+        from taccel_lab.calibration.press_options import ColorOptions, NormalOptions
 
         return {
             "color": ColorOptions(thickness=self.thickness),

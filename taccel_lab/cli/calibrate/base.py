@@ -92,10 +92,9 @@ class BlockCommand(CalibrationFiles):
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
-        from taccel_lab.calibration.base_profile import base_profile
+        from taccel_lab.calibration.base_profile import base_profile, with_session
         from taccel_lab.calibration.blocks import block_named
         from taccel_lab.calibration.capture.load import load_capture_folder
-        from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.progress import stage_progress

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from taccel_lab.calibration.camera.options import CameraOptions
-from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.grey.options import DepthOptions
-from taccel_lab.calibration.normals.options import NormalOptions
+from taccel_lab.calibration.press_options import ColorOptions, DepthOptions, NormalOptions
 from taccel_lab.cli.calibrate.base import BlockCommand
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.background.fit import BackgroundOptions
+    from taccel_lab.calibration.light.background import BackgroundOptions
     from taccel_lab.calibration.material.options import MaterialOptions
     from taccel_lab.profile import SensorProfile
 
@@ -43,7 +41,7 @@ class CalibrateBackground(BlockCommand):
     compared, too; the base counts as one when it is given."""
 
     def options(self, base: SensorProfile) -> BackgroundOptions:
-        from taccel_lab.calibration.background.fit import BackgroundOptions
+        from taccel_lab.calibration.light.background import BackgroundOptions
         from taccel_lab.profile import load_profile
 
         units = [load_profile(path) for path in self.units]

@@ -32,10 +32,10 @@ class CalibrateRefit:
     """Print the figures as JSON."""
 
     def run(self) -> None:
+        from taccel_lab.calibration.base_profile import with_session
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.calibration.recorded import with_session
-        from taccel_lab.calibration.refit.fit import calibrate_refit
-        from taccel_lab.calibration.refit.refit_page import refit_page
+        from taccel_lab.calibration.light.refit import calibrate_refit
+        from taccel_lab.calibration.light.refit_result import refit_page
         from taccel_lab.cli.calibrate.base import (
             Sayings,
             report_folder,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError, naming

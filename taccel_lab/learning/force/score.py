@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.samples import ForceSamples

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import taccel_lab.calibration.calibrate as whole
-from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.grey.fit import grey_captures
+from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
@@ -129,6 +129,7 @@ def test_a_calibration_names_what_the_user_gave(
         raise InputError(f"{folder.root / 'background.png'} of {folder.source} is dark")
 
     found = SimpleNamespace(apply_to=lambda base: base, maps=cropping_maps, remarks=())
+    found.scored = found
     blocks = (
         SimpleNamespace(name="camera", fit=lambda *_: found, page=lambda *_: None),
         SimpleNamespace(name="background", fit=refuse),

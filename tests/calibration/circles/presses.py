@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
-from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, slope_law
+from taccel_lab.calibration.circles.labels import DetectedContact, circle_array
+from taccel_lab.calibration.circles.press_model import SINK_IN_SCALE, slope_law
 from taccel_lab.calibration.circles.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
 from tests.support.synthetic_presses import memory_captures

@@ -19,7 +19,7 @@ from taccel_lab.calibration.circles.bonded_layer import (
     press_in_view,
     press_layer,
 )
-from taccel_lab.calibration.normals.random_tools import draw_tool
+from taccel_lab.calibration.normals.synthetic_presses import draw_tool
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors.profile import catalogue_profile

@@ -16,14 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.check.background import median_background
 from taccel_lab.calibration.check.frames import measure_presses
+from taccel_lab.calibration.check.light import median_background
 from taccel_lab.calibration.circles import contact_finder
-from taccel_lab.calibration.circles.color_change import WorkingSize
+from taccel_lab.calibration.circles.color_change import WorkingSize, fit_circle
 from taccel_lab.calibration.circles.contact_finder import detect_contact
-from taccel_lab.calibration.circles.first_circle import fit_circle
-from taccel_lab.calibration.circles.result import DetectedContact
-from taccel_lab.calibration.circles.slope_law import SINK_IN_SCALE, hertz_slope, slope_law
+from taccel_lab.calibration.circles.labels import DetectedContact
+from taccel_lab.calibration.circles.press_model import SINK_IN_SCALE, hertz_slope, slope_law
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.circles.presses import (

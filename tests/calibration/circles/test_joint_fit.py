@@ -11,9 +11,8 @@ import pytest
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.circles.color_change import color_change
 from taccel_lab.calibration.circles.joint_fit import fit_contacts, sample_rings
-from taccel_lab.calibration.circles.map_terms import PLAIN, MapTerms
-from taccel_lab.calibration.circles.result import circle_array
-from taccel_lab.calibration.circles.slope_law import WIDER_PX, slope_law
+from taccel_lab.calibration.circles.labels import circle_array
+from taccel_lab.calibration.circles.press_model import PLAIN, WIDER_PX, MapTerms, slope_law
 from tests.calibration.circles.presses import BALL_PX, GRID, gel, pressed, scattered
 
 

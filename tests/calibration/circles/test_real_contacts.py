@@ -16,10 +16,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.color_change import color_change
-from taccel_lab.calibration.circles.first_circle import fit_rim
-from taccel_lab.calibration.circles.labels import fuse_circles
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
+from taccel_lab.calibration.circles.color_change import color_change, fit_rim
+from taccel_lab.calibration.circles.labels import DetectedContact, circle_array, fuse_circles
 from tests.calibration.circles.presses import contacts_of, offsets, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.real_data import labelled_presses
@@ -72,7 +70,8 @@ def measured(captures: CaptureSet) -> tuple[np.ndarray, np.ndarray, Scatter]:
     own = np.array([(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in found])
     covered = []
     for half in (np.arange(len(off)) % 2 == 0, np.arange(len(off)) % 2 == 1):
-        center, radius = fuse_circles(given, found, half.tolist())[1]
+        picked = np.flatnonzero(half).tolist()
+        center, radius = fuse_circles([given[i] for i in picked], [found[i] for i in picked])[1]
         left = off[~half] - off[half].mean(axis=0)
         covered.append(np.abs(left) < 1.96 * np.hypot(own[~half], (center, center, radius)))
     assert np.mean(np.concatenate(covered)) > 0.82

@@ -16,11 +16,12 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.circles import contact_finder, usable
 from taccel_lab.calibration.circles.labels import (
     LABEL_SHIFT_PX,
+    DetectedContact,
     LabelPlacement,
     choose_circles,
+    circle_array,
     fuse_circles,
 )
-from taccel_lab.calibration.circles.result import DetectedContact, circle_array
 from taccel_lab.calibration.circles.usable import (
     cached_contacts,
     too_many_lost,
@@ -270,22 +271,6 @@ def test_a_common_error_within_the_stated_one_is_not_blamed_on_the_labels() -> N
     assert off.mean() == pytest.approx(-1.2, abs=0.4)
 
 
-def test_the_shift_comes_from_training_presses_alone() -> None:
-    rng = np.random.default_rng(3)
-    truth = presses(24, 4.0, rng)
-    label = truth + (0.0, 2.0, 1.0) + rng.normal(0, 1.0, truth.shape)
-    found = truth + rng.normal(0, 0.5, truth.shape)
-    training = [i % 4 != 0 for i in range(len(truth))]
-    clean, _ = fuse_circles(circles(label), contacts(found, 0.5, 0.5), training)
-    spoilt_label, spoilt_found = label.copy(), found.copy()
-    spoilt_label[::4] = rng.uniform(10, 90, label[::4].shape)
-    spoilt_found[::4] = rng.uniform(10, 90, label[::4].shape)
-    spoilt, _ = fuse_circles(circles(spoilt_label), contacts(spoilt_found, 0.5, 0.5), training)
-    assert [c for c, known in zip(spoilt, training, strict=True) if known] == [
-        c for c, known in zip(clean, training, strict=True) if known
-    ]
-
-
 @given(
     st.lists(
         st.tuples(st.floats(20, 200), st.floats(20, 200), st.floats(5, 60), st.floats(5, 60)),
@@ -329,10 +314,6 @@ def test_choice_of_circles() -> None:
     labels = [press.circle for press in captures.presses if press.circle is not None]
     fused = fuse_circles(labels, [found[0], found[2]])[0]
     assert choose_circles(captures, found, "fused")[::2] == fused
-    alone = choose_circles(captures, found, "fused", training={captures.presses[0].name})
-    assert alone[::2] == fuse_circles(labels, [found[0], found[2]], [True, False])[0]
-    nobody = choose_circles(captures, found, "fused", training=())
-    assert nobody == [contact.circle for contact in found]
 
 
 def test_counts_have_to_match() -> None:

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.network_fit import ColorSamples, fit_color_model, train
-from taccel_lab.calibration.color.options import ColorFitOptions
-from taccel_lab.calibration.profiles import Profiles
-from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
-from taccel_lab.calibration.response.heldout import HeldoutSet
-from taccel_lab.calibration.unfinished import UnfinishedCalibration
+from taccel_lab.calibration.press_options import ColorFitOptions
+from taccel_lab.calibration.response.frame import CaptureScene, HeldoutSet, PressFrame
+from taccel_lab.calibration.unfinished import (
+    BlockOutcome,
+    BlockState,
+    Profiles,
+    UnfinishedCalibration,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
@@ -124,7 +126,7 @@ def test_bad_fits_are_refused() -> None:
         fit_color_model([], CaptureScene.of(captures, None))
     with pytest.raises(InputError, match="steps must be at least 1"):
         ColorFitOptions(steps=0)
-    with pytest.raises(InputError, match="learning_rate must be positive"):
+    with pytest.raises(InputError, match="learning_rate must lie in"):
         ColorFitOptions(learning_rate=-1.0)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
         fit_color(captures, [], surfaces)

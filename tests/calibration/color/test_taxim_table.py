@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.color import taxim_table
 from taccel_lab.calibration.color.taxim_table import (
     fit_taxim_table,
     nearest_filled,
     render_taxim_table,
 )
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices
@@ -51,14 +52,20 @@ def frames_of(table: TaximTable, drift: LightDrift = STILL) -> list[PressFrame]:
     return frames
 
 
+@pytest.fixture(autouse=True)
+def coarse_bins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(taxim_table, "BINS", BINS)
+
+
 def lights(frames: list[PressFrame], drift: LightDrift = STILL) -> dict[str, LightDrift]:
     return {frame.name: drift for frame in frames}
 
 
-def test_the_table_that_made_the_images_comes_back() -> None:
+def test_the_table_that_made_the_images_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(taxim_table, "RIDGE", 1e-12)
     truth = true_table(np.random.default_rng(0))
     frames = frames_of(truth)
-    found = fit_taxim_table(frames, SCENE, lights(frames), bins=BINS, ridge=1e-12)
+    found = fit_taxim_table(frames, SCENE, lights(frames))
     circle = ContactCircle(52.0, 41.0, 15.0)
     surface = analytic_surface(circle, GRID, 2.0, decay_mm=1.0)
     disc = circle.distance_px(GRID) <= circle.radius_px
@@ -72,7 +79,7 @@ def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
     frames = [f for f, place in zip(frames_of(truth), PLACES, strict=True) if place[0] < 50]
     rng = np.random.default_rng(2)
     noisy = [replace(f, image=f.image + rng.normal(0, 2, f.image.shape)) for f in frames]
-    tame = fit_taxim_table(noisy, SCENE, lights(frames), bins=BINS)
+    tame = fit_taxim_table(noisy, SCENE, lights(frames))
     far = analytic_surface(ContactCircle(95.0, 45.0, 15.0), GRID, 2.0, decay_mm=1.0)
     assert np.abs(tame.change(far.normals)).max() < 60
     near = frames[4]
@@ -85,18 +92,18 @@ def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     truth = true_table(np.random.default_rng(3))
     drift = LightDrift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
     plain, drifted = frames_of(truth), frames_of(truth, drift)
-    one = fit_taxim_table(plain, SCENE, lights(plain), bins=BINS)
-    two = fit_taxim_table(drifted, SCENE, lights(drifted, drift), bins=BINS)
+    one = fit_taxim_table(plain, SCENE, lights(plain))
+    two = fit_taxim_table(drifted, SCENE, lights(drifted, drift))
     assert two.grad_rgb == pytest.approx(one.grad_rgb, abs=1e-9)
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[30:50, 40:60] = False
     rng = np.random.default_rng(4)
     poisoned = [replace(frame, image=poison(frame.image, mask, rng)) for frame in plain]
-    clean = fit_taxim_table(plain, replace(SCENE, mask=mask), lights(plain), bins=BINS)
-    dirty = fit_taxim_table(poisoned, replace(SCENE, mask=mask), lights(plain), bins=BINS)
+    clean = fit_taxim_table(plain, replace(SCENE, mask=mask), lights(plain))
+    dirty = fit_taxim_table(poisoned, replace(SCENE, mask=mask), lights(plain))
     assert np.array_equal(clean.grad_rgb, dirty.grad_rgb)
     with pytest.raises(InputError, match="no usable pixel"):
-        fit_taxim_table(plain, replace(SCENE, mask=np.zeros_like(mask)), lights(plain), bins=BINS)
+        fit_taxim_table(plain, replace(SCENE, mask=np.zeros_like(mask)), lights(plain))
 
 
 def test_empty_bins_take_over_their_nearest_even_around_the_circle() -> None:
@@ -117,13 +124,13 @@ def test_untouched_gel_shows_the_background() -> None:
         replace(f, image=f.image - 30.0 * (f.circle.distance_px(GRID) < 10)[..., None])
         for f in frames
     ]
-    found = fit_taxim_table(darker, SCENE, lights(darker), bins=BINS)
+    found = fit_taxim_table(darker, SCENE, lights(darker))
     surface = frames[0].surface
     still = replace(surface, normals=surface.rest_normals, height_m=surface.rest_height_m)
     assert np.array_equal(render_taxim_table(found, still, BACKGROUND), BACKGROUND)
 
 
-def test_the_surroundings_keep_their_own_colour() -> None:
+def test_the_surroundings_keep_their_own_colour(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dents whose floors are darker than gel of the same slope around them leave no halo."""
     frames = frames_of(true_table(np.random.default_rng(7)))
     darker = []
@@ -134,7 +141,8 @@ def test_the_surroundings_keep_their_own_colour() -> None:
     ring = (around > 1.1) & (around < 2.0)
     error = []
     for reach in (1.0, 2.5):
-        found = fit_taxim_table(darker, SCENE, lights(darker), bins=BINS, reach_radii=reach)
+        monkeypatch.setattr(taxim_table, "REACH_RADII", reach)
+        found = fit_taxim_table(darker, SCENE, lights(darker))
         shown = render_taxim_table(found, frames[0].surface, BACKGROUND)
         error.append(np.abs(shown - frames[0].image)[ring].mean())
     assert error[1] < 0.6 * error[0], error
@@ -153,8 +161,8 @@ def test_slopes_count_over_a_leaning_rest() -> None:
             rest_normals=np.broadcast_to(lean, frame.surface.normals.shape),
         )
         leaning.append(replace(frame, surface=surface))
-    one = fit_taxim_table(frames, SCENE, lights(frames), bins=BINS)
-    two = fit_taxim_table(leaning, SCENE, lights(frames), bins=BINS)
+    one = fit_taxim_table(frames, SCENE, lights(frames))
+    two = fit_taxim_table(leaning, SCENE, lights(frames))
     flat = render_taxim_table(one, frames[0].surface, BACKGROUND)
     tilted = render_taxim_table(two, leaning[0].surface, BACKGROUND)
     # Rounding moves a few pixels to the neighbouring bin.

@@ -20,9 +20,9 @@ from taccel_lab.calibration.grey.curve import (
 )
 from taccel_lab.calibration.grey.depth_page import depth_page
 from taccel_lab.calibration.grey.fit import fit_depth
-from taccel_lab.calibration.grey.options import DepthOptions
 from taccel_lab.calibration.grey.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256

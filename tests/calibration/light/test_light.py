@@ -9,10 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
-from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light
+from taccel_lab.calibration.frame_light import (
+    PRIOR_SIGMA,
+    LightDrift,
+    drift_remarks,
+    drift_spread,
+    fit_light,
+)
 from taccel_lab.calibration.light.image_match import unlike
-from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from tests.calibration.circles.presses import gel, pressed, scattered
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift
@@ -58,7 +62,9 @@ def test_a_wider_prior_makes_no_gain_of_noise(
     sigma: float, shade: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A background without shades of its own tells no gain, however little is known before."""
-    monkeypatch.setattr("taccel_lab.calibration.light.fit.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07)
+    monkeypatch.setattr(
+        "taccel_lab.calibration.frame_light.PRIOR_SIGMA", PRIOR_SIGMA * sigma / 0.07
+    )
     rng = np.random.default_rng(2)
     # The slope over the image is what a gradient explains as well.
     flat = add_gradient(np.full((150, 200, 3), 120.0), shade, 0.0)

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.calibration.light.perturbation import (
     UnitSpread,
     perturbation_block,

@@ -9,8 +9,7 @@ from numpy.polynomial.chebyshev import chebpts1
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.calibration.material.force_table import NU_RANGE, ForceTable, TableError
-from taccel_lab.calibration.material.gel import CurveTool
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
+from taccel_lab.calibration.material.gel import CurveTool, IndentationPoints
 from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 

@@ -121,7 +121,7 @@ def test_presses_of_the_profile_reproduce_the_record(
         assert again == pytest.approx(force, rel=3 * NOISE)
         low, high = found.stiffness.force_interval_n(0, depth - shift)
         assert low < again < high
-        low, high = found.stiffness.reading_interval_n(0, depth)
+        low, high = found.stiffness.force_interval_n(0, depth, reading=True)
         assert low < force < high
 
 

@@ -19,13 +19,14 @@ from taccel_lab.calibration.material.force_table import (
     TableError,
     force_table,
 )
-from taccel_lab.calibration.material.gel import CurveTool, Gel
-from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
-from taccel_lab.calibration.material.indentation_points import (
+from taccel_lab.calibration.material.gel import (
+    CurveTool,
+    Gel,
     IndentationPoints,
     points_of_record,
-    require_plausible,
 )
+from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
+from taccel_lab.calibration.material.remarks import require_plausible
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_force_n

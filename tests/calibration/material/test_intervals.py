@@ -13,14 +13,13 @@ from scipy.stats import t as student
 
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import ForceTable, TableError
-from taccel_lab.calibration.material.gel import CurveTool, Gel
+from taccel_lab.calibration.material.gel import CurveTool, Gel, IndentationPoints
 from taccel_lab.calibration.material.indentation import (
     USUAL_COUNT,
     USUAL_NOISE,
     IndentationFit,
     fit_indentation,
 )
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.likelihood import CurveGroup, FittedParameter, Likelihood
 from taccel_lab.calibration.material.stiffness import Stiffness, fit_stiffness
 from taccel_lab.report.remark import Severity, Verdict, judge
@@ -284,7 +283,7 @@ def test_intervals_hold_what_the_points_do_not_tell(
         force = float(table.force_n(np.array([deeper]), MODULUS, nu)[0])
         hits[0] += inside(found.young.interval95, MODULUS)
         hits[1] += inside(found.force_interval_n(0, deeper), force)
-        hits[2] += inside(found.reading_interval_n(0, deeper), float(read[-1]))
+        hits[2] += inside(found.force_interval_n(0, deeper, reading=True), float(read[-1]))
     # Of 40 that are in an interval of 95 % each, fewer than 34 would be 1 case in 300.
     assert (hits >= 34).all(), hits
 
@@ -348,7 +347,7 @@ def test_a_force_at_a_recorded_depth_allows_for_the_zero(
     force = table.force_n(MANY - 0.1, MODULUS, HELD)
     found = stiffness(points(used, MANY, force), {0.0: table}, free_nu=False)
     assert found.fit.touch_mm(0) == pytest.approx(0.1, abs=5e-3)
-    recorded = found.reading_interval_n(0, 0.8)
+    recorded = found.force_interval_n(0, 0.8, reading=True)
     assert inside(recorded, float(table.force_n(np.array([0.7]), MODULUS, HELD)[0]))
     assert inside(
         found.force_interval_n(0, 0.8), float(table.force_n(np.array([0.8]), MODULUS, HELD)[0])

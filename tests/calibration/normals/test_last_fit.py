@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.normals.network_fit import InverseTraining
-from taccel_lab.calibration.profiles import Profiles
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
+from taccel_lab.calibration.unfinished import Profiles
 from tests.calibration.normals.conftest import QUICK, Clean, calibrated, circles_of, with_images
 from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures
 

@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, press_layer
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.color.options import ColorFitOptions
 from taccel_lab.calibration.normals.fit import (
     READING,
     READING_BALLS,
@@ -23,7 +22,6 @@ from taccel_lab.calibration.normals.fit import (
 )
 from taccel_lab.calibration.normals.network_fit import TASK, TASK_AGAIN, InverseTraining
 from taccel_lab.calibration.normals.normals_page import normals_page
-from taccel_lab.calibration.normals.options import InverseFitOptions
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import (
@@ -33,8 +31,8 @@ from taccel_lab.calibration.normals.samples import (
 )
 from taccel_lab.calibration.normals.score import READING as READING_HELDOUT
 from taccel_lab.calibration.normals.score import ball_depth_mm, read_heldout
-from taccel_lab.calibration.response.frame import EXACT, CaptureScene
-from taccel_lab.calibration.response.heldout import HeldoutSet
+from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
+from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSet
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile

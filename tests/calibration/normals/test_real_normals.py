@@ -17,7 +17,7 @@ from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_surf
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.response.heldout import HeldoutSet
+from taccel_lab.calibration.response.frame import HeldoutSet
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.real_data import labelled_presses
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_layer
-from taccel_lab.calibration.normals.touch import touch_of
+from taccel_lab.calibration.normals.surface_reading import touch_of
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

@@ -9,9 +9,12 @@ from scipy.integrate import quad
 
 import taccel_lab as tl
 from taccel_lab.api.press_result import Press
-from taccel_lab.calibration.normals.touch import touch_of
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
-from taccel_lab.calibration.pressure.overstress import Overstress
+from taccel_lab.calibration.normals.surface_reading import touch_of
+from taccel_lab.calibration.pressure.contact_pressure import (
+    ContactPressure,
+    Overstress,
+    PressureReader,
+)
 from taccel_lab.profile import BranchEntry, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 

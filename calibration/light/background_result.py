@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The image of the untouched sensor with what is known of its quality: noise, specks of dust and
+scratches that stay in place, the light of each frame. Last its page."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.base_profile import on_grid
+from taccel_lab.calibration.frame_light import DriftSpread, LightDrift, smoothed
+from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
+from taccel_lab.calibration.result import BlockResult, calibrated
+from taccel_lab.calibration.robust_fit import spread_about_median
+from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_image
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
+from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.remark import Remark, judge
+from taccel_lab.report.style import CHANNELS, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SPECK_SHARE = 1 / 60
+"""Size below which something is a speck rather than a shade, as a part of the shorter side."""
+SIGMAS = 8.0
+MIN_LEVELS = 6.0
+SHOWN = 24
+
+
+@dataclass(frozen=True)
+class FrameLight:
+    """One frame against the background."""
+
+    name: str
+    kind: str
+    """``background``, ``untouched`` or ``press``."""
+    drift: LightDrift
+    seen_share: float
+    """Share of the image that shows untouched gel."""
+    plain_l1: float
+    """Mean difference of the untouched part from the one background image [levels]."""
+    corrected_l1: float
+    """The same from the background that was made of the other frames, in this frame's light."""
+
+    def figures(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "gain_rgb": self.drift.gain.tolist(),
+            "offset_rgb": self.drift.offset.tolist(),
+            "gradient_rgb": self.drift.gradient.tolist(),
+            "noise_levels": self.drift.noise_levels,
+            "untouched_share": self.seen_share,
+            "plain_l1": self.plain_l1,
+            "corrected_l1": self.corrected_l1,
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class BackgroundCalibration(BlockResult):
+    """The background image with what is known of its quality."""
+
+    image: np.ndarray
+    """RGB levels, float32, shape [height_px, width_px, 3]."""
+    frames: tuple[FrameLight, ...]
+    spread: DriftSpread | None
+    """None of a single frame."""
+    noise: np.ndarray
+    """Noise of each pixel between frames [levels], NaN where unknown, shape [height, width]."""
+    dust: np.ndarray
+    """Specks of the background, bool, shape [height_px, width_px]."""
+    new_dust: np.ndarray
+    """Specks that the presses show and the background image does not, likewise."""
+    mask: np.ndarray | None
+    """Pixels that the captures say show gel, likewise; None for all."""
+    remarks: tuple[Remark, ...]
+    inputs: dict[str, str]
+    source: str
+    mm_per_px: tuple[float, float] | None
+    method: str
+    units: UnitSpread | None = None
+    """How other units of the design differ, where their profiles were given."""
+
+    @property
+    def clean(self) -> np.ndarray:
+        """Pixels of the captures' mask without specks, bool, shape [height_px, width_px]."""
+        clean = ~(self.dust | self.new_dust)
+        return clean if self.mask is None else clean & self.mask
+
+    @property
+    def noise_levels(self) -> float | None:
+        """Median noise of a pixel between frames [levels]; None with fewer than 3 frames."""
+        known = self.noise[np.isfinite(self.noise)]
+        return float(np.median(known)) if len(known) else None
+
+    @property
+    def perturbation(self) -> PerturbationBlock | None:
+        """How far the light of the untouched frames differs, or of the presses where there are
+        fewer than two of them, and units; None of one frame without units."""
+        untouched = [frame.drift for frame in self.frames if frame.kind == "untouched"]
+        presses = [frame.drift for frame in self.frames if frame.kind == "press"]
+        return perturbation_block(
+            untouched if len(untouched) > 1 else presses,
+            self.units,
+            self.noise_levels,
+            self.image.astype(np.float64).mean(axis=(0, 1)),
+            dict(self.inputs),
+            self.source,
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        return {
+            "verdict": judge(self.remarks),
+            "plain_l1": self._mean("plain_l1"),
+            "heldout_l1": self._mean("corrected_l1"),
+            "noise_levels": self.noise_levels,
+            "drift": None
+            if self.spread is None
+            else {**asdict(self.spread), "auto_white_balance": self.spread.auto_white_balance},
+            "dust_specks": speck_count(self.dust),
+            "dust_share": float(self.dust.mean()),
+            "new_dust_specks": speck_count(self.new_dust),
+            "perturbation": None
+            if self.perturbation is None
+            else self.perturbation.model_dump(exclude={"provenance"}, exclude_none=True),
+            "unit_count": 0 if self.units is None else self.units.unit_count,
+            "frames": [frame.figures() for frame in self.frames],
+        }
+
+    def _mean(self, name: str) -> float:
+        return float(np.mean([getattr(frame, name) for frame in self.frames]))
+
+    def apply_to(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the background, and with the spread of its light where it has one."""
+        profile, spread = self.image_on(profile), self.perturbation
+        return profile if spread is None else profile.with_block(spread)
+
+    def image_on(self, profile: SensorProfile) -> SensorProfile:
+        """``profile`` with the background, and the image's size where the profile has another."""
+        height, width = self.image.shape[:2]
+        camera = profile.camera
+        if (camera.width_px, camera.height_px) != (width, height):
+            if self.mm_per_px is None:
+                raise InputError(
+                    f"the captures are {width}x{height} px, the profile's camera "
+                    f"{camera.width_px}x{camera.height_px} px, and the captures state no scale; "
+                    "give mm_per_px_x and mm_per_px_y, or a --base with a calibrated camera"
+                )
+            grid = PixelGrid(width, height, *self.mm_per_px)
+            profile = on_grid(profile, grid, {"source": self.source})
+        spread = {
+            "heldout_untouched_l1_levels": float(np.std([f.corrected_l1 for f in self.frames]))
+        }
+        if self.noise_levels is not None:
+            spread["pixel_levels"] = self.noise_levels
+        if self.spread is not None:
+            for name, value in zip(("red", "green", "blue"), self.spread.shift_levels, strict=True):
+                spread[f"drift_{name}_levels"] = value
+        provenance = calibrated(
+            self.remarks,
+            method=self.method,
+            source=self.source,
+            inputs=self.inputs,
+            residuals={
+                "heldout_untouched_l1_levels": self._mean("corrected_l1"),
+                "plain_untouched_l1_levels": self._mean("plain_l1"),
+            },
+            spread=spread,
+            valid_region={"level": (float(self.image.min()), float(self.image.max()))},
+        )
+        return profile.with_block(BackgroundBlock(provenance=provenance), self.image)
+
+
+def dust_mask(image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """Specks of an image, bool, shape [height_px, width_px].
+
+    ``image`` holds RGB levels, or differences of levels. A speck is smaller than a sixtieth of the
+    shorter side and stands out of its surroundings by 8 robust standard deviations and 6 levels.
+    """
+    sigma = max(min(image.shape[:2]) * SPECK_SHARE, 1.5)
+    fine = smoothed(image, mask, 0.6) - smoothed(image, mask, sigma)
+    strength = np.linalg.norm(fine, axis=-1)
+    usable = strength if mask is None else strength[mask]
+    noise = spread_about_median(usable)
+    specks = strength > max(MIN_LEVELS, float(np.median(usable)) + SIGMAS * noise)
+    if mask is not None:
+        # Next to masked pixels the surroundings are one-sided.
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1) > 0
+        specks &= inner
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(specks.astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_AREA] < (4 * sigma) ** 2
+    small[0] = False
+    specks = small[parts]
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+    return cv2.dilate(specks.astype(np.uint8), kernel) > 0
+
+
+def speck_count(specks: np.ndarray) -> int:
+    """Connected specks of a mask."""
+    return int(cv2.connectedComponents(specks.astype(np.uint8))[0]) - 1
+
+
+def background_page(result: BackgroundCalibration) -> Page:
+    """The page of ``taccel-lab calibrate background``."""
+    figures = result.figures()
+    noise = "unknown" if result.noise_levels is None else f"{result.noise_levels:.2f} levels"
+    rows = [
+        (f.name, f.kind, 100 * f.seen_share, f.plain_l1, f.corrected_l1)
+        + tuple(round(float(x), 3) for x in f.drift.gain)
+        + tuple(round(float(x), 2) for x in f.drift.offset)
+        for f in sorted(result.frames, key=lambda f: -f.plain_l1)[:SHOWN]
+    ]
+    columns = (
+        "frame", "kind", "untouched %", "L1 before", "L1 after",
+        "gain R", "gain G", "gain B", "offset R", "offset G", "offset B",
+    )  # fmt: skip
+    return Page(
+        "Background",
+        f"{len(result.frames)} frames. Mean error of untouched gel: {figures['plain_l1']:.2f} "
+        f"levels with one background image, {figures['heldout_l1']:.2f} with the background "
+        "made of the other frames in the frame's light. "
+        f"Noise of a pixel between frames: {noise}. Specks in the background: "
+        f"{speck_count(result.dust)}.",
+        result.remarks,
+        [
+            Table(
+                "Light of each frame",
+                columns,
+                rows,
+                f"The {len(rows)} of {len(result.frames)} frames that differ most. Levels of 255, "
+                "over the untouched part; gain and offset against the background.",
+            ),
+            *_spread_tables(result),
+        ],
+        [_images(result), _drift(result)],
+        figures,
+        {"dust.png": lambda path: _write_mask(path, result.clean)},
+    )
+
+
+def _spread_tables(result: BackgroundCalibration) -> list[Table]:
+    block = result.perturbation
+    if block is None:
+        return []
+    values = block.model_dump(exclude={"provenance"}, exclude_none=True)
+    rows = [(k, *v) if isinstance(v, tuple) else (k, v, None, None) for k, v in values.items()]
+    columns = ("quantity", "red or value", "green", "blue")
+    caption = "; ".join((block.provenance.method.capitalize(), *block.provenance.remarks))
+    return [Table("Spread, from which sensors are drawn", columns, rows, caption=caption)]
+
+
+def _write_mask(path: Path, mask: np.ndarray) -> None:
+    """Writes an image that serves as the captures' mask: 255 where the gel is clean."""
+    write_image(path, mask.astype(np.uint8) * 255)
+
+
+@picture(
+    "background",
+    "Left the background, right the noise of each pixel between frames; specks in red.",
+)
+def _images(result: BackgroundCalibration) -> Figure:
+    height, width = result.image.shape[:2]
+    figure, axes = new_figure(10.5, 0.6 + 4.7 * height / width, 1, 2)
+    shown = result.image / 255
+    axes[0].imshow(np.clip(shown, 0, 1))
+    axes[0].contour(result.dust | result.new_dust, levels=[0.5], colors="red", linewidths=0.8)
+    axes[0].set_title("background")
+    known = result.noise[np.isfinite(result.noise)]
+    top = float(np.percentile(known, 99)) if len(known) else 1.0
+    picture = axes[1].imshow(result.noise, vmin=0, vmax=max(top, 0.5), cmap="viridis")
+    axes[1].set_title("noise between frames" if len(known) else "noise: too few frames")
+    figure.colorbar(picture, ax=axes[1], label="standard deviation [levels]", shrink=0.85)
+    for axis in axes:
+        axis.set(xlabel="u [px]", ylabel="v [px]")
+    return figure
+
+
+@picture(
+    "drift",
+    "Change of the untouched gel in each frame at the background's mean level, in the order of the "
+    "captures.",
+)
+def _drift(result: BackgroundCalibration) -> Figure:
+    level = result.image.reshape(-1, 3).mean(axis=0)
+    shifts = np.array([f.drift.shift(level) for f in result.frames])
+    figure, axis = new_figure(10.5, 3.4)
+    for c, (name, color) in enumerate(CHANNELS):
+        axis.plot(shifts[:, c], "o-", color=color, label=name, markersize=3, linewidth=1)
+    axis.axhline(0, color="0.6", linewidth=0.8)
+    axis.set(xlabel="frame", ylabel="change [levels of 255]")
+    axis.legend(ncols=3, loc="best")
+    axis.grid(axis="y")
+    return figure
