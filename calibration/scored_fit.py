@@ -12,7 +12,7 @@ from taccel_lab.report.remark import Remark
 
 if TYPE_CHECKING:
     from taccel_lab.calibration.ball_presses import Untouched
-    from taccel_lab.calibration.capture.split import PressSplit
+    from taccel_lab.calibration.capture.captures import PressSplit
     from taccel_lab.calibration.thickness.fit import GelThickness
 
 

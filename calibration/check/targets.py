@@ -19,8 +19,8 @@ from taccel_lab.calibration.capture.folder import (
     Video,
 )
 from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.capture.records import LIKELY_MPA, apparent_modulus_mpa
-from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.dots.marker_picture import find_markers

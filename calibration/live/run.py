@@ -12,13 +12,15 @@ from typing import Protocol
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import (
+    AGAIN_S,
     Camera,
     ControlLock,
     ControlValues,
+    Framing,
+    Gap,
     Shot,
+    shots,
 )
-from taccel_lab.calibration.capture.camera.framing import Framing
-from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.record.camera_faults import FrozenWatch, flicker_words

@@ -9,7 +9,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import Frame, Video
-from taccel_lab.calibration.capture.video import cut_short
+from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.dots.detection import Dots
 from taccel_lab.calibration.dots.lattice import LayoutFit, fit_layout, renumbered
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers

@@ -7,9 +7,15 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Literal, Protocol
 
-from taccel_lab.calibration.capture.camera.camera import Camera, ControlValues, Shot
-from taccel_lab.calibration.capture.camera.framing import Framing
-from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
+from taccel_lab.calibration.capture.camera.camera import (
+    AGAIN_S,
+    Camera,
+    ControlValues,
+    Framing,
+    Gap,
+    Shot,
+    shots,
+)
 from taccel_lab.calibration.record.session import Recorder, SessionStatus
 from taccel_lab.calibration.record.trigger import Phase
 

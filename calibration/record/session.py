@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, Shot
-from taccel_lab.calibration.capture.camera.shots import Gap
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, Gap, Shot
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
 from taccel_lab.calibration.capture.framing import thumb

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.base_profile import captures_on_pad
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
 from taccel_lab.calibration.refit.light_change import RefitFrame

@@ -39,7 +39,7 @@ class CameraFlags:
         """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for
         a size that is none."""
         from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.capture.camera.camera import parse_size
 
         size = None if self.size is None else parse_size(self.size, "--size")
         return lambda: open_camera(self.camera, size, CameraReplay(paced=paced))

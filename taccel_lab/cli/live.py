@@ -122,7 +122,7 @@ class Live(CameraFlags):
     ) -> tuple[SensorProfile, np.ndarray | None]:
         """The untouched gel where it is known before the first frame, and the profile that says
         so; a capture folder is replayed from the gel at rest, as a camera shows it."""
-        from taccel_lab.calibration.capture.camera.open_camera import replayed_files
+        from taccel_lab.calibration.capture.camera.replay import replayed_files
         from taccel_lab.calibration.capture.schema import MANIFEST_NAME
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
 

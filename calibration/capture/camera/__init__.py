@@ -7,13 +7,13 @@ from taccel_lab.calibration.capture.camera.camera import (
     CameraLostError,
     ControlLock,
     ControlValues,
+    Framing,
+    Gap,
     Shot,
+    shots,
 )
-from taccel_lab.calibration.capture.camera.devices import Device, list_devices
-from taccel_lab.calibration.capture.camera.framing import Framing
-from taccel_lab.calibration.capture.camera.open_camera import open_camera
-from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera
-from taccel_lab.calibration.capture.camera.shots import Gap, shots
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera, open_camera
+from taccel_lab.calibration.capture.camera.uvc import Device, list_devices
 
 __all__ = [
     "Camera",

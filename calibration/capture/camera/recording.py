@@ -12,8 +12,13 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.files import natural_key
-from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, is_video
+from taccel_lab.calibration.capture.importers.files import (
+    IMAGES,
+    VIDEOS,
+    is_picture,
+    is_video,
+    natural_key,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image

@@ -20,13 +20,17 @@ from taccel_lab.calibration.capture.importers.background_guess import (
     BACKGROUND_NAME,
     median_image,
 )
-from taccel_lab.calibration.capture.importers.files import images_in, left_out_sentences
+from taccel_lab.calibration.capture.importers.files import (
+    UNKNOWN,
+    images_in,
+    is_picture,
+    left_out_sentences,
+)
 from taccel_lab.calibration.capture.importers.label_tables import (
     NAMES,
     LabelTables,
     read_label_tables,
 )
-from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import (
     MANIFEST_NAME,
@@ -39,7 +43,6 @@ from taccel_lab.calibration.capture.schema import (
     SCHEMA_VERSION,
     manifest_text,
 )
-from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image

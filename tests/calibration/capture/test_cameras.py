@@ -23,8 +23,7 @@ from taccel_lab.calibration.capture.camera import (
     open_camera,
     shots,
 )
-from taccel_lab.calibration.capture.camera.devices import find_device
-from taccel_lab.calibration.capture.camera.uvc import MANUAL_EXPOSURE, UvcCamera
+from taccel_lab.calibration.capture.camera.uvc import MANUAL_EXPOSURE, UvcCamera, find_device
 from taccel_lab.errors import InputError
 from tests.fuzz.samples.captures import write_video
 from tests.support.capture_sets import CaptureMaker, spread_circles, write_image

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.guide import capture_plan
+from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.capture.records import (
     apparent_modulus_mpa,
     check_record,
@@ -21,7 +22,6 @@ from taccel_lab.calibration.capture.records import (
     load_record,
 )
 from taccel_lab.calibration.capture.schema import CaptureManifest, RecordEntry, ToolEntry
-from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError
 from taccel_lab.files.loading_faults import require_loading
 from taccel_lab.presses.bonded_layer import layer_force_n

@@ -24,7 +24,7 @@ from taccel_lab.calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.split import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
+from taccel_lab.calibration.capture.captures import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import picture
 from tests.support.small_captures import write_captures
