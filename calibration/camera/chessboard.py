@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.board_lattice import board_lattice, oriented
+from taccel_lab.calibration.camera.board import BoardView, board_lattice, oriented
 from taccel_lab.calibration.dots.blobs import find_blobs, is_inside
 from taccel_lab.errors import InputError
 

@@ -23,8 +23,15 @@ from scipy.spatial import ConvexHull
 
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import MIN_VIEWS, BundleFit, fit_lenses, initial_pose
-from taccel_lab.calibration.camera.lens import LENSES, Lens, fit_pose
+from taccel_lab.calibration.camera.lens import (
+    LENSES,
+    MIN_VIEWS,
+    BundleFit,
+    Lens,
+    fit_lenses,
+    fit_pose,
+    initial_pose,
+)
 from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError

@@ -17,9 +17,8 @@ from taccel_lab.calibration.markers.gel_view import PixelView, choose_view, pixe
 from taccel_lab.calibration.markers.remarks import GRID_BENT, VIDEO_CUT_SHORT, WEAK_CONTRAST
 from taccel_lab.calibration.markers.rest import MarkerRest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
-from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
-from taccel_lab.calibration.markers.tracks import MarkerTracks
+from taccel_lab.calibration.markers.tracks import MarkerTracks, track_figures
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile

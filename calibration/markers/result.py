@@ -20,8 +20,12 @@ from taccel_lab.calibration.dots.lattice import (
 )
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.gel_view import PixelView
-from taccel_lab.calibration.markers.track_figures import TrackFigures
-from taccel_lab.calibration.markers.tracks import MarkerFlow, MarkerTracks, marker_flow_mm
+from taccel_lab.calibration.markers.tracks import (
+    MarkerFlow,
+    MarkerTracks,
+    TrackFigures,
+    marker_flow_mm,
+)
 from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
 from taccel_lab.profile import MarkersBlock, SensorProfile
 from taccel_lab.report.remark import Remark

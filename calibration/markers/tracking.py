@@ -22,8 +22,8 @@ from taccel_lab.calibration.dots.blobs import grey_levels
 from taccel_lab.calibration.dots.detection import DotFlag, Dots, detect_dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.lattice import lattice_index
+from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
-from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
 

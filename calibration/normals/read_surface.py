@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.dots.dot_mask import DotMask
+from taccel_lab.calibration.dots.marker_picture import DotMask
 from taccel_lab.calibration.light.fit import fit_light, fit_press_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.light.light import LightDrift

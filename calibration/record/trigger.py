@@ -19,7 +19,7 @@ import numpy as np
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import LightDrift
-from taccel_lab.calibration.record.camera_faults import nothing_seen
+from taccel_lab.calibration.record.lamps import nothing_seen
 
 SMOOTHING_SHARE = 1 / 60
 """Standard deviation of the smoothing, as a part of the small image's shorter side."""

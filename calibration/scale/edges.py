@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
-from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark

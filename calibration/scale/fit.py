@@ -20,13 +20,14 @@ from taccel_lab.calibration.scale.ball_contacts import (
     scale_from_stage,
 )
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.scale.estimate import (
+from taccel_lab.calibration.scale.result import (
+    STATED,
     CombinedAxis,
+    ScaleCalibration,
     ScaleEstimate,
     agreement_remarks,
     combine,
 )
-from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile

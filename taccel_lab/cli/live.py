@@ -19,10 +19,9 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.calibration.live.latency import Latency
     from taccel_lab.calibration.live.page import LiveSheet
     from taccel_lab.calibration.live.reader import ForceReadings, LiveReader, LiveReading
-    from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
+    from taccel_lab.calibration.live.run import Latency, LiveResult, LiveWatcher
     from taccel_lab.profile import SensorProfile
 
 PORT = 8092

@@ -14,8 +14,7 @@ import pytest
 import taccel_lab.calibration.calibrate as whole
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
-from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+from taccel_lab.calibration.camera.rectification import RectificationMaps, rectify_captures
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.grey.fit import grey_captures

@@ -24,8 +24,7 @@ from taccel_lab.calibration.capture.printer import (
     printer_plan,
     read_press_table,
 )
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.folder import open_record
+from taccel_lab.calibration.record.folder import RecordFacts, open_record
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
 from tests.support.capture_sets import write_image

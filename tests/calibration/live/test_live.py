@@ -14,8 +14,14 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
-from taccel_lab.calibration.live.pictures import BEYOND, pictures
+from taccel_lab.calibration.live.page import (
+    BEYOND,
+    LivePage,
+    LiveSheet,
+    figures_text,
+    latency_text,
+    pictures,
+)
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
 from taccel_lab.errors import InputError

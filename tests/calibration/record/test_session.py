@@ -14,10 +14,8 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder, SessionStatus
+from taccel_lab.calibration.record.folder import RecordFacts, open_record
+from taccel_lab.calibration.record.session import Recorder, SessionStatus, run_session
 from taccel_lab.errors import InputError
 from tests.calibration.record.sessions import (
     FACTS,

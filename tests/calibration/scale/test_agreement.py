@@ -24,9 +24,8 @@ from taccel_lab.calibration.scale.ball_contacts import (
 )
 from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.scale.estimate import combine_axis
 from taccel_lab.calibration.scale.fit import calibrate_scale
-from taccel_lab.calibration.scale.result import ScaleCalibration
+from taccel_lab.calibration.scale.result import ScaleCalibration, combine_axis
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import judge
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
