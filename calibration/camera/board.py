@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from taccel_lab.calibration.capture.folder import Frame
+from taccel_lab.calibration.capture.captures import Frame
 from taccel_lab.calibration.dots.lattice_growth import (
     FLIPS,
     TURNS,

@@ -22,7 +22,7 @@ from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry
 from taccel_lab.calibration.dots.detection import Dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 
@@ -93,14 +93,11 @@ def detect_dots(
 
 def _find(picture: np.ndarray, columns: int, rows: int) -> tuple[BoardLattice, Dots] | None:
     """The board's lattice in a picture, and its dots."""
-    try:
-        dots = find_markers(picture).dots
-    except InputError:
+    shown = markers_or_none(picture)
+    lattice = None if shown is None else board_lattice(shown.dots.uv_px, columns, rows)
+    if shown is None or lattice is None or lattice.irregularity > _IRREGULAR:
         return None
-    lattice = board_lattice(dots.uv_px, columns, rows)
-    if lattice is None or lattice.irregularity > _IRREGULAR:
-        return None
-    return lattice, dots.select(lattice.points)
+    return lattice, shown.dots.select(lattice.points)
 
 
 def _same_dots(seen: np.ndarray, asked: np.ndarray) -> np.ndarray | None:

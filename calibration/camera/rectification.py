@@ -17,8 +17,7 @@ from scipy.spatial import Delaunay
 
 from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
-from taccel_lab.calibration.capture.captures import CapturedPress
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, MarkerCaptures
+from taccel_lab.calibration.capture.folder import CaptureFolder, MarkerCaptures
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError, naming
@@ -231,17 +230,13 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         for entry in document.get("records", []):
             copy_inner(folder.root, entry["file"], target)
         # What the rectified images were made of: their own hashes say nothing about that.
+        edges = (edge.frame for edge in folder.edges)
+        raw = (folder.background, *folder.untouched, *folder.presses, *edges)
         document["raw_sha256"] = {"captures.toml": folder.provenance["manifest_sha256"]} | {
-            Path(frame.source).name: frame.sha256 for frame in _raw_frames(folder)
+            Path(frame.source).name: frame.sha256 for frame in raw if frame is not None
         }
         (target / MANIFEST_NAME).write_text(tomli_w.dumps(document), encoding="utf-8")
     return notes
-
-
-def _raw_frames(folder: CaptureFolder) -> list[Frame | CapturedPress]:
-    frames: list[Frame | CapturedPress] = [*folder.untouched, *folder.presses]
-    frames += [edge.frame for edge in folder.edges]
-    return frames if folder.background is None else [folder.background, *frames]
 
 
 def _presses(

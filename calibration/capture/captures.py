@@ -118,17 +118,27 @@ def widest_gap_px(circles: Sequence[ContactCircle]) -> float:
 
 
 @dataclass(frozen=True)
-class CapturedPress:
-    """One image of one press."""
+class Frame:
+    """One image."""
 
     name: str
     source: str
     """File (and frame) the image comes from, for error messages."""
     sha256: str
     """Hash of the image file, or of the frame's bytes in a packed file."""
-    circle: ContactCircle | None
-    """Contact circle given with the capture, or None."""
     read: Callable[[], np.ndarray]
+
+    def image(self) -> np.ndarray:
+        """The image, RGB uint8, shape [height_px, width_px, 3]."""
+        return self.read()
+
+
+@dataclass(frozen=True)
+class CapturedPress(Frame):
+    """One image of one press."""
+
+    circle: ContactCircle | None = None
+    """Contact circle given with the capture, or None."""
     radius_mm: float | None = None
     """Radius of this press's ball, where it is not that of the set [mm]."""
     depth_mm: float | None = None
@@ -147,10 +157,6 @@ class CapturedPress:
     def mislabelled(self) -> bool:
         """Whether its image rejects the label that came with it."""
         return self.rejected is not None
-
-    def image(self) -> np.ndarray:
-        """The image, RGB uint8, shape [height_px, width_px, 3]."""
-        return self.read()
 
 
 def without_labels(

@@ -18,6 +18,7 @@ from taccel_lab.calibration.capture.captures import (
     HOLDOUT_EVERY,
     CapturedPress,
     CaptureSet,
+    Frame,
     Once,
     PressSplit,
     split_presses,
@@ -32,21 +33,6 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One image."""
-
-    name: str
-    source: str
-    """File the image comes from, for error messages."""
-    sha256: str
-    read: Callable[[], np.ndarray]
-
-    def image(self) -> np.ndarray:
-        """The image, RGB uint8, shape [height_px, width_px, 3]."""
-        return self.read()
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, model_validator
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle, Frame
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
-    Frame,
     MarkerCaptures,
     Video,
     in_words,
@@ -118,7 +117,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             circle = ContactCircle(**entry.contact.model_dump())
         name = entry.name or frame.name
         said = entry.model_dump(include={"radius_mm", "depth_mm", "force_n", "stage_mm"})
-        presses.append(CapturedPress(name, frame.source, frame.sha256, circle, frame.read, **said))
+        presses.append(CapturedPress(name, frame.source, frame.sha256, frame.read, circle, **said))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     contacts = inner_path(folder, CONTACTS_NAME)
     if contacts.is_file():

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle, Frame
+from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -78,6 +79,14 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
             return picture
         likeliest = dots if likeliest is None else likeliest
     raise InputError("no dots found: " + _why_not(likeliest))
+
+
+def markers_or_none(image: np.ndarray) -> MarkerPicture | None:
+    """The dots as ``find_markers`` gives them; None for a picture that shows none."""
+    try:
+        return find_markers(image)
+    except InputError:
+        return None
 
 
 def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
@@ -202,15 +211,12 @@ class DotMask:
     def of(cls, untouched: np.ndarray) -> DotMask | None:
         """The dots of an untouched picture, RGB levels, shape [height_px, width_px, 3]; None where
         it shows no lattice of dark ones."""
-        import cv2
-
         coarse = min(untouched.shape[:2]) / COARSE_PARTS / WINDOW_SHARE
         dark = _covered(untouched, coarse).astype(np.uint8)
         if cv2.connectedComponents(dark)[0] <= MIN_DOTS:
             return None
-        try:
-            found = find_markers(np.clip(untouched, 0, 255).astype(np.uint8))
-        except InputError:
+        found = markers_or_none(np.clip(untouched, 0, 255).astype(np.uint8))
+        if found is None:
             return None
         pitch = float(min(found.layout_px.pitch))
         return cls(_covered(untouched, pitch), pitch)
@@ -222,8 +228,6 @@ class DotMask:
 
 
 def _covered(image: np.ndarray, pitch_px: float) -> np.ndarray:
-    import cv2
-
     grey = np.clip(image, 0, 255).astype(np.float32).mean(axis=-1)
     size = 2 * round(0.5 * WINDOW_SHARE * pitch_px) + 1
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))

@@ -163,7 +163,7 @@ def live_session(
     result = LiveResult(None if background is None else make_reader(background), Latency())
     if result.reader is not None:
         result.remarks = result.reader.remarks
-    untouched, frozen = _Untouched(), FrozenWatch()
+    untouched, frozen = Trigger(), FrozenWatch()
     shown = ""
 
     def opened(camera: Camera) -> None:
@@ -191,12 +191,12 @@ def live_session(
             shot = Shot(framing.apply(event.image), event.time_s)
             hangs = frozen.see(shot)
             if result.reader is None:
-                found = untouched.add(shot)
-                result.unseen = "" if found is not None else untouched.unseen or WAITS
+                unseen, found = untouched.see(shot.image, shot.time_s).unseen, untouched.untouched
+                result.unseen = "" if found is not None else unseen or WAITS
                 if found is not None:
                     result.reader = make_reader(found)
                     result.remarks = _remarks(result.reader, untouched)
-                tell(untouched.unseen or hangs or (TOUCH_NOTHING if found is None else ""))
+                tell(unseen or hangs or (TOUCH_NOTHING if found is None else ""))
                 waited = time.perf_counter()
                 yield result
                 continue
@@ -218,14 +218,14 @@ def live_session(
             if done == frames or any(watcher.stopped() for watcher in watchers):
                 return
             if any(watcher.wants_background() for watcher in watchers):
-                result.reader, result.remarks, untouched = None, (), _Untouched()
+                result.reader, result.remarks, untouched = None, (), Trigger()
                 tell(TOUCH_NOTHING)
             waited = time.perf_counter()
             yield result
 
 
-def _remarks(reader: LiveReader, untouched: _Untouched) -> tuple[str, ...]:
-    flicker = flicker_words(untouched.flicker_levels)
+def _remarks(reader: LiveReader, untouched: Trigger) -> tuple[str, ...]:
+    flicker = flicker_words(0.0 if untouched.rest is None else untouched.rest.flicker_levels)
     remarks = *reader.remarks, reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
     return tuple(remark for remark in remarks if remark)
 
@@ -245,31 +245,3 @@ WAITS = (
 )
 MOST_AGE_S = 5.0
 """A frame is not older: its time is of another clock, as a replay's that is not paced."""
-
-
-class _Untouched:
-    """Mean of frames in which nothing moves."""
-
-    def __init__(self) -> None:
-        self._trigger = Trigger()
-        self._frames: list[np.ndarray] = []
-        self.unseen = ""
-        """Why the last frame shows no gel, in a sentence; empty where it does."""
-
-    @property
-    def flicker_levels(self) -> float:
-        """How much the light went up and down meanwhile."""
-        return 0.0 if self._trigger.rest is None else self._trigger.rest.flicker_levels
-
-    def add(self, shot: Shot) -> np.ndarray | None:
-        """Take a frame in; the mean, RGB float32, once there are enough."""
-        seen = self._trigger.see(shot.image, shot.time_s)
-        self.unseen = seen.unseen
-        if seen.progress == 0.0 and self._trigger.rest is None:
-            self._frames.clear()  # Something moved, nothing was seen, or this is the first one.
-        if seen.unseen:
-            return None
-        self._frames.append(shot.image)
-        if self._trigger.rest is None:
-            return None
-        return np.asarray(np.mean(self._frames, axis=0, dtype=np.float32))

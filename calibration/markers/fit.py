@@ -8,7 +8,8 @@ from itertools import islice
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.capture.folder import Frame, Video
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import Video
 from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.dots.detection import Dots
 from taccel_lab.calibration.dots.lattice import LayoutFit, fit_layout, renumbered

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from taccel_lab.calibration.camera.board import hashes_by_name
-from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import EdgeCapture
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero

@@ -65,7 +65,7 @@ class Live(CameraFlags):
     """Print the last reading's figures and the time of each stage as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.capture.camera import CameraLostError
+        from taccel_lab.calibration.capture.camera.camera import CameraLostError
         from taccel_lab.calibration.live.page import LiveSheet
         from taccel_lab.calibration.live.run import run_together
         from taccel_lab.cli.console import notes, print_json

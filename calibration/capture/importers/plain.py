@@ -30,7 +30,7 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, without_path
 from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record
-from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import image_size, read_grey, read_image
 from taccel_lab.files.inner_path import real_path
@@ -92,7 +92,7 @@ def is_video_of_dots(path: Path) -> bool:
         and all(number.isascii() and number.isdigit() for number in numbers)
         and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
         and _moves_steadily(images)
-        and _shows_dots(images[0])
+        and markers_or_none(read_image(images[0])) is not None
     )
 
 
@@ -117,14 +117,6 @@ def _small(path: Path) -> np.ndarray:
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(a - b).mean())
-
-
-def _shows_dots(path: Path) -> bool:
-    try:
-        find_markers(read_image(path))
-    except InputError:
-        return False
-    return True
 
 
 def read_video(path: Path, options: ImportOptions) -> list[Draft]:

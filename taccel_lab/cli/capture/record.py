@@ -60,7 +60,7 @@ class _Session(CameraFlags):
         self, presses: int | None, quick: bool, made: Sequence[Mapping[str, Any]] = ()
     ) -> None:
         """Record; ``presses`` None: as many as the sensor's plan has. ``made``: by a stage."""
-        from taccel_lab.calibration.capture.camera import CameraLostError
+        from taccel_lab.calibration.capture.camera.camera import CameraLostError
         from taccel_lab.calibration.capture.guide import capture_plan
         from taccel_lab.calibration.record.folder import open_record
         from taccel_lab.calibration.record.page import RecordPage

@@ -11,19 +11,22 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.camera import (
+from taccel_lab.calibration.capture.camera.camera import (
     CameraLostError,
-    CameraReplay,
     ControlValues,
-    Device,
     Framing,
     Gap,
     Shot,
-    list_devices,
-    open_camera,
     shots,
 )
-from taccel_lab.calibration.capture.camera.uvc import MANUAL_EXPOSURE, UvcCamera, find_device
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
+from taccel_lab.calibration.capture.camera.uvc import (
+    MANUAL_EXPOSURE,
+    Device,
+    UvcCamera,
+    find_device,
+    list_devices,
+)
 from taccel_lab.errors import InputError
 from tests.fuzz.samples.captures import write_video
 from tests.support.capture_sets import CaptureMaker, spread_circles, write_image

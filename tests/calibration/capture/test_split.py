@@ -35,7 +35,7 @@ def unread() -> NoReturn:
 
 
 def press(name: str, circle: ContactCircle | None = None) -> CapturedPress:
-    return CapturedPress(name, f"{name}.png", "0" * 64, circle, unread)
+    return CapturedPress(name, f"{name}.png", "0" * 64, unread, circle)
 
 
 def presses(centers: np.ndarray, radius_px: float = 20.0) -> list[CapturedPress]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.live.page import (
     BEYOND,
     LivePage,

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
-from taccel_lab.calibration.capture.camera import CameraReplay, Shot, open_camera
-from taccel_lab.calibration.capture.camera.camera import CameraInfo
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, Shot
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.capture.coverage import (
     CELLS,
     SHARES,
