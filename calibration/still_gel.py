@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.capture.importers.background_guess import (
+from taccel_lab.calibration.capture.framing import (
     MIN_CONTACT_LEVELS,
     contact_strength,
+    thumb,
 )
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.profile import SensorProfile

@@ -24,6 +24,7 @@ from taccel_lab.calibration.dots.detection import Dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_size
 from taccel_lab.progress import Progress, silent
 
 MIN_SHARE = 0.4
@@ -122,11 +123,7 @@ def _pictures(image: np.ndarray, reference: np.ndarray | None, name: str) -> lis
     levels = np.asarray(image, dtype=np.float32)
     if reference is None:
         return [levels.mean(axis=2)]
-    if reference.shape != image.shape:
-        raise InputError(
-            f"{name} is {image.shape[1]}x{image.shape[0]} px but its reference is "
-            f"{reference.shape[1]}x{reference.shape[0]} px; both have to be of one size"
-        )
+    require_size(name, image.shape[1::-1], "its reference", reference.shape[1::-1])
     change = levels - np.asarray(reference, dtype=np.float32)
     change -= np.median(change, axis=(0, 1))
     # A dent darkens a depth sensor and colours a photometric one, each side differently.
@@ -217,7 +214,5 @@ def _check_one_size(views: Sequence[BoardView]) -> None:
     if len(sizes) > 1:
         (usual, _), *others = sizes.most_common()
         odd = next(view for view in views if view.size_px == others[0][0])
-        raise InputError(
-            f"{odd.source} is {odd.size_px[0]}x{odd.size_px[1]} px, other views of boards are "
-            f"{usual[0]}x{usual[1]} px; all have to be of one size and one sensor"
-        )
+        advice = "all have to be of one size and one sensor"
+        require_size(odd.source, odd.size_px, "other views of boards are", usual, advice)

@@ -39,6 +39,7 @@ from taccel_lab.files.plain_values import first_repeated
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.files.videos import count_frames, read_frames
+from taccel_lab.guards import require_size
 from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import profile_folder
 
@@ -206,11 +207,9 @@ def _frame(images: KeptImages, folder: Path, name: str, like: _Sized | None) -> 
 
 
 def _check_size(size: tuple[int, int], path: Path, like: _Sized | None) -> None:
-    if like is not None and size != like[1]:
-        raise InputError(
-            f"{path} is {size[0]}x{size[1]} px but the background {like[0]} is "
-            f"{like[1][0]}x{like[1][1]} px; all images have to be of one size"
-        )
+    if like is not None:
+        advice = "all images have to be of one size"
+        require_size(str(path), size, f"the background {like[0]} is", like[1], advice)
 
 
 LOST_SHARE = 0.95
@@ -315,21 +314,16 @@ class _OverrideFile(StrictModel):
     contact: list[ContactOverride] = Field(default_factory=list)
 
 
-def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
-    """Overrides by the name of the press; InputError names the file and what is wrong."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; taccel-lab capture check --report writes one")
+def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[CapturedPress, ...]:
+    """The presses with the circles of ``path``, less those that it leaves out.
+
+    Raises InputError with the file and what is wrong.
+    """
     entries = _OverrideFile.read(path).contact
     twice = first_repeated(entry.press for entry in entries)
     if twice is not None:
         raise InputError(f"{path}: {twice} appears twice")
-    return {entry.press: entry for entry in entries}
-
-
-def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[CapturedPress, ...]:
-    """The presses with the circles of ``path``, less those that it leaves out."""
-    overrides = read_overrides(path)
+    overrides = {entry.press: entry for entry in entries}
     unknown = sorted(set(overrides) - {press.name for press in presses})
     if unknown:
         raise InputError(

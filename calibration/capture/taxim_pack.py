@@ -26,6 +26,7 @@ from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.guards import require_size
 
 PACK_NAME = "dataPack.npz"
 PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
@@ -154,11 +155,8 @@ def _check_arrays(
             f"{path}: imgs is {images.dtype} {images.shape}; uint8 [frames, height, width, 3] with "
             "at least one frame is needed"
         )
-    if images.shape[1:] != background.shape:
-        raise InputError(
-            f"{path}: imgs are {images.shape[2]}x{images.shape[1]} px but the background f0 is "
-            f"{background.shape[1]}x{background.shape[0]} px; all images have to be of one size"
-        )
+    of_imgs, of_background = images.shape[2:0:-1], background.shape[1::-1]
+    require_size(f"{path}: each of imgs", of_imgs, "the background f0", of_background)
     if centers.shape != (len(images), 2) or radii.shape != (len(images),):
         raise InputError(
             f"{path}: {len(images)} frames need touch_center [{len(images)}, 2] and touch_radius "

@@ -21,6 +21,7 @@ from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceRe
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_size
 from taccel_lab.profile import SensorProfile
 
 SIGMA_EVERY = 5
@@ -100,12 +101,13 @@ class LiveReader:
         require_readable(profile)
         has_depth = profile.normals is not None or profile.depth_response is not None
         grid = profile.grid()
-        if background.shape != (grid.height_px, grid.width_px, 3):
-            raise InputError(
-                f"the camera gives images of {background.shape[1]}x{background.shape[0]} px, the "
-                f"profile's has {grid.width_px}x{grid.height_px} px; give --size, --crop and "
-                "--resize as they were when the captures were recorded"
-            )
+        require_size(
+            "an image of the camera",
+            background.shape[1::-1],
+            "the profile's",
+            (grid.width_px, grid.height_px),
+            "give --size, --crop and --resize as they were when the captures were recorded",
+        )
         self.remarks = tuple(f"{_first_up(text)}." for text in profile.sensor.provenance.remarks)
         """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)

@@ -27,7 +27,7 @@ from taccel_lab.calibration.capture.camera.camera import (
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.record.lamps import FrozenWatch, flicker_words
 from taccel_lab.calibration.record.trigger import GAP_S, REST_FRAMES, REST_S, Trigger
-from taccel_lab.errors import InputError
+from taccel_lab.guards import require_size
 
 KEPT = 600
 """Frames that figures are of: the last half minute or so."""
@@ -200,7 +200,9 @@ def live_session(
                 waited = time.perf_counter()
                 yield result
                 continue
-            _require_size(shot.image, result.reader.background)
+            size, first = shot.image.shape[1::-1], result.reader.background.shape[1::-1]
+            advice = "set one format with --size"
+            require_size("an image of the camera", size, "it began with", first, advice)
             tell(hangs or " ".join(result.remarks))
             start, start_cpu = time.perf_counter(), time.thread_time()
             reading = result.reader.read(shot.image, shot.time_s)
@@ -228,14 +230,6 @@ def _remarks(reader: LiveReader, untouched: Trigger) -> tuple[str, ...]:
     flicker = flicker_words(0.0 if untouched.rest is None else untouched.rest.flicker_levels)
     remarks = *reader.remarks, reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
     return tuple(remark for remark in remarks if remark)
-
-
-def _require_size(image: np.ndarray, background: np.ndarray) -> None:
-    if image.shape != background.shape:
-        raise InputError(
-            f"the camera now gives images of {image.shape[1]}x{image.shape[0]} px, it began with "
-            f"{background.shape[1]}x{background.shape[0]} px; set one format with --size"
-        )
 
 
 TOUCH_NOTHING = "Touch nothing: the untouched gel is being measured."

@@ -52,6 +52,7 @@ from taccel_lab.calibration.record.lamps import (
 from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_size
 
 LAMPS_EVERY_S = 0.4
 UNTOUCHED_COUNT = 6
@@ -166,11 +167,13 @@ class Recorder:
             if self.facts.scale == "catalogue":
                 self.facts.catalogue_scale(width, height)  # Refuses what cannot have it.
         self._hangs = self._frozen.see(shot)
-        if self._background is not None and shot.image.shape != self._background.shape:
-            raise InputError(
-                f"the camera gives {shot.image.shape[1]}x{shot.image.shape[0]} px, the folder "
-                f"{self.folder.path} has {self._background.shape[1]}x{self._background.shape[0]}; "
-                "give --size, --crop and --resize as before, or name a new folder"
+        if self._background is not None:
+            require_size(
+                "an image of the camera",
+                shot.image.shape[1::-1],
+                f"the folder {self.folder.path} has",
+                self._background.shape[1::-1],
+                "give --size, --crop and --resize as before, or name a new folder",
             )
         had_rest = self.trigger.rest is not None
         seen = self.trigger.see(shot.image, shot.time_s)

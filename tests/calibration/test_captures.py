@@ -149,7 +149,7 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
     [
         ({"f0": None}, r"lacks f0"),
         ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
-        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"64x40 px but the background f0 is 64x48"),
+        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"64x40 px, the background f0 64x48"),
         ({"touch_center": np.array([[30.0, math.nan], [33.0, 24.0]])}, r"\[0, 1\].*finite"),
         ({"f0": np.uint8(3)}, r"f0 is uint8 \(\)"),
         ({"touch_center": np.full((2, 2), "x")}, r"touch_center has type <U1; real numbers"),

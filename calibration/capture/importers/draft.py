@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers.background_guess import (
+from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     median_image,
 )
@@ -223,15 +223,19 @@ class Draft:
             self.manifest.setdefault("untouched", []).append(self.add_image(image, "untouched"))
 
     def add_presses(
-        self, images: Sequence[Path], name: Callable[[Path], str] = lambda image: image.stem
+        self,
+        images: Sequence[Path],
+        name: Callable[[Path], str] = lambda image: image.stem,
+        stated: Sequence[dict[str, Any]] = (),
     ) -> None:
-        """Add ball presses, with circles of the tables beside them."""
+        """Add ball presses, with circles of the tables beside them; ``stated`` are further keys of
+        the entry of each."""
         if not images:
             return
         labels = read_label_tables(self.place)
         circles = labels.of_images(images)
-        for image in images:
-            self.add_press(image, name(image), contact=circles.get(image))
+        for image, values in zip(images, stated or [{}] * len(images), strict=True):
+            self.add_press(image, name(image), contact=circles.get(image), **values)
         self.tell_labels(labels, images)
 
     def tell_labels(self, labels: LabelTables, images: Sequence[Path]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.importers.background_guess import (
+from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     guess_background,
 )
@@ -27,7 +27,7 @@ from taccel_lab.calibration.capture.importers.files import (
     is_video,
     press_rows,
 )
-from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, without_path
+from taccel_lab.calibration.capture.importers.label_tables import without_path
 from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.calibration.dots.marker_picture import markers_or_none
@@ -53,21 +53,14 @@ def read_printed(path: Path, options: ImportOptions) -> list[Draft]:
             draft.add_untouched(image)
     image_column, x, y, depth, radius = COLUMNS
     rows = [row for row in press_rows(table, path, image_column) if row.image != background]
-    labels = read_label_tables(path)
-    images = [row.image for row in rows]
-    circles = labels.of_images(images)
-    for row in rows:
-        draft.add_press(
-            row.image,
-            contact=circles.get(row.image),
-            depth_mm=row.first(depth),
-            stage_mm=row.together(x, y),
-            radius_mm=row.first(radius),
-        )
+    stated = [
+        {"depth_mm": r.first(depth), "stage_mm": r.together(x, y), "radius_mm": r.first(radius)}
+        for r in rows
+    ]
+    draft.add_presses([row.image for row in rows], stated=stated)
     for name in (x, y, depth, radius) if rows else ():
         if rows[0].row.table.column(name) is None:
             draft.notes.append(f"no press has its {name}: no column is called so")
-    draft.tell_labels(labels, images)
     return [draft]
 
 

@@ -135,7 +135,7 @@ def test_only_some_sections(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('untouched = ["later.png"]', 'untouched = ["board.png"]', r"board\.png is 128x96 px but"),
+        ('untouched = ["later.png"]', 'untouched = ["board.png"]', r"board\.png is 128x96 px, the"),
         ('image = "edge.png"', 'image = "gone.png"', r"gone\.png does not exist"),
         ('"video/*.png"', '"nothing/*.png"', r"at least 2 frames, found 0"),
         ('frames = ["video/*.png"]', "", "either a file or frames"),

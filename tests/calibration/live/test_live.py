@@ -223,7 +223,7 @@ def test_frames_that_change_their_size_are_refused(
     rest = np.asarray(grey[0].background).astype(np.uint8)
     write_image(tmp_path / "frames" / "0.png", rest)
     write_image(tmp_path / "frames" / "1.png", rest[::2, ::2])
-    with pytest.raises(InputError, match=r"now gives images of 100x75 px, it began with 200x150"):
+    with pytest.raises(InputError, match=r"camera is 100x75 px, it began with 200x150"):
         session(tmp_path / "frames", *grey, Watching(), background=rest.astype(np.float32))
 
 
