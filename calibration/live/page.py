@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.importers.draft import write_png
-from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
 from taccel_lab.calibration.pressure.reading_files import write_reading
@@ -54,8 +54,8 @@ def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np
         shown += [depth_picture(reading), ("normals", _normals(reading.surface.normals))]
         if reading.press is not None:
             shown.append(pressure_picture(reading.press))
-    if reading.markers_px is not None:
-        shown.append((f"markers, arrows x{ARROWS:g}", _markers(reading)))
+    if reading.markers is not None:
+        shown.append((f"markers, arrows x{ARROWS:g}", _markers(reading.image, reading.markers)))
     return shown
 
 
@@ -111,12 +111,9 @@ def _normals(normals: np.ndarray) -> np.ndarray:
     return np.clip(127.5 * (normals + 1.0), 0, 255).astype(np.uint8)
 
 
-def _markers(reading: LiveReading) -> np.ndarray:
-    picture = reading.image.copy()
-    assert reading.markers_px is not None
-    assert reading.rest_px is not None
-    assert reading.seen is not None
-    for place, rest, seen in zip(reading.markers_px, reading.rest_px, reading.seen, strict=True):
+def _markers(image: np.ndarray, markers: SeenMarkers) -> np.ndarray:
+    picture = image.copy()
+    for place, rest, seen in zip(markers.uv_px, markers.rest_px, markers.seen, strict=True):
         if not np.isfinite(place).all():
             continue
         tip = rest + ARROWS * (place - rest)
@@ -280,12 +277,11 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         lines += [PageText("*{}*").format(text) for text in press.remarks]
     elif reader.no_pressure:
         lines.append(PageText("{}").format(reader.no_pressure))
-    if reading.markers_px is not None and reading.seen is not None and reading.rest_px is not None:
-        moved = reading.markers_px - reading.rest_px
+    if reading.markers is not None:
+        seen, moved = reading.markers.seen, reading.markers.uv_px - reading.markers.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
         lines.append(
-            f"{int(reading.seen.sum())} of {len(reading.seen)} markers seen, largest displacement "
-            f"{largest:.1f} px"
+            f"{int(seen.sum())} of {len(seen)} markers seen, largest displacement {largest:.1f} px"
         )
     elif reader.no_markers:
         lines.append(f"markers are not followed: {reader.no_markers}")

@@ -36,6 +36,18 @@ ForceReadings = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
+class SeenMarkers:
+    """Where markers are in one frame."""
+
+    uv_px: np.ndarray
+    """Places, shape [marker, 2]."""
+    rest_px: np.ndarray
+    """Places at rest, likewise."""
+    seen: np.ndarray
+    """Which of them were found in this frame, bool, shape [marker]."""
+
+
+@dataclass(frozen=True)
 class LiveReading:
     """What one frame shows."""
 
@@ -47,12 +59,8 @@ class LiveReading:
     """Figures of the surface; empty without one."""
     refused: str
     """Why the depth is not to be believed; empty where it is."""
-    markers_px: np.ndarray | None
-    """Places of the markers, shape [marker, 2]; None without markers."""
-    rest_px: np.ndarray | None
-    """Where they are at rest, likewise."""
-    seen: np.ndarray | None
-    """Which of them were found in this frame, bool, shape [marker]."""
+    markers: SeenMarkers | None
+    """None without markers."""
     forces: Mapping[str, float]
     """Forces by name; empty where nothing tells them."""
     stages_s: dict[str, float]
@@ -108,7 +116,9 @@ class LiveReader:
             (grid.width_px, grid.height_px),
             "give --size, --crop and --resize as they were when the captures were recorded",
         )
-        self.remarks = tuple(f"{_first_up(text)}." for text in profile.sensor.provenance.remarks)
+        self.remarks = tuple(
+            f"{text[:1].upper()}{text[1:]}." for text in profile.sensor.provenance.remarks
+        )
         """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
@@ -173,23 +183,17 @@ class LiveReader:
                         time_s,
                     )
                 figures |= press.figures()
-        places = rest = seen = None
+        markers = None
         if self.tracker is not None:
             with _timed(stages, "markers"):
                 self.tracker.advance(image)
-            places, rest = self.tracker.uv.copy(), self.tracker.dots.uv_px
             seen = self.tracker.status == TrackStatus.SEEN
+            markers = SeenMarkers(self.tracker.uv.copy(), self.tracker.dots.uv_px, seen)
         forces: Mapping[str, float] = {}
         if self.force is not None:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
-        return LiveReading(
-            image, surface, figures, refused, places, rest, seen, forces, stages, press
-        )
-
-
-def _first_up(text: str) -> str:
-    return text[:1].upper() + text[1:]
+        return LiveReading(image, surface, figures, refused, markers, forces, stages, press)
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
@@ -208,12 +212,12 @@ def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
 
 def _refusal(figures: Mapping[str, Any]) -> str:
     beyond = figures.get("beyond_balls_share", 0.0)
-    if beyond > REFUSED_SHARE:
-        return (
-            f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth "
-            "is given"
-        )
-    return ""
+    if beyond <= REFUSED_SHARE:
+        return ""
+    return (
+        f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth is "
+        "given"
+    )
 
 
 @contextmanager

@@ -253,10 +253,9 @@ def test_markers_of_a_real_video_are_followed() -> None:
     moved = []
     for frame in frames[:100:8]:
         reading = reader.read(frame)
-        assert reading.markers_px is not None and reading.rest_px is not None
-        assert reading.seen is not None
-        assert reading.seen.mean() > 0.5
-        moved.append(np.linalg.norm(reading.markers_px - reading.rest_px, axis=1).max())
+        markers = reading.markers
+        assert markers is not None and markers.seen.mean() > 0.5
+        moved.append(np.linalg.norm(markers.uv_px - markers.rest_px, axis=1).max())
     assert moved[0] < 1.0 and max(moved) > 3.0
 
 
