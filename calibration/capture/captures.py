@@ -335,7 +335,12 @@ def split_presses(
         places, by = [[i] for i in range(count)], "press"
     elif all(press.circle is None for press in presses):
         by = "press"
-    places.sort(key=lambda place: _lot(presses, place))
+
+    def lot(place: Sequence[int]) -> str:
+        names = "\n".join(sorted(presses[i].name for i in place))
+        return hashlib.sha256(names.encode()).hexdigest()
+
+    places.sort(key=lot)
     held: list[int] = []
     for place in places:
         if len(held) + len(place) <= wanted:
@@ -394,8 +399,3 @@ def _places(presses: Sequence[CapturedPress]) -> list[list[int]]:
             left = left[~near]
         places.append([labelled[k] for k in sorted(reached)])
     return places + alone
-
-
-def _lot(presses: Sequence[CapturedPress], place: Sequence[int]) -> str:
-    names = "\n".join(sorted(presses[i].name for i in place))
-    return hashlib.sha256(names.encode()).hexdigest()

@@ -15,7 +15,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import (
-    AGAIN_S,
     Camera,
     ControlLock,
     ControlValues,
@@ -142,24 +141,21 @@ def live_session(
     *,
     background: np.ndarray | None = None,
     frames: int | None = None,
-    values: ControlValues | None = None,
-    framing: Framing | None = None,
-    again_s: float = AGAIN_S,
+    values: ControlValues = ControlValues(),
+    framing: Framing = Framing(),
 ) -> Generator[LiveResult, None, None]:
     """Read frames until ``frames`` are done, a watcher stops it or a replay is over.
 
     Gives what it came to so far, always the same object, at first and after each frame.
 
     ``make_reader`` gets the untouched gel, RGB float32 [height_px, width_px, 3]: ``background``, or
-    what is measured at first, when nothing may touch it. ``again_s`` passes between two tries to
-    open a camera that is gone.
+    what is measured at first, when nothing may touch it.
 
     Raises:
         InputError: The images do not fit the profile or change their size, or there is no such
             camera.
         CameraLostError: It does not open at first.
     """
-    values, framing = values or ControlValues(), framing or Framing()
     result = LiveResult(None if background is None else make_reader(background), Latency())
     if result.reader is not None:
         result.remarks = result.reader.remarks
@@ -181,7 +177,7 @@ def live_session(
         tell(TOUCH_NOTHING)
     yield result
     done, waited = 0, time.perf_counter()
-    with closing(shots(open_, opened, again_s=again_s)) as stream:
+    with closing(shots(open_, opened)) as stream:
         for event in stream:
             arrived = time.perf_counter()
             if isinstance(event, Gap):

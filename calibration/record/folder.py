@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -82,10 +82,6 @@ class RecordFacts:
             raise InputError(
                 f"--mm-per-px-x states the scale, --scale {self.scale} leaves it open; give one"
             )
-
-    def at(self, camera: CameraInfo, locks: list[ControlLock], framing: str) -> RecordFacts:
-        """Facts with the camera that was opened."""
-        return replace(self, camera=camera, locks=tuple(locks), framing=framing)
 
     def require_complete(self) -> None:
         """Name everything that is missing at once."""

@@ -215,14 +215,11 @@ def tiled(
             image, size, interpolation=how
         )[: sheet.shape[0] - top]
         room = sheet.shape[1] - left if k % columns == columns - 1 else wide
-        text = min(TITLE_SCALE, TITLE_SCALE * (room - MARGIN_PX) / _title_px(title))
+        title_px = cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, TITLE_SCALE, 1)[0][0]
+        text = min(TITLE_SCALE, TITLE_SCALE * (room - MARGIN_PX) / title_px)
         where = (left, top - 8)
         cv2.putText(sheet, title, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
     return sheet
-
-
-def _title_px(title: str) -> int:
-    return cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, TITLE_SCALE, 1)[0][0]
 
 
 def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> float:

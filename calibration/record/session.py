@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import (
-    AGAIN_S,
     Camera,
     CameraInfo,
     ControlLock,
@@ -128,7 +127,7 @@ class Recorder:
         Raises:
             InputError: The folder was begun with another one.
         """
-        self.facts = self.facts.at(info, locks, self.facts.framing)
+        self.facts = replace(self.facts, camera=info, locks=tuple(locks))
         self._frozen.replayed = info.replayed
         before = self.folder.manifest.get("recorded", {}).get("camera", "")
         # Other ids name a port, which others take, too.
@@ -359,26 +358,23 @@ def run_session(
     open_: Callable[[], Camera],
     watchers: list[Watcher],
     *,
-    values: ControlValues | None = None,
-    framing: Framing | None = None,
+    values: ControlValues = ControlValues(),
+    framing: Framing = Framing(),
     ends_by_itself: bool = True,
-    again_s: float = AGAIN_S,
 ) -> SessionStatus:
     """Record until all presses are taken, a watcher ends it, or a replay is over.
 
-    ``ends_by_itself``: when all presses are taken and the ball is lifted. ``again_s`` passes
-    between two tries to open a camera that is gone.
+    ``ends_by_itself``: when all presses are taken and the ball is lifted.
 
     Raises:
         InputError: There is no such camera at first, or its images do not fit the folder.
         CameraLostError: It does not open at first.
     """
-    values, framing = values or ControlValues(), framing or Framing()
 
     def opened(camera: Camera) -> None:
         recorder.opened(camera.info, camera.lock(values))
 
-    with closing(shots(open_, opened, again_s=again_s)) as stream:
+    with closing(shots(open_, opened)) as stream:
         for event in stream:
             if isinstance(event, Gap):
                 status = recorder.lost(event)

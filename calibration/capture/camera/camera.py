@@ -169,18 +169,14 @@ class Gap:
 
 
 def shots(
-    open_: Callable[[], Camera],
-    opened: Callable[[Camera], None],
-    *,
-    again_s: float = AGAIN_S,
+    open_: Callable[[], Camera], opened: Callable[[Camera], None]
 ) -> Generator[Shot | Gap, None, None]:
     """Frames, and a ``Gap`` each time that a lost camera could not be opened again.
 
     The first time it has to open. The generator ends with a replay, and closes the camera when it
     is closed.
 
-    ``opened`` is called with the camera each time, for instance to lock its controls; ``again_s``
-    passes between two tries.
+    ``opened`` is called with the camera each time, for instance to lock its controls.
 
     Raises:
         InputError: There is no such camera at first.
@@ -196,7 +192,7 @@ def shots(
                     opened(camera)
                 except (CameraLostError, InputError) as error:
                     yield Gap(str(error))
-                    time.sleep(again_s)
+                    time.sleep(AGAIN_S)
             try:
                 shot = camera.read()
             except CameraLostError as error:

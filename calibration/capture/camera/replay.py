@@ -118,38 +118,33 @@ def open_replay(
             raise InputError(
                 f"{path}: a capture folder is replayed from its background and its presses"
             )
-        return ReplayCamera(path, lambda: pressing(rest.image(), presses, how), how)
+        still = rest.image()
+        return ReplayCamera(
+            path, lambda: (RecordedFrame("", i) for i in pressing(still, presses, how)), how
+        )
     return ReplayCamera(path, Recording.of(path, camera).frames, how)
 
 
 def pressing(
     rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
-) -> Iterator[RecordedFrame]:
-    """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
-    for image in _pressing(rest, presses, how):
-        yield RecordedFrame("", image)
-
-
-def _pressing(
-    rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
 ) -> Iterator[np.ndarray]:
+    """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
     for _ in range(round(how.rest_s * how.fps)):
         yield rest
     steps = max(1, round(how.blend_s * how.fps))
     for press in presses:
         image = press.image()
-        ramp = [_blend(rest, image, k / steps) for k in range(1, steps)]
+        # Levels between the two, a step further each.
+        ramp = [
+            np.rint((1 - k / steps) * rest.astype(np.float32) + k / steps * image).astype(np.uint8)
+            for k in range(1, steps)
+        ]
         yield from ramp
         for _ in range(round(how.hold_s * how.fps)):
             yield image
         yield from reversed(ramp)
         for _ in range(round(0.5 * how.rest_s * how.fps)):
             yield rest
-
-
-def _blend(one: np.ndarray, other: np.ndarray, share: float) -> np.ndarray:
-    mixed = (1 - share) * one.astype(np.float32) + share * other
-    return np.rint(mixed).astype(np.uint8)
 
 
 def open_camera(

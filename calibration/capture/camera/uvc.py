@@ -47,7 +47,7 @@ def list_devices(root: Path = ROOT) -> list[Device]:
         Device(
             name,
             node,
-            _card_name(root, node) or name,
+            _text(_of_node(root, node) / "name") or name,
             _serial_number(root, node),
         )
         for name, node in _stable_names(root).items()
@@ -95,14 +95,14 @@ def _stable_names(root: Path) -> dict[str, str]:
     return {name: f"/dev/{node}" for name, node in found.items()}
 
 
-def _card_name(root: Path, node: str) -> str:
-    """What the driver calls a camera, such as ``DIGIT: DIGIT``; empty where it says nothing."""
-    return _text(root / "sys/class/video4linux" / Path(node).name / "name")
+def _of_node(root: Path, node: str) -> Path:
+    """What the driver says of a camera; ``name`` is such as ``DIGIT: DIGIT``."""
+    return root / "sys/class/video4linux" / Path(node).name
 
 
 def _serial_number(root: Path, node: str) -> str | None:
     """Serial number of the USB device behind a node; None where it has none."""
-    place = root / "sys/class/video4linux" / Path(node).name / "device"
+    place = _of_node(root, node) / "device"
     with suppress(OSError):
         # The node belongs to an interface, which belongs to the device.
         for folder in (place.resolve(), *place.resolve().parents[:2]):

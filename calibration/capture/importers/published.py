@@ -169,12 +169,12 @@ def _units(path: Path) -> list[Path]:
     found = []
     for place in places:
         if place.is_dir():
-            found += [p for p in (place, *sorted(place.iterdir())) if _is_unit(p)]
+            found += [
+                unit
+                for unit in (place, *sorted(place.iterdir()))
+                if _image(unit / _CAMERA, "sample") or _image(unit / _DEPTH, "sample")
+            ]
     return list(dict.fromkeys(found))
-
-
-def _is_unit(path: Path) -> bool:
-    return any(_image(path / part, "sample") is not None for part in (_CAMERA, _DEPTH))
 
 
 def _image(folder: Path, stem: str) -> Path | None:
