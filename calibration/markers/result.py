@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -155,7 +155,7 @@ class MarkerCalibration(BlockResult):
             "scale_from": self.view.description,
             "estimates": {name: found.figures() for name, found in self.estimates().items()},
             "residuals": self.residuals(),
-            "videos": [video.figures.as_dict() for video in self.videos],
+            "videos": [asdict(video.figures) for video in self.videos],
             "pitch_px": list(layout_px.pitch),
             "pitch_sigma_px": [layout_px.sigma(PITCH_X), layout_px.sigma(PITCH_Y)],
         }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
@@ -185,10 +185,6 @@ class TrackFigures:
     """Frame after a motion in which the gel is nearest to rest; None when it never comes back."""
     return_median_px: float | None
     """Median distance from rest in that frame."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """The figures by name, as JSON holds them."""
-        return asdict(self)
 
     def remarks(self) -> list[Remark]:
         """What the video deserves to have said of it."""

@@ -271,7 +271,7 @@ class RecordFolder:
         with atomic_file(self.path / MANIFEST_NAME) as staging:
             staging.write_text(self._text(), encoding="utf-8")
             freeze_split(load_capture_folder(self.path), staging)
-        self.manifest = _read(self.path)
+        self.manifest = read_toml(self.path / MANIFEST_NAME)
 
     def _write_manifest(self) -> None:
         with atomic_file(self.path / MANIFEST_NAME) as staging:
@@ -311,7 +311,7 @@ def open_record(
         notes = facts.notes()
     else:
         load_capture_folder(path)  # Refuses what is damaged, by name.
-        manifest, notes = _read(path), _notes(path)
+        manifest, notes = read_toml(path / MANIFEST_NAME), _notes(path)
         facts.require_same(manifest, path)
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
@@ -326,10 +326,6 @@ def open_record(
                 if any(folder.iterdir()):
                     break
                 folder.rmdir()
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return read_toml(path / MANIFEST_NAME)
 
 
 def _notes(path: Path) -> tuple[str, ...]:

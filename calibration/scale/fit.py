@@ -31,7 +31,7 @@ from taccel_lab.calibration.scale.result import (
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
+from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.report.remark import Remark
 
 STATED_ERROR = 0.05
@@ -82,11 +82,8 @@ def calibrate_scale(
         except InputError as error:
             failures[name] = str(error)
 
-    for done, (name, job) in enumerate(jobs):
-        progress("measuring known lengths", done, len(jobs))
+    for name, job in counted(jobs, progress, "measuring known lengths", len(jobs)):
         attempt(name, job)
-    if jobs:
-        progress("measuring known lengths", len(jobs), len(jobs))
     axes = combine(estimates)
     if folder.presses:
         ratio = 1.0
