@@ -27,6 +27,7 @@ from taccel_lab.files.inner_path import copy_inner
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.toml_file import read_toml
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_shape
 
 _CHUNK_PX = 100_000
 _BEYOND_PITCHES = 1.0
@@ -62,23 +63,16 @@ class RectificationMaps:
         )
         measured = stored.get("measured", np.ones(u.shape, dtype=bool))
         size = stored.get("raw_size_px")
-        if (
-            {v.shape, measured.shape} != {u.shape}
-            or u.ndim != 2
-            or measured.dtype.kind not in "biu"
-        ):
-            raise InputError(
-                f"{path}: maps {u.shape} and {v.shape}, measured {measured.dtype} "
-                f"{measured.shape}; two maps and a bool of one size are needed"
-            )
-        if scale.shape != (2,) or center.shape != (2,):
-            raise InputError(
-                f"{path}: mm_per_px {scale.shape} and center_px {center.shape}; two numbers each "
-                "are needed"
-            )
-        if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
-            raise InputError(f"{path}: raw_size_px has to be width and height in whole pixels")
         with naming(path):
+            require_shape("map_u_px", u, ("height", "width"))
+            require_shape("map_v_px", v, u.shape)
+            require_shape("mm_per_px", scale, (2,))
+            require_shape("center_px", center, (2,))
+            if measured.dtype.kind not in "biu":
+                raise InputError(f"measured has type {measured.dtype}; bool is needed")
+            require_shape("measured", measured, u.shape)
+            if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
+                raise InputError("raw_size_px has to be width and height in whole pixels")
             grid = PixelGrid(
                 *u.shape[::-1], *scale.astype(float).tolist(), *center.astype(float).tolist()
             )

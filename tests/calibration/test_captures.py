@@ -149,11 +149,14 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
     [
         ({"f0": None}, r"lacks f0"),
         ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
-        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"64x40 px, the background f0 64x48"),
+        (
+            {"imgs": np.zeros((2, 40, 64, 3), np.uint8)},
+            r"must have shape \[frames, 48, 64, 3\]",
+        ),
         ({"touch_center": np.array([[30.0, math.nan], [33.0, 24.0]])}, r"\[0, 1\].*finite"),
-        ({"f0": np.uint8(3)}, r"f0 is uint8 \(\)"),
+        ({"f0": np.uint8(3)}, r"f0 must have shape"),
         ({"touch_center": np.full((2, 2), "x")}, r"touch_center has type <U1; real numbers"),
-        ({"touch_radius": np.array([12, 13, 14])}, r"2 frames need touch_center"),
+        ({"touch_radius": np.array([12, 13, 14])}, r"touch_radius must have shape \[2\]"),
         ({"touch_center": np.array([[30.0, 24.0], [-3.0, 24.0]])}, r"\[1\].*into the image"),
         ({"touch_radius": np.array([12, 21])}, r"\[1\].*(more than the ball|outside)"),
     ],

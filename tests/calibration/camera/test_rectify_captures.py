@@ -172,8 +172,8 @@ def test_the_command_takes_saved_maps(
     ("key", "value", "words"),
     [("map_u_px", np.full((40, 50), "x"), "map_u_px has type <U1"),
      ("map_v_px", np.full((40, 50), np.nan), r"map_v_px\[0, 0\] is nan"),
-     ("measured", np.ones((3, 3), bool), "of one size"),
-     ("mm_per_px", np.ones(3), "two numbers each")],
+     ("measured", np.ones((3, 3), bool), "measured must have shape"),
+     ("mm_per_px", np.ones(3), "mm_per_px must have shape")],
 )  # fmt: skip
 def test_maps_that_are_none_are_refused(
     key: str, value: np.ndarray, words: str, tmp_path: Path
