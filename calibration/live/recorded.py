@@ -6,8 +6,6 @@ Rows are kept beside the output as they are read, so that the same call goes on 
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections import Counter
@@ -165,12 +163,17 @@ def _write(recording: Recording, rows: list[dict[str, Any]], out: Path) -> None:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    """Comma-separated values; what is not known is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(row | {"remarks": "; ".join(row.get("remarks", ()))} for row in rows)
-    return text.getvalue()
+    """Comma-separated values; texts are quoted, what is not known is empty (RFC 4180)."""
+
+    def cell(value: Any) -> str:
+        if isinstance(value, list):
+            value = "; ".join(value)
+        if isinstance(value, str) and value:
+            return '"' + value.replace('"', '""') + '"'
+        return "" if value is None else f"{value}"
+
+    lines = [COLUMNS, *([cell(row.get(name)) for name in COLUMNS] for row in rows)]
+    return "".join(",".join(line) + "\n" for line in lines)
 
 
 def _kept(path: Path, key: str) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
 from taccel_lab.calibration.camera.find_boards import detect_views
-from taccel_lab.calibration.camera.pixel_grid import origin_px, stated_scale_remarks
+from taccel_lab.calibration.camera.result import origin_px, stated_scale_remarks
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, MarkerCaptures
 from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest

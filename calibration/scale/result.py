@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
+from taccel_lab.calibration.camera.result import tactile_size, with_camera_block
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
 from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL
