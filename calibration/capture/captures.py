@@ -80,12 +80,6 @@ class ContactCircle:
         """Whether the centre lies in the image."""
         return 0 <= self.u_px <= grid.width_px - 1 and 0 <= self.v_px <= grid.height_px - 1
 
-    def visible_share(self, grid: PixelGrid) -> float:
-        """Share of the circle's area that lies in the image."""
-        ratio = grid.mm_per_px_x / grid.mm_per_px_y
-        area = math.pi * self.radius_px**2 * ratio
-        return min(1.0, float((self.distance_px(grid) <= self.radius_px).sum()) / area)
-
     def center_gap_px(self, other: ContactCircle, grid: PixelGrid) -> float:
         """Distance of the centres in column pixels, rows weighed as in ``distance_px``."""
         ratio = grid.mm_per_px_y / grid.mm_per_px_x
@@ -196,7 +190,8 @@ class CaptureSet:
             )
         for press in self.presses:
             if press.circle is not None:
-                check_circle(press.circle, self.grid, self.ball_radius_mm, press.source)
+                check_place(press.circle, self.grid, press.source)
+                check_radius(press.circle, self.grid, self.ball_radius_mm, press.source)
 
     def hashes(self) -> dict[str, str]:
         """SHA-256 of every input by name, the background under ``background``."""
@@ -218,19 +213,11 @@ class CaptureSet:
         return replace(self, presses=tuple(self.presses[i] for i in indices))
 
 
-def check_circle(
-    circle: ContactCircle, grid: PixelGrid, ball_radius_mm: float, source: str
-) -> None:
-    """Refuse a contact circle that no press of this ball on this image can leave.
+def check_place(circle: ContactCircle, grid: PixelGrid, source: str) -> None:
+    """Refuse a contact circle that is none, or whose centre lies outside of the image.
 
     The border of the image may cut it, as that of a press near the border does.
     """
-    check_place(circle, grid, source)
-    check_radius(circle, grid, ball_radius_mm, source)
-
-
-def check_place(circle: ContactCircle, grid: PixelGrid, source: str) -> None:
-    """Refuse a contact circle that is none, or whose centre lies outside of the image."""
     values = (circle.u_px, circle.v_px, circle.radius_px)
     if not all(math.isfinite(value) for value in values):
         raise InputError(
@@ -242,7 +229,8 @@ def check_place(circle: ContactCircle, grid: PixelGrid, source: str) -> None:
             f"{source}: contact radius {circle.radius_px:g} px is too small; at least 3 px"
         )
     if not circle.has_center_in(grid):
-        lies = "reaches into" if circle.visible_share(grid) > 0 else "lies outside of"
+        seen = (circle.distance_px(grid) <= circle.radius_px).any()
+        lies = "reaches into" if seen else "lies outside of"
         raise InputError(
             f"{source}: the contact circle at ({circle.u_px:g}, {circle.v_px:g}) px with radius "
             f"{circle.radius_px:g} px {lies} the image of {grid.width_px}x{grid.height_px} px, and "

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_captures, load_captures
-from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_circle
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_place, check_radius
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -190,7 +190,8 @@ def test_accepted_circles_fit_image_and_ball(
     assert abs(circle.beyond_px(grid)) < 1e-9 or (circle.beyond_px(grid) < 0) == inside
     assert circle.has_center_in(grid) == (0 <= u <= 159 and 0 <= v <= 119)
     try:
-        check_circle(circle, grid, ball, "x.png")
+        check_place(circle, grid, "x.png")
+        check_radius(circle, grid, ball, "x.png")
         accepted = True
     except InputError as error:
         assert "x.png" in str(error)
