@@ -10,7 +10,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ import numpy as np
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
+from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.reading_files import write_reading
 from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
@@ -35,8 +35,8 @@ LEAST_DEEPEST_MM = 0.3
 """The colour scale of the depth ends here at least, so that noise stays dark."""
 BEYOND = (225, 60, 160)
 """Pixels beyond the calibration."""
-REFUSED = (170, 170, 170)
-LEAST_PRESSURE_PA = 1e4
+REFUSED = 170
+LEAST_PRESSURE_KPA = 10.0
 """The colour scale of the pressure ends here at least."""
 PAPER, INK = 250, (60, 60, 60)
 ARROWS = 3.0
@@ -51,47 +51,41 @@ def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np
         ("change", np.clip(128 + 2 * change, 0, 255).astype(np.uint8)),
     ]
     if reading.surface is not None:
-        shown += [depth_picture(reading), ("normals", _normals(reading.surface.normals))]
+        normals = np.clip(127.5 * (reading.surface.normals + 1.0), 0, 255).astype(np.uint8)
+        shown += [depth_picture(reading.surface, reading.refused), ("normals", normals)]
         if reading.press is not None:
-            shown.append(pressure_picture(reading.press))
+            kpa = 1e-3 * reading.press.pressure_pa
+            pressure = _colored_map(kpa, LEAST_PRESSURE_KPA, cv2.COLORMAP_INFERNO)
+            shown.append(("pressure [kPa]", pressure))
     if reading.markers is not None:
         shown.append((f"markers, arrows x{ARROWS:g}", _markers(reading.image, reading.markers)))
     return shown
 
 
-def depth_picture(reading: LiveReading) -> tuple[str, np.ndarray]:
+def depth_picture(surface: SurfaceReading, refused: str) -> tuple[str, np.ndarray]:
     """Title with the scale, and the depth in colours; what the calibration does not reach is
     marked, and a depth that is rejected is grey."""
-    surface = reading.surface
-    assert surface is not None
-    depth_mm = -1e3 * surface.rise_m
-    deepest = max(float(depth_mm.max()), LEAST_DEEPEST_MM)
-    levels = np.clip(255 * depth_mm / deepest, 0, 255).astype(np.uint8)
-    picture = _colored(levels, cv2.COLORMAP_VIRIDIS)
-    for marked in (surface.beyond_balls, surface.saturated):
-        if marked is not None:
-            picture[marked] = BEYOND
-    if reading.refused:
-        picture[:] = REFUSED
-        return "depth: rejected", picture
-    title = "depth [mm] (pink: beyond the calibration)"
-    return title, _with_bar(picture, cv2.COLORMAP_VIRIDIS, deepest)
-
-
-def pressure_picture(press: ContactPressure) -> tuple[str, np.ndarray]:
-    """Title and the contact pressure in colours."""
-    peak = max(float(press.pressure_pa.max()), LEAST_PRESSURE_PA)
-    levels = np.clip(255 * press.pressure_pa / peak, 0, 255).astype(np.uint8)
-    picture = _colored(levels, cv2.COLORMAP_INFERNO)
-    return "pressure [kPa]", _with_bar(picture, cv2.COLORMAP_INFERNO, 1e-3 * peak)
+    if refused:
+        return "depth: rejected", np.full((*surface.rise_m.shape, 3), REFUSED, np.uint8)
+    marked = (surface.beyond_balls, surface.saturated)
+    picture = _colored_map(-1e3 * surface.rise_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
+    return "depth [mm] (pink: beyond the calibration)", picture
 
 
 def _colored(levels: np.ndarray, colors: int) -> np.ndarray:
     return cv2.cvtColor(cv2.applyColorMap(levels, colors), cv2.COLOR_BGR2RGB)
 
 
-def _with_bar(picture: np.ndarray, colors: int, high: float) -> np.ndarray:
-    """The picture with its colour bar from 0 to ``high`` on the right."""
+def _colored_map(
+    values: np.ndarray, least: float, colors: int, marked: Sequence[np.ndarray | None] = ()
+) -> np.ndarray:
+    """Values from 0 to the largest, to ``least`` at least, in colours, with their bar on the right;
+    ``marked`` pixels are pink."""
+    high = max(float(values.max()), least)
+    picture = _colored(np.clip(255 * values / high, 0, 255).astype(np.uint8), colors)
+    for pixels in marked:
+        if pixels is not None:
+            picture[pixels] = BEYOND
     height = picture.shape[0]
     text = max(0.3, height / 600)
     wide = max(6, height // 24)
@@ -105,10 +99,6 @@ def _with_bar(picture: np.ndarray, colors: int, high: float) -> np.ndarray:
         label = f"{share * high:.{digits}f}"
         cv2.putText(bar, label, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
     return np.hstack([picture, bar])
-
-
-def _normals(normals: np.ndarray) -> np.ndarray:
-    return np.clip(127.5 * (normals + 1.0), 0, 255).astype(np.uint8)
 
 
 def _markers(image: np.ndarray, markers: SeenMarkers) -> np.ndarray:

@@ -315,13 +315,8 @@ def write_tracks(
 
 
 def _arrays(track: MarkerTracks, flow: MarkerFlow) -> dict[str, np.ndarray]:
-    arrays = {
-        "row": track.row,
-        "column": track.column,
-        "rest_px": track.rest_px,
-        "uv_px": track.uv_px,
-        "sigma_px": track.sigma_px,
-        "status": track.status,
+    of_track = ("row", "column", "rest_px", "uv_px", "sigma_px", "status")
+    arrays = {name: getattr(track, name) for name in of_track} | {
         "points_mm": flow.points_mm,
         "displacement_mm": flow.displacement_mm,
         "displacement_sigma_mm": flow.sigma_mm,
