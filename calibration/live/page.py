@@ -23,7 +23,6 @@ from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMark
 from taccel_lab.calibration.live.run import Latency
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.reading_files import write_reading
-from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
@@ -220,7 +219,7 @@ class LivePage:
         self._chart.add(now, reading)
         if self._keep.is_set():
             self._keep.clear()
-            kept = save_snapshot(reading, reader, self._snapshots)
+            kept = save_snapshot(reading, self._snapshots)
             self._kept.content = PageText("wrote {}").format(str(kept))
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
@@ -318,7 +317,7 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
 _SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
 
 
-def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Path:
+def save_snapshot(reading: LiveReading, folder: Path) -> Path:
     """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth`` where the depth is not
     refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -327,11 +326,5 @@ def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Pat
     path = folder / f"{stem}_image.png"
     write_png(path, reading.image)
     if reading.surface is not None and not reading.refused:
-        touch = TouchReading(
-            **vars(reading.surface),
-            grid=reader.grid,
-            press=reading.press,
-            no_press=reader.no_pressure,
-        )
-        write_reading(touch, reading.image, path, folder, stem)
+        write_reading(reading.surface, reading.image, path, folder, stem)
     return path

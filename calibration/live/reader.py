@@ -17,8 +17,9 @@ from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import TrackStatus
-from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
+from taccel_lab.calibration.pressure.touch import TouchReader, TouchReading
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
@@ -53,8 +54,9 @@ class LiveReading:
 
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
-    surface: SurfaceReading | None
-    """Surface on the reader's grid; None where the profile has no block for it."""
+    surface: TouchReading | None
+    """Surface on the reader's grid, and what holds it so; None where the profile has no block for
+    it. Without pressure where it is rejected, and of domes."""
     figures: dict[str, Any]
     """Figures of the surface; empty without one."""
     refused: str
@@ -65,8 +67,11 @@ class LiveReading:
     """Forces by name; empty where nothing tells them."""
     stages_s: dict[str, float]
     """Time that each stage took [s]."""
-    press: ContactPressure | None = None
-    """What holds the surface so; None without a surface, where it is rejected, and of domes."""
+
+    @property
+    def press(self) -> ContactPressure | None:
+        """What holds the surface so, where that is known."""
+        return None if self.surface is None else self.surface.press
 
 
 def require_readable(profile: SensorProfile) -> None:
@@ -128,12 +133,8 @@ class LiveReader:
         self._unlike = ""
         if has_depth:
             self.surface = SurfaceReader(profile, background=background, device=device)
-        self.pressure, self.no_pressure = None, ""
-        if self.surface is not None:
-            try:
-                self.pressure = PressureReader(profile, self.surface.grid)
-            except InputError as error:
-                self.no_pressure = str(error)
+            self._touch = TouchReader(self.surface)
+        self.no_pressure = "" if self.surface is None else self._touch.no_press
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
         """Why markers are not followed though the profile has some; empty otherwise."""
@@ -151,7 +152,8 @@ class LiveReader:
     @property
     def relaxes(self) -> bool:
         """Whether forces depend on the frames before, and on their times."""
-        return bool(self.profile.material.branches) and self.pressure is not None
+        pressed = self.surface is not None and not self.no_pressure
+        return bool(self.profile.material.branches) and pressed
 
     def read(self, image: np.ndarray, time_s: float | None = None) -> LiveReading:
         """Read the next frame, RGB uint8, of the profile's size.
@@ -159,7 +161,7 @@ class LiveReader:
         ``time_s``: when it was taken, for gels that relax; None where that is not known.
         """
         stages: dict[str, float] = {}
-        surface, press, figures, refused = None, None, {}, ""
+        touch, figures, refused = None, {}, ""
         if self.surface is not None:
             with _timed(stages, "light"):
                 lit = self.surface.lit(image)
@@ -173,16 +175,14 @@ class LiveReader:
                 refused = self._unlike or _refusal(figures)
             self._count += 1
             figures["max_depth_sigma_mm"] = self._sigma_mm
-            if self.pressure is not None and not refused:
+            if refused or self.no_pressure:
+                known = {"grid": self.surface.grid, "no_press": refused or self.no_pressure}
+                touch = TouchReading(**vars(surface), press=None, **known)
+            else:
                 with _timed(stages, "pressure"):
-                    press = self.pressure.read(
-                        surface.rise_m,
-                        surface.touch,
-                        surface.height_sigma_m,
-                        surface.reading_sigma_m,
-                        time_s,
-                    )
-                figures |= press.figures()
+                    touch = self._touch.press(surface, time_s)
+                if touch.press is not None:
+                    figures |= touch.press.figures()
         markers = None
         if self.tracker is not None:
             with _timed(stages, "markers"):
@@ -193,7 +193,7 @@ class LiveReader:
         if self.force is not None:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
-        return LiveReading(image, surface, figures, refused, markers, forces, stages, press)
+        return LiveReading(image, touch, figures, refused, markers, forces, stages)
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
