@@ -19,7 +19,7 @@ from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.capture.folder import CaptureFolder, MarkerCaptures
 from taccel_lab.calibration.capture.importers.draft import write_png
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION, manifest_text
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.files.atomic_file import write_by
@@ -183,8 +183,6 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             f"{folder.source} has no {MANIFEST_NAME}; make a capture folder of it first "
             "(taccel-lab capture import)"
         )
-    import tomli_w
-
     document = read_toml(folder.root / MANIFEST_NAME)
     notes: list[str] = []
     with atomic_directory(out) as target:
@@ -229,7 +227,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         document["raw_sha256"] = {"captures.toml": folder.provenance["manifest_sha256"]} | {
             Path(frame.source).name: frame.sha256 for frame in raw if frame is not None
         }
-        (target / MANIFEST_NAME).write_text(tomli_w.dumps(document), encoding="utf-8")
+        (target / MANIFEST_NAME).write_text(manifest_text(document), encoding="utf-8")
     return notes
 
 

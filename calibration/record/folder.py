@@ -26,7 +26,12 @@ from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.importers import freeze_split
 from taccel_lab.calibration.capture.importers.draft import require_lengths, write_png
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION, manifest_text
+from taccel_lab.calibration.capture.schema import (
+    MANIFEST_NAME,
+    SCHEMA_VERSION,
+    manifest_notes,
+    manifest_text,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.files.images import read_image
@@ -311,7 +316,8 @@ def open_record(
         notes = facts.notes()
     else:
         load_capture_folder(path)  # Refuses what is damaged, by name.
-        manifest, notes = read_toml(path / MANIFEST_NAME), _notes(path)
+        manifest = read_toml(path / MANIFEST_NAME)
+        notes = manifest_notes(path / MANIFEST_NAME)
         facts.require_same(manifest, path)
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
@@ -326,16 +332,6 @@ def open_record(
                 if any(folder.iterdir()):
                     break
                 folder.rmdir()
-
-
-def _notes(path: Path) -> tuple[str, ...]:
-    """Comments at the head, which stay."""
-    notes = []
-    for line in (path / MANIFEST_NAME).read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        notes.append(line.lstrip("# "))
-    return tuple(notes)
 
 
 @contextmanager

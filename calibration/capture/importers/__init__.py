@@ -33,7 +33,7 @@ from taccel_lab.calibration.capture.importers.files import (
 )
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, manifest_notes
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
@@ -323,8 +323,7 @@ def import_folders(
             except InputError as error:
                 text = str(error).replace(str(folder), str(source))
                 raise InputError(f"{text} (imported from {draft.place})") from error
-            lines = (folder / MANIFEST_NAME).read_text(encoding="utf-8").splitlines()
-            notes = tuple(line[2:] for line in lines if line.startswith("# "))
+            notes = manifest_notes(folder / MANIFEST_NAME)
             # Nothing may fail of the folder once it stands: what is said of it is read before.
             written_facts = captures.contents(), captures.assumed, captures.provenance, notes
             written.append(Imported(out / draft.part, *written_facts))
