@@ -28,6 +28,7 @@ from taccel_lab.calibration.camera.lens import (
     MIN_VIEWS,
     BundleFit,
     Lens,
+    excess_over_best,
     fit_lenses,
     fit_pose,
     initial_pose,
@@ -235,9 +236,7 @@ def _score_lenses(
                 left[k][i] = _heldout(views[i], fit.lens, fit.parameters)
     progress("fitting the lens", len(names) + 1, len(names) + 1)
     mse = np.array([[rms(r) ** 2 for r in of_lens] for of_lens in left])[:, used]
-    # How much worse than the best lens each is, view by view.
-    excess = mse - mse[mse.mean(axis=1).argmin()]
-    errors = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
+    excess, errors = excess_over_best(mse)
     return [
         LensScore(
             fit.lens,
@@ -246,7 +245,7 @@ def _score_lenses(
             float(np.sqrt(2)) * robust_scale(np.concatenate(left[k])),
             np.stack(parameters[k]),
             mse[k],
-            float(excess[k].mean()),
+            float(excess[k]),
             # Differences below a millionth of a square pixel are rounding.
             max(float(errors[k]), 1e-6),
         )

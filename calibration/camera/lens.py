@@ -284,6 +284,13 @@ def _plausible(x: np.ndarray, size_px: tuple[int, int]) -> bool:
     return bool(near and ((focal > 0.05 * longest) & (focal < 50 * longest)).all())
 
 
+def excess_over_best(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much worse each of several models scores than the best, on average, and its standard
+    error, both [model]; ``scores`` are held-out square errors, shape [model, item]."""
+    excess = scores - scores[scores.mean(axis=1).argmin()]
+    return excess.mean(axis=1), excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
+
+
 def fit_lenses(
     views: Sequence[BoardView], lenses: Sequence[Lens]
 ) -> tuple[list[BundleFit], list[BoardView], list[str]]:
