@@ -17,9 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.calibration.capture.camera.recording import Recording, is_picture
 from taccel_lab.calibration.capture.framing import BACKGROUND_NAME
-from taccel_lab.calibration.capture.importers.files import is_picture
 from taccel_lab.calibration.still_gel import find_still_gel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image

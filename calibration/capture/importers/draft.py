@@ -15,17 +15,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture.camera.recording import is_picture
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     median_image,
 )
-from taccel_lab.calibration.capture.importers.files import (
-    UNKNOWN,
-    images_in,
-    is_picture,
-    left_out_sentences,
-)
+from taccel_lab.calibration.capture.importers.files import UNKNOWN, images_in, left_out_sentences
 from taccel_lab.calibration.capture.importers.label_tables import (
     NAMES,
     LabelTables,

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from taccel_lab.calibration.capture.camera.recording import is_picture, natural_key
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
@@ -24,29 +25,6 @@ from taccel_lab.files.table_file import Row, read_table
 from taccel_lab.files.text_file import read_text
 from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
-
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
-
-
-def is_picture(path: Path | str) -> bool:
-    """Whether a file is an image by its ending."""
-    return Path(path).suffix.lower() in IMAGES
-
-
-def is_video(path: Path) -> bool:
-    """Whether a file is a video by its ending."""
-    return path.suffix.lower() in VIDEOS
-
-
-def natural_key(path: Path | str) -> list[tuple[int, int, str]]:
-    """Sort key under which ``frame_2`` comes before ``frame_10``."""
-    # ASCII's alone: there are other characters that `isdigit`, but not `int`, takes for digits.
-    parts = re.split(r"([0-9]+)", str(path))
-    return [
-        (0, int(part), "") if index % 2 else (1, 0, part.lower())
-        for index, part in enumerate(parts)
-    ]
 
 
 def images_in(folder: Path, *patterns: str) -> list[Path]:

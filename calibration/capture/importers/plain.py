@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture.camera.recording import is_video
 from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     guess_background,
@@ -21,12 +22,7 @@ from taccel_lab.calibration.capture.importers.draft import (
     ImportOptions,
     board_entry,
 )
-from taccel_lab.calibration.capture.importers.files import (
-    capture_folders,
-    images_in,
-    is_video,
-    press_rows,
-)
+from taccel_lab.calibration.capture.importers.files import capture_folders, images_in, press_rows
 from taccel_lab.calibration.capture.importers.label_tables import without_path
 from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record

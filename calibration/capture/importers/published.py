@@ -19,6 +19,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from taccel_lab.calibration.capture.camera.recording import natural_key
 from taccel_lab.calibration.capture.importers.draft import (
     Draft,
     ImportOptions,
@@ -29,7 +30,6 @@ from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     images_in,
     label_numbers,
-    natural_key,
     stated_number,
 )
 from taccel_lab.calibration.capture.taxim_pack import (
