@@ -17,9 +17,13 @@ from taccel_lab.calibration.base_profile import (
     require_labels_and_view,
     with_measured_scale,
 )
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, without_labels
+from taccel_lab.calibration.capture.captures import (
+    CaptureSet,
+    ContactCircle,
+    PressSplit,
+    without_labels,
+)
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.run import (
     capture_check,
     capture_findings,

@@ -18,8 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale, with_session
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
-from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.camera.rectify_captures import LEFT_OUT, rectify_captures
+from taccel_lab.calibration.camera.rectification import (
+    LEFT_OUT,
+    RectificationMaps,
+    rectify_captures,
+)
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.content import Readiness

@@ -25,13 +25,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.capture.importers.background_guess import (
+from taccel_lab.calibration.capture.camera.recording import Recording, is_picture
+from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     MIN_CONTACT_LEVELS,
     contact_strength,
+    thumb,
 )
-from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image

@@ -74,3 +74,17 @@ def require_shape(
         raise InputError(f"{name} must have shape {allowed}, got {list(found)}")
     if finite and not np.isfinite(array).all():
         raise InputError(f"{name} holds NaN or infinite values")
+
+
+def require_size(
+    name: str, found_px: Sequence[int], other: str, wanted_px: Sequence[int], advice: str = ""
+) -> None:
+    """Refuse an image of another width and height [px] than ``other`` has.
+
+    Raises InputError with both sizes, and what to do.
+    """
+    if tuple(found_px) != tuple(wanted_px):
+        raise InputError(
+            f"{name} is {found_px[0]}x{found_px[1]} px, {other} {wanted_px[0]}x{wanted_px[1]} px; "
+            + (advice or "both have to be of one size")
+        )

@@ -224,7 +224,7 @@ TEXT_FORMATS = {"tomllib", "yaml", "csv", "json"}
 OWN_FILES = {"calibration/circles/usable.py": "json", "calibration/live/recorded.py": "json"}
 """A digest guards what a cache kept; rows of an interrupted reading begin with one."""
 WRITERS = {
-    "calibration/markers/track_files.py": "csv",
+    "calibration/markers/tracks.py": "csv",
     "taccel_lab/studies/evaluate/study_folder.py": "csv",
     "taccel_lab/exporters/gs_sdk.py": "yaml",
     "taccel_lab/exporters/tacto.py": "yaml",

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.board_lattice import board_lattice, oriented
+from taccel_lab.calibration.camera.board import BoardView, board_lattice, oriented
 from taccel_lab.calibration.dots.blobs import find_blobs, is_inside
 from taccel_lab.errors import InputError
 
@@ -206,7 +205,7 @@ def detect_charuco(
     ]
     found = [_corners(grey, board) for board in layouts]
     index, uv, markers = max(found, key=lambda item: len(item[1]))
-    if len(uv) < _MIN_CHARUCO or not _spans(index):
+    if len(uv) < _MIN_CHARUCO or not (np.ptp(index, axis=0) >= 1).all():
         flipped = [_corners(np.ascontiguousarray(grey[:, ::-1]), board) for board in layouts]
         most = max(flipped, key=lambda item: len(item[1]))
         if len(most[1]) >= _MIN_CHARUCO and len(most[1]) > len(uv):
@@ -223,10 +222,6 @@ def detect_charuco(
         )
     size = (image.shape[1], image.shape[0])
     return BoardView(name, name, size, index, uv, expected)
-
-
-def _spans(index: np.ndarray) -> bool:
-    return len(index) > 0 and bool((np.ptp(index, axis=0) >= 1).all())
 
 
 def _corners(grey: np.ndarray, board: cv2.aruco.CharucoBoard) -> tuple[np.ndarray, np.ndarray, int]:

@@ -13,12 +13,12 @@ from taccel_lab.calibration.camera.intrinsics import (
     require_choices,
 )
 from taccel_lab.calibration.camera.options import CameraOptions
-from taccel_lab.calibration.camera.pixel_grid import (
+from taccel_lab.calibration.camera.result import (
+    CameraCalibration,
     origin_px,
     stated_scale_remarks,
     tactile_size,
 )
-from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.camera.media import OUTSIDE_INDEX
 from taccel_lab.camera.refraction import FlatMedia

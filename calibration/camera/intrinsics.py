@@ -23,8 +23,16 @@ from scipy.spatial import ConvexHull
 
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import MIN_VIEWS, BundleFit, fit_lenses, initial_pose
-from taccel_lab.calibration.camera.lens import LENSES, Lens, fit_pose
+from taccel_lab.calibration.camera.lens import (
+    LENSES,
+    MIN_VIEWS,
+    BundleFit,
+    Lens,
+    excess_over_best,
+    fit_lenses,
+    fit_pose,
+    initial_pose,
+)
 from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
@@ -228,9 +236,7 @@ def _score_lenses(
                 left[k][i] = _heldout(views[i], fit.lens, fit.parameters)
     progress("fitting the lens", len(names) + 1, len(names) + 1)
     mse = np.array([[rms(r) ** 2 for r in of_lens] for of_lens in left])[:, used]
-    # How much worse than the best lens each is, view by view.
-    excess = mse - mse[mse.mean(axis=1).argmin()]
-    errors = excess.std(axis=1, ddof=1) / np.sqrt(excess.shape[1])
+    excess, errors = excess_over_best(mse)
     return [
         LensScore(
             fit.lens,
@@ -239,7 +245,7 @@ def _score_lenses(
             float(np.sqrt(2)) * robust_scale(np.concatenate(left[k])),
             np.stack(parameters[k]),
             mse[k],
-            float(excess[k].mean()),
+            float(excess[k]),
             # Differences below a millionth of a square pixel are rounding.
             max(float(errors[k]), 1e-6),
         )

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.lens import Lens, planar_pose
+from taccel_lab.calibration.camera.lens import Lens, excess_over_best, planar_pose
 from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
@@ -180,15 +180,10 @@ def fit_planes(views: Sequence[BoardView], models: Sequence[CameraPose]) -> list
 
 def choose_plane(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, list[PlaneFit]]:
     """The simplest fit within one standard error of the best, and all that are within it."""
-    errors = [fit.point_mse for fit in fits]
-    best = errors[int(np.argmin([e.mean() for e in errors]))]
-    near = []
-    for fit, error in zip(fits, errors, strict=True):
-        difference = error - best
-        margin = max(float(difference.std(ddof=1) / np.sqrt(len(difference))), _EXACT_PX**2)
-        if difference.mean() <= margin:
-            near.append(fit)
-    return near[0], near
+    excess, errors = excess_over_best(np.stack([fit.point_mse for fit in fits]))
+    near = excess <= np.maximum(errors, _EXACT_PX**2)
+    chosen = [fit for fit, one in zip(fits, near, strict=True) if one]
+    return chosen[0], chosen
 
 
 def _moved(xy_mm: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Capture folders: the manifest, the loader, and importers of other projects' layouts."""
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle, Frame
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
     ForceRecord,
-    Frame,
     MarkerCaptures,
     Video,
 )

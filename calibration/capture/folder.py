@@ -14,8 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet
-from taccel_lab.calibration.capture.once import Once
+from taccel_lab.calibration.capture.captures import (
+    HOLDOUT_EVERY,
+    CapturedPress,
+    CaptureSet,
+    Frame,
+    Once,
+    PressSplit,
+    split_presses,
+)
 from taccel_lab.calibration.capture.schema import (
     BoardEntry,
     EdgeEntry,
@@ -23,25 +30,9 @@ from taccel_lab.calibration.capture.schema import (
     RecordEntry,
     VideoEntry,
 )
-from taccel_lab.calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One image."""
-
-    name: str
-    source: str
-    """File the image comes from, for error messages."""
-    sha256: str
-    read: Callable[[], np.ndarray]
-
-    def image(self) -> np.ndarray:
-        """The image, RGB uint8, shape [height_px, width_px, 3]."""
-        return self.read()
 
 
 @dataclass(frozen=True)

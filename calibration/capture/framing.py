@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether images show the same gel through the same optics: misfit and channel order.
+"""Small images compared: whether they show the same gel through the same optics, and which of many
+shows the untouched gel.
 
-All comparisons are of small images in one light, which takes out exposure and white balance, and by
-medians, which a contact on a part of the gel does not move.
+Comparisons of gels, by misfit and by the order of channels, are of images in one light, which takes
+out exposure and white balance, and by medians, which a contact on a part of the gel does not move.
 """
 
 from __future__ import annotations
 
 import itertools
+import re
+from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from taccel_lab.calibration.frame_light import fit_light
+from taccel_lab.errors import InputError
+from taccel_lab.files.images import Image, levels, read_image
 
 THUMB_PX = 160
 """Longer side of the small images."""
@@ -59,3 +65,90 @@ def best_channel_order(
         distances[order] = float(np.median(np.linalg.norm(change, axis=-1)))
     best = min(distances, key=lambda order: distances[order])
     return best, distances[best], distances[0, 1, 2]
+
+
+BACKGROUND_NAME = re.compile(
+    r"(^|[_\-. ])(bg|background|ref|reference|blank|no_?contact|untouched|init|empty|rest)"
+    r"($|[_\-. \d])",
+    re.IGNORECASE,
+)
+FIRST_FRAME_NAME = re.compile(r"^(frame|img|image|calib|sample)?[_\-]?0+$", re.IGNORECASE)
+"""Frame 0 is the background in several layouts; it counts less than a name that says so."""
+MIN_CONTACT_LEVELS = 5.0
+"""Strongest change below which a small picture shows no contact."""
+MAX_STACK = 61
+"""Frames that a median is taken over: more do not make it quieter than the camera's levels."""
+STACK_BYTES = 96 << 20
+"""Most bytes of the pictures that a median holds at a time."""
+
+
+def median_image(images: Sequence[Image | str]) -> np.ndarray:
+    """Median of images of one size, RGB uint8, over at most 61 of them, evenly picked.
+
+    Large ones are read again for each band of rows, so that no more than ``STACK_BYTES`` of them
+    are held.
+    """
+    pick = np.unique(np.linspace(0, len(images) - 1, min(len(images), MAX_STACK)).astype(int))
+    picked = [images[i] for i in pick]
+    shape = levels(picked[0]).shape
+    median = np.empty(shape, dtype=np.uint8)
+    count = max(1, STACK_BYTES // (len(picked) * shape[1] * shape[2]))
+    for top in range(0, shape[0], count):
+        band = np.empty((len(picked), min(count, shape[0] - top), *shape[1:]), dtype=np.uint8)
+        shapes = {shape}
+        for i, source in enumerate(picked):
+            image = levels(source)
+            shapes.add(image.shape)
+            if image.shape == shape:
+                band[i] = image[top : top + count]
+        if len(shapes) > 1:
+            sizes = sorted(f"{width}x{height}" for height, width, _ in shapes)
+            raise InputError(f"images of different sizes ({', '.join(sizes)} px) have no median")
+        # A row at a time: medians have 8 bytes a level.
+        for row in range(band.shape[1]):
+            median[top + row] = np.median(band[:, row], axis=0).round()
+    return median
+
+
+def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:
+    """The image that shows the untouched gel, and why; None when none of them does.
+
+    By name first. Otherwise the image nearest to the median of all (each freed of its own drift),
+    if it is as near as the noise allows: presses at changing places leave the median untouched.
+    """
+    named = [path for path in paths if BACKGROUND_NAME.search(path.stem)]
+    if named:
+        return named[0], f"{named[0].name} is called a background"
+    first = [path for path in paths if FIRST_FRAME_NAME.match(path.stem)]
+    if len(first) == 1 and len(paths) > 1:
+        return first[0], f"{first[0].name} is frame 0"
+    if len(paths) < 4:
+        return None, f"none of {len(paths)} images is called a background"
+    pick = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MAX_STACK)).astype(int))
+    small = [thumb(read_image(paths[i]), 120) for i in pick]
+    if len({image.shape for image in small}) > 1:
+        return None, "the images are of different sizes"
+    median = np.median(np.stack(small), axis=0)
+    spread = np.array([contact_strength(image - median) for image in small])
+    best = int(np.argmin(spread))
+    typical = float(np.median(spread))
+    if typical < MIN_CONTACT_LEVELS:
+        return None, (
+            f"the images differ by {typical:.1f} levels at their strongest: no contact shows in "
+            "most of them"
+        )
+    if spread[best] < 0.25 * typical:
+        path = paths[int(pick[best])]
+        return path, (
+            f"{path.name} differs least from the median of all ({spread[best]:.1f} levels, the "
+            f"others {typical:.1f})"
+        )
+    return None, (
+        f"no image is untouched: the one nearest to the median of all is still "
+        f"{spread[best]:.1f} levels off at its strongest, the typical one {typical:.1f}"
+    )
+
+
+def contact_strength(change: np.ndarray) -> float:
+    change = change - np.median(change, axis=(0, 1), keepdims=True)
+    return float(np.percentile(np.linalg.norm(change, axis=-1), 99))

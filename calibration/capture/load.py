@@ -1,30 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a capture folder (``captures.toml``) or a Taxim ``dataPack.npz``, refusing what is unfit."""
+"""Read a capture folder (``captures.toml``, ``contacts.toml``) or a Taxim ``dataPack.npz``: what is
+unfit is refused.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle, Frame
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
     EdgeCapture,
-    Frame,
+    MarkerCaptures,
+    Video,
     in_words,
 )
-from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_presses
-from taccel_lab.calibration.capture.records import load_record
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
+from taccel_lab.calibration.capture.records import load_record, read_columns
+from taccel_lab.calibration.capture.schema import (
+    MANIFEST_NAME,
+    CaptureManifest,
+    MarkersEntry,
+    VideoEntry,
+)
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
-from taccel_lab.calibration.capture.video import image_frame, load_markers
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_grey
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.kept_images import KeptImages
+from taccel_lab.files.plain_values import first_repeated
 from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.files.strict_model import Flag, Number, StrictModel
+from taccel_lab.files.videos import count_frames, read_frames
+from taccel_lab.guards import require_size
+from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import profile_folder
 
 MIN_SIZE_PX = 32
@@ -102,7 +118,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             circle = ContactCircle(**entry.contact.model_dump())
         name = entry.name or frame.name
         said = entry.model_dump(include={"radius_mm", "depth_mm", "force_n", "stage_mm"})
-        presses.append(CapturedPress(name, frame.source, frame.sha256, circle, frame.read, **said))
+        presses.append(CapturedPress(name, frame.source, frame.sha256, frame.read, circle, **said))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     contacts = inner_path(folder, CONTACTS_NAME)
     if contacts.is_file():
@@ -191,8 +207,160 @@ def _frame(images: KeptImages, folder: Path, name: str, like: _Sized | None) -> 
 
 
 def _check_size(size: tuple[int, int], path: Path, like: _Sized | None) -> None:
-    if like is not None and size != like[1]:
+    if like is not None:
+        advice = "all images have to be of one size"
+        require_size(str(path), size, f"the background {like[0]} is", like[1], advice)
+
+
+LOST_SHARE = 0.95
+"""Share of the frames that a file states, of which as many have to decode."""
+
+
+def load_markers(
+    images: KeptImages, folder: Path, entry: MarkersEntry, background: Frame | None
+) -> MarkerCaptures:
+    """The dots at rest and their videos; InputError when there is no picture of dots at all."""
+    rest = background if entry.rest is None else image_frame(images, folder, entry.rest)
+    of_labels = None
+    if entry.labels_image is not None:
+        of_labels = image_frame(images, folder, entry.labels_image)
+    if rest is None and of_labels is None and not entry.videos:
         raise InputError(
-            f"{path} is {size[0]}x{size[1]} px but the background {like[0]} is "
-            f"{like[1][0]}x{like[1][1]} px; all images have to be of one size"
+            f"{folder}: markers need an image at rest (markers.rest or background), or a video"
         )
+    videos = tuple(load_video(images, folder, video) for video in entry.videos)
+    labels = {} if entry.labels is None else read_columns(inner_path(folder, entry.labels))
+    missing = {"u_px", "v_px", "du_px", "dv_px"} - labels.keys()
+    if labels and missing:
+        raise InputError(f"{folder / str(entry.labels)} lacks {', '.join(sorted(missing))}")
+    return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos, labels, of_labels)
+
+
+def image_frame(images: KeptImages, folder: Path, name: str) -> Frame:
+    """An image file; InputError where it cannot be decoded."""
+    path = inner_path(folder, name)
+    images.read(path)
+    return Frame(path.stem, str(path), file_sha256(path), partial(images.read, path))
+
+
+def load_video(images: KeptImages, folder: Path, entry: VideoEntry) -> Video:
+    """One motion; InputError when it does not decode or holds fewer than two frames."""
+    if (entry.file is None) == (not entry.frames):
+        raise InputError(f"{folder}: a video needs either a file or frames, and not both")
+    if entry.file is not None:
+        path = inner_path(folder, entry.file)
+        count, stated = count_frames(path)
+        read = partial(read_frames, path)
+        return Video(entry, str(path), file_sha256(path), count, read, stated)
+    paths = [path for name in entry.frames for path in _expand(folder, name)]
+    if len(paths) < 2:
+        raise InputError(f"{folder}: a video needs at least 2 frames, found {len(paths)}")
+    digest = hashlib.sha256("".join(file_sha256(path) for path in paths).encode()).hexdigest()
+    return Video(entry, str(paths[0]), digest, len(paths), lambda: map(images.read, paths))
+
+
+def cut_short(video: Video) -> str | None:
+    """Says so when clearly fewer frames decode than the file states; None when all do."""
+    if video.frame_count >= LOST_SHARE * video.stated_count:
+        return None
+    return (
+        f"{video.source}: {video.frame_count} of the {video.stated_count} frames that it states "
+        "can be read: the file is damaged or was not closed"
+    )
+
+
+def _expand(folder: Path, name: str) -> list[Path]:
+    """Files of a name, which may hold wildcards."""
+    wild = any(c in name for c in "*?[")
+    paths = sorted(folder.glob(name)) if wild else [folder / name]
+    return [inner_path(folder, path.relative_to(folder).as_posix()) for path in paths]
+
+
+CONTACTS_NAME = "contacts.toml"
+
+HEADER = """\
+# Contact circles of {source}
+# Lines that begin with # have no effect. To correct a circle, take the # away and edit it; to leave
+# a press out, write skip = true in its table. Then put this file into the capture folder.
+"""
+
+
+class ContactOverride(StrictModel):
+    """What a person says about one press: its circle, or that it is left out."""
+
+    press: str = Field(min_length=1)
+    """Name of the press."""
+    u_px: Number | None = None
+    v_px: Number | None = None
+    radius_px: Number | None = Field(default=None, gt=0)
+    skip: Flag = False
+    """Leave the press out of every calibration."""
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> ContactOverride:
+        given = [value is not None for value in (self.u_px, self.v_px, self.radius_px)]
+        if any(given) and not all(given):
+            raise ValueError("u_px, v_px and radius_px go together; one is missing")
+        return self
+
+    def circle(self) -> ContactCircle | None:
+        """The circle, or None when the found one stays."""
+        if self.u_px is None or self.v_px is None or self.radius_px is None:
+            return None
+        return ContactCircle(self.u_px, self.v_px, self.radius_px)
+
+
+class _OverrideFile(StrictModel):
+    contact: list[ContactOverride] = Field(default_factory=list)
+
+
+def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[CapturedPress, ...]:
+    """The presses with the circles of ``path``, less those that it leaves out.
+
+    Raises InputError with the file and what is wrong.
+    """
+    entries = _OverrideFile.read(path).contact
+    twice = first_repeated(entry.press for entry in entries)
+    if twice is not None:
+        raise InputError(f"{path}: {twice} appears twice")
+    overrides = {entry.press: entry for entry in entries}
+    unknown = sorted(set(overrides) - {press.name for press in presses})
+    if unknown:
+        raise InputError(
+            f"{path} names {', '.join(unknown)}, which is no press of the captures (there are "
+            f"{', '.join(press.name for press in presses[:6])}{' ...' if len(presses) > 6 else ''})"
+        )
+    kept = []
+    for press in presses:
+        override = overrides.get(press.name)
+        if override is None:
+            kept.append(press)
+        elif not override.skip:
+            circle = override.circle()
+            checked = dataclasses.replace(press, circle=circle, checked=True)
+            kept.append(press if circle is None else checked)
+    if presses and not kept:
+        raise InputError(f"{path} leaves out every press; at least one has to stay")
+    return tuple(kept)
+
+
+def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None, str]]) -> str:
+    """Contents of a ``contacts.toml``: (press, circle found, note); no circle leaves it out."""
+    import tomli_w
+
+    blocks = [HEADER.format(source=printable(source))]
+    for name, circle, note in entries:
+        quoted = tomli_w.dumps({"press": name}).strip()
+        lines = [f"# {printable(line)}" for line in note.splitlines() if line]
+        if circle is None:
+            lines += ["[[contact]]", quoted, "skip = true"]
+        else:
+            lines += [
+                "# [[contact]]",
+                f"# {quoted}",
+                f"# u_px = {circle.u_px:.2f}",
+                f"# v_px = {circle.v_px:.2f}",
+                f"# radius_px = {circle.radius_px:.2f}",
+            ]
+        blocks.append("\n".join(lines) + "\n")
+    return "\n".join(blocks)

@@ -127,11 +127,14 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
                 f"sigma_n is at least {sigma.min():g} N, the largest force {force.max():g} N: of "
                 "such a record no force is known; sigma_n is in newtons, too"
             )
-        _check_time(columns)
+        for name in TIMES & set(columns):
+            hint = "the rows are not in the order of the loading; is it an unloading?"
+            _require_growing(name, columns[name], hint)
         noise = float(sigma.max()) if entry.force_sigma_n is None else entry.force_sigma_n
         _check_sign(force, noise)
         _check_depth(depth)
-        _check_order(depth)
+        hint = "a record holds one loading in order: cut the unloading off, or sort the points"
+        _require_growing("depth_mm", depth, hint)
         _check_rising(force, noise)
         if tool.kind == "sphere":  # Hertz measures no flat ends; fits of material check those.
             _check_force_unit(tool, depth, force)
@@ -174,25 +177,13 @@ def _check_depth(depth: np.ndarray) -> None:
         )
 
 
-def _check_order(depth: np.ndarray) -> None:
-    wrong = np.flatnonzero(np.diff(depth) < 0)
+def _require_growing(name: str, values: np.ndarray, hint: str) -> None:
+    wrong = np.flatnonzero(np.diff(values) < 0)
     if len(wrong):
         row = int(wrong[0])
         raise InputError(
-            f"depth_mm falls from {depth[row]:g} to {depth[row + 1]:g} in row {row + 2}; a record "
-            "holds one loading in order: cut the unloading off, or sort the points"
+            f"{name} falls from {values[row]:g} to {values[row + 1]:g} in row {row + 2}: {hint}"
         )
-
-
-def _check_time(columns: dict[str, np.ndarray]) -> None:
-    for name in TIMES & set(columns):
-        wrong = np.flatnonzero(np.diff(columns[name]) < 0)
-        if len(wrong):
-            row = int(wrong[0])
-            raise InputError(
-                f"{name} falls from {columns[name][row]:g} to {columns[name][row + 1]:g} in row "
-                f"{row + 2}: the rows are not in the order of the loading; is it an unloading?"
-            )
 
 
 def _check_rising(force: np.ndarray, sigma_n: float) -> None:

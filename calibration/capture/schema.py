@@ -7,6 +7,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, AwareDatetime, Field
@@ -249,6 +251,13 @@ def manifest_text(manifest: Mapping[str, Any], notes: Sequence[str] = ()) -> str
     values = {key: _printable(manifest[key]) if key in _FREE else manifest[key] for key in keys}
     lines = (line for note in notes for line in note.splitlines())
     return "".join(f"# {printable(line)}\n" for line in lines) + tomli_w.dumps(values)
+
+
+def manifest_notes(path: Path) -> tuple[str, ...]:
+    """The comments at the head of a manifest, as ``manifest_text`` writes them."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    head = takewhile(lambda line: line.startswith("#"), lines)
+    return tuple(line.removeprefix("# ") for line in head)
 
 
 def _printable(value: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.optical_design import Light, Triple
+from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.registry import known_sensor, sensor_families
 
 GENERIC = ("flat_pad",)
@@ -80,7 +80,7 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
         view_mm=_longer_mm(grid),
         image_px=(grid.width_px, grid.height_px),
         drop_mm=_drop_mm(pad, size, grid),
-        handedness=_handedness([(lamp.rgb, _middle_mm(lamp)) for lamp in lamps]),
+        handedness=_handedness(lamps),
         has_markers=parameters.markers() is not None,
         is_grey=grey,
     )
@@ -96,23 +96,17 @@ def _drop_mm(pad: Any, size_mm: np.ndarray, grid: PixelGrid) -> float:
     return float(heights[0] - heights[1:].min())
 
 
-def _middle_mm(lamp: Light) -> Triple:
-    """Where most of a lamp's light comes from: of a whole ring from no side."""
-    return (0.0, 0.0, lamp.position_mm[2]) if lamp.arc_deg >= 360 else lamp.position_mm
-
-
-def _handedness(
-    lamps: list[tuple[tuple[float, float, float], tuple[float, float, float]]],
-) -> float | None:
+def _handedness(lamps: list[Light]) -> float | None:
     """Handedness of three lamps of one colour each; None for any other lighting."""
     if len(lamps) != 3:
         return None
     directions = np.zeros((3, 2))
-    for rgb, position in lamps:
-        channel = int(np.argmax(rgb))
-        if rgb[channel] < PURE * sum(rgb):
+    for lamp in lamps:
+        channel = int(np.argmax(lamp.rgb))
+        if lamp.rgb[channel] < PURE * sum(lamp.rgb):
             return None
-        directions[channel] = position[:2]
+        if lamp.arc_deg < 360:  # The light of a whole ring comes from no side.
+            directions[channel] = lamp.position_mm[:2]
     if not np.linalg.norm(directions, axis=1).all():
         return None
     return handedness(directions)

@@ -17,15 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle, Frame
+from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.guards import require_shape
 
 PACK_NAME = "dataPack.npz"
 PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
@@ -145,22 +146,13 @@ def _check_arrays(
     centers: np.ndarray,
     radii: np.ndarray,
 ) -> None:
-    if background.ndim != 3 or background.shape[2] != 3 or background.dtype != np.uint8:
-        raise InputError(
-            f"{path}: f0 is {background.dtype} {background.shape}; uint8 [height, width, 3] needed"
-        )
-    if images.ndim != 4 or images.dtype != np.uint8 or len(images) == 0:
-        raise InputError(
-            f"{path}: imgs is {images.dtype} {images.shape}; uint8 [frames, height, width, 3] with "
-            "at least one frame is needed"
-        )
-    if images.shape[1:] != background.shape:
-        raise InputError(
-            f"{path}: imgs are {images.shape[2]}x{images.shape[1]} px but the background f0 is "
-            f"{background.shape[1]}x{background.shape[0]} px; all images have to be of one size"
-        )
-    if centers.shape != (len(images), 2) or radii.shape != (len(images),):
-        raise InputError(
-            f"{path}: {len(images)} frames need touch_center [{len(images)}, 2] and touch_radius "
-            f"[{len(images)}], got {centers.shape} and {radii.shape}"
-        )
+    with naming(path):
+        for name, levels in (("f0", background), ("imgs", images)):
+            if levels.dtype != np.uint8:
+                raise InputError(f"{name} has type {levels.dtype}; uint8 levels are needed")
+        require_shape("f0", background, ("height", "width", 3))
+        require_shape("imgs", images, ("frames", *background.shape))
+        if len(images) == 0:
+            raise InputError("imgs is empty; at least one frame is needed")
+        require_shape("touch_center", centers, (len(images), 2))
+        require_shape("touch_radius", radii, (len(images),))

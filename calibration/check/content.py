@@ -22,8 +22,8 @@ from taccel_lab.calibration.capture.folder import (
     Video,
 )
 from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.capture.records import LIKELY_MPA, apparent_modulus_mpa
-from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT

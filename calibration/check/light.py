@@ -236,7 +236,7 @@ def median_background(presses: Sequence[CapturedPress]) -> np.ndarray:
 
     It is that of their pictures at the working size of contacts, as large as theirs.
     """
-    from taccel_lab.calibration.capture.importers.background_guess import median_image
+    from taccel_lab.calibration.capture.framing import median_image
 
     height, width = presses[0].image().shape[:2]
     size = WorkingSize(PixelGrid(width, height, 1.0, 1.0))

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
-from taccel_lab.calibration.capture.once import Once
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle, Once
 from taccel_lab.calibration.circles.color_change import (
     MIN_RADIUS_PX,
     SUNK_RADII,

@@ -21,6 +21,7 @@ from taccel_lab.calibration.dots.lattice_growth import (
 )
 from taccel_lab.calibration.robust_fit import fit_robustly, rms, robust_scale
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
 from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
 
 Kind = Literal["rectangular", "hexagonal", "none"]
@@ -111,8 +112,7 @@ def lattice_index(points: np.ndarray) -> Lattice:
         InputError: Not finite, or not of shape [point, 2].
     """
     points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
+    require_shape("points", points, ("point", 2))
     best = largest_growth(points) if len(points) >= _LEAST else None
     if best is not None:
         errors = best.errors()

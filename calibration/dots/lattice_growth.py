@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Growth of a lattice numbering over points: each free point asks its numbered neighbours.
+"""Growth of a lattice numbering over points, and what the points around a point say about it.
 
 From a point with neighbours on opposite sides the numbering grows outwards. The affine map through
 the numbered points around a free one says which site of the lattice it is, as fractions of a step:
@@ -234,3 +234,68 @@ def turned_to_image(steps: np.ndarray, changes: Sequence[np.ndarray]) -> np.ndar
     image's own, to the right, and x to y turns as in the image; ``steps`` as ``mean_steps``."""
     right_handed = [change for change in changes if np.linalg.det(change @ steps) > 0]
     return max(right_handed, key=lambda c: (c[0] @ steps)[0] / np.linalg.norm(c[0] @ steps))
+
+
+_AROUND = 12
+_REACH = 2.6
+"""Pitches within which dots are neighbours."""
+_STIFF = 0.15
+"""Weight of the belief that the field is constant, in neighbours at one pitch."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Who is next to whom, at rest."""
+
+    rest_px: np.ndarray
+    """Shape [marker, 2]."""
+    index: np.ndarray
+    """Neighbours of each marker, nearest first, int, shape [marker, k]."""
+    weight: np.ndarray
+    """Falling with distance, 0 beyond the reach, shape [marker, k]."""
+    pitch_px: float
+    """Median distance of nearest neighbours."""
+
+    @classmethod
+    def of(cls, rest_px: np.ndarray) -> Neighbourhood:
+        """Neighbours among at least 3 markers."""
+        rest_px = np.asarray(rest_px, dtype=np.float64)
+        count = min(_AROUND + 1, len(rest_px))
+        distance, index = map(np.asarray, KDTree(rest_px).query(rest_px, k=count))
+        pitch = float(np.median(distance[:, 1]))
+        far = distance[:, 1:] / pitch
+        weight = np.where(far <= _REACH, 1.0 / (0.5 + far**2), 0.0)
+        # Whoever stands alone still listens to the nearest.
+        weight[:, :3] = np.maximum(weight[:, :3], 1e-3)
+        return cls(rest_px, index[:, 1:], weight, pitch)
+
+    def extrapolate(
+        self, values: np.ndarray, known: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What its known neighbours, but not itself, say of each marker's value.
+
+        Args:
+            values: A smooth field such as displacements, shape [marker, 2].
+            known: Markers whose value counts, bool, shape [marker].
+
+        Returns:
+            Extrapolated values, shape [marker, 2], NaN without a known neighbour; the neighbours'
+            scatter about the extrapolation, shape [marker]; sum of their weights, shape [marker].
+        """
+        around = self.index
+        weight = self.weight * known[around]
+        value = np.where(known[:, None], values, 0.0)[around]
+        offset = (self.rest_px[around] - self.rest_px[:, None]) / self.pitch_px
+        total = weight.sum(axis=1)
+        robust = weight
+        said, scatter = np.full(values.shape, np.nan), np.zeros(len(weight))
+        for _ in range(_ROUNDS):
+            said, slope = local_affine(offset, value, robust, _STIFF)
+            miss = np.linalg.norm(value - said[:, None] - offset @ slope, axis=2)
+            squares = np.where(robust > 0, robust * miss**2, 0.0).sum(axis=1)
+            scatter = np.sqrt(squares / np.maximum(2 * robust.sum(axis=1), 1e-12))
+            bound = np.maximum(scatter, 0.02 * self.pitch_px)[:, None]
+            # Cauchy's weights: a dot that was mistaken for another has no say.
+            robust = np.where(weight > 0, weight / (1.0 + (miss / bound) ** 2), 0.0)
+        return said, scatter, total

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a picture shows dots at all, and which: detection and lattice help each other.
+"""Whether a picture shows dots at all, which, and what they cover: detection and lattice help each
+other.
 
 Sizes and signs that blobs have are tried in turn, most dot-like first. Dots are those that form a
 lattice, which then says which blobs are none.
+
+Colours tell no slope under a dot. A dark dot stands out of the closing of its picture, a maximum
+and a minimum over a window wider than the dot (Serra, Image Analysis and Mathematical Morphology,
+1982). The lattice of the untouched picture says that there are dots, and how far apart.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -73,6 +79,14 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
             return picture
         likeliest = dots if likeliest is None else likeliest
     raise InputError("no dots found: " + _why_not(likeliest))
+
+
+def markers_or_none(image: np.ndarray) -> MarkerPicture | None:
+    """The dots as ``find_markers`` gives them; None for a picture that shows none."""
+    try:
+        return find_markers(image)
+    except InputError:
+        return None
 
 
 def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
@@ -173,3 +187,51 @@ def _why_not(dots: Dots | None) -> str:
         "a sensor without markers has no markers block, and one with markers needs a sharp picture "
         "at rest"
     )
+
+
+WINDOW_SHARE = 0.6
+"""Window of the closing, as a part of the dots' pitch."""
+DARKER = 0.15
+"""Part of the light that a dot takes at least."""
+MARGIN_SHARE = 0.06
+"""Rim around a dot that is covered, too, as a part of the pitch: lenses blur it."""
+COARSE_PARTS = 12
+"""Dots are narrower than this part of the shorter side: what a first look for them takes."""
+
+
+@dataclass(frozen=True)
+class DotMask:
+    """Where dots are."""
+
+    at_rest: np.ndarray
+    """Pixels that dots cover in the untouched picture, bool, shape [height_px, width_px]."""
+    pitch_px: float
+
+    @classmethod
+    def of(cls, untouched: np.ndarray) -> DotMask | None:
+        """The dots of an untouched picture, RGB levels, shape [height_px, width_px, 3]; None where
+        it shows no lattice of dark ones."""
+        coarse = min(untouched.shape[:2]) / COARSE_PARTS / WINDOW_SHARE
+        dark = _covered(untouched, coarse).astype(np.uint8)
+        if cv2.connectedComponents(dark)[0] <= MIN_DOTS:
+            return None
+        found = markers_or_none(np.clip(untouched, 0, 255).astype(np.uint8))
+        if found is None:
+            return None
+        pitch = float(min(found.layout_px.pitch))
+        return cls(_covered(untouched, pitch), pitch)
+
+    def uncovered(self, image: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+        """Pixels that no dot covers, here or at rest, and that ``mask`` counts, bool, [h, w]."""
+        free = ~(self.at_rest | _covered(image, self.pitch_px))
+        return free if mask is None else free & mask
+
+
+def _covered(image: np.ndarray, pitch_px: float) -> np.ndarray:
+    grey = np.clip(image, 0, 255).astype(np.float32).mean(axis=-1)
+    size = 2 * round(0.5 * WINDOW_SHARE * pitch_px) + 1
+    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    around = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, window)
+    dark = (around - grey > DARKER * np.maximum(around, 1.0)).astype(np.uint8)
+    rim = 2 * max(1, round(MARGIN_SHARE * pitch_px)) + 1
+    return cv2.dilate(dark, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (rim, rim))) > 0

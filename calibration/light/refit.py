@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.base_profile import captures_on_pad, require_image_of
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
-from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
 from taccel_lab.calibration.frame_light import fit_light

@@ -1,27 +1,162 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a live session: all that is read, its figures, and how long it takes."""
+"""The page of a live session: all that is read, its figures, and how long it takes.
+
+Pictures are drawn fast: no axes, one colour scale with its numbers a map.
+"""
 
 from __future__ import annotations
 
 import re
 import threading
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
+import numpy as np
+
 from taccel_lab.calibration.capture.importers.draft import write_png
-from taccel_lab.calibration.live.latency import Latency
-from taccel_lab.calibration.live.pictures import StripChart, pictures
-from taccel_lab.calibration.live.reader import LiveReader, LiveReading
-from taccel_lab.calibration.pressure.touch import TouchReading, write_reading
-from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
+from taccel_lab.calibration.live.run import Latency
+from taccel_lab.calibration.normals.read_surface import SurfaceReading
+from taccel_lab.calibration.pressure.touch import write_reading
+from taccel_lab.calibration.record.page import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
     import numpy as np
     from viser import GuiApi, ViserServer
+
+LEAST_DEEPEST_MM = 0.3
+"""The colour scale of the depth ends here at least, so that noise stays dark."""
+BEYOND = (225, 60, 160)
+"""Pixels beyond the calibration."""
+REFUSED = 170
+LEAST_PRESSURE_KPA = 10.0
+"""The colour scale of the pressure ends here at least."""
+PAPER, INK = 250, (60, 60, 60)
+ARROWS = 3.0
+"""Times the markers' displacement."""
+
+
+def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Title and RGB uint8 picture of all that was read."""
+    change = reading.image.astype(np.int16) - background.astype(np.int16)
+    shown = [
+        ("camera", reading.image),
+        ("change", np.clip(128 + 2 * change, 0, 255).astype(np.uint8)),
+    ]
+    if reading.surface is not None:
+        normals = np.clip(127.5 * (reading.surface.normals + 1.0), 0, 255).astype(np.uint8)
+        shown += [depth_picture(reading.surface, reading.refused), ("normals", normals)]
+        if reading.press is not None:
+            kpa = 1e-3 * reading.press.pressure_pa
+            pressure = _colored_map(kpa, LEAST_PRESSURE_KPA, cv2.COLORMAP_INFERNO)
+            shown.append(("pressure [kPa]", pressure))
+    if reading.markers is not None:
+        shown.append((f"markers, arrows x{ARROWS:g}", _markers(reading.image, reading.markers)))
+    return shown
+
+
+def depth_picture(surface: SurfaceReading, refused: str) -> tuple[str, np.ndarray]:
+    """Title with the scale, and the depth in colours; what the calibration does not reach is
+    marked, and a depth that is rejected is grey."""
+    if refused:
+        return "depth: rejected", np.full((*surface.rise_m.shape, 3), REFUSED, np.uint8)
+    marked = (surface.beyond_balls, surface.saturated)
+    picture = _colored_map(-1e3 * surface.rise_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
+    return "depth [mm] (pink: beyond the calibration)", picture
+
+
+def _colored(levels: np.ndarray, colors: int) -> np.ndarray:
+    return cv2.cvtColor(cv2.applyColorMap(levels, colors), cv2.COLOR_BGR2RGB)
+
+
+def _colored_map(
+    values: np.ndarray, least: float, colors: int, marked: Sequence[np.ndarray | None] = ()
+) -> np.ndarray:
+    """Values from 0 to the largest, to ``least`` at least, in colours, with their bar on the right;
+    ``marked`` pixels are pink."""
+    high = max(float(values.max()), least)
+    picture = _colored(np.clip(255 * values / high, 0, 255).astype(np.uint8), colors)
+    for pixels in marked:
+        if pixels is not None:
+            picture[pixels] = BEYOND
+    height = picture.shape[0]
+    text = max(0.3, height / 600)
+    wide = max(6, height // 24)
+    bar = np.full((height, wide + round(110 * text), 3), PAPER, np.uint8)
+    levels = np.linspace(255, 0, height).astype(np.uint8)[:, None]
+    bar[:, 2 : 2 + wide] = _colored(np.repeat(levels, wide, axis=1), colors)
+    digits = 0 if high >= 20 else 2
+    for share in (0.0, 0.5, 1.0):
+        row = round((1 - share) * (height - 1))
+        where = (wide + 6, min(max(row + round(10 * text), round(24 * text)), height - 2))
+        label = f"{share * high:.{digits}f}"
+        cv2.putText(bar, label, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
+    return np.hstack([picture, bar])
+
+
+def _markers(image: np.ndarray, markers: SeenMarkers) -> np.ndarray:
+    picture = image.copy()
+    for place, rest, seen in zip(markers.uv_px, markers.rest_px, markers.seen, strict=True):
+        if not np.isfinite(place).all():
+            continue
+        tip = rest + ARROWS * (place - rest)
+        color = (255, 220, 0) if seen else (160, 160, 160)
+        ends = [(round(float(u)), round(float(v))) for u, v in (rest, tip)]
+        cv2.arrowedLine(picture, ends[0], ends[1], color, 1, cv2.LINE_AA, tipLength=0.3)
+    return picture
+
+
+SECONDS = 30.0
+MOST_POINTS = 600
+CURVES = (
+    ("depth [mm]", "max_depth_mm", "#1f77b4"),
+    ("contact [mm²]", "contact_mm2", "#2ca02c"),
+    ("normal force [N]", "force_n", "#d62728"),
+)
+"""Label, figure of the reading, colour."""
+
+
+class StripChart:
+    """Three curves over one time."""
+
+    def __init__(self, gui: GuiApi) -> None:
+        """Put the chart below what the page has so far."""
+        from viser import uplot
+
+        self._rows: deque[tuple[float, ...]] = deque()
+        empty = np.zeros(1), np.zeros(1)
+        self._plots = [
+            gui.add_uplot(
+                data=empty,
+                series=(uplot.Series(label="s"), uplot.Series(label=label, stroke=color, width=2)),
+                scales={"x": uplot.Scale(time=False)},
+                title=label,
+                aspect=3.5,
+            )
+            for label, _, color in CURVES
+        ]
+
+    def add(self, now_s: float, reading: LiveReading) -> None:
+        """Take a reading in; what it does not tell, or what is rejected, is a gap."""
+        figures = {} if reading.refused else reading.figures
+        values = (float(figures.get(name, np.nan)) for _, name, _ in CURVES)
+        self._rows.append((now_s, *values))
+        while now_s - self._rows[0][0] > SECONDS:
+            self._rows.popleft()
+
+    def draw(self) -> None:
+        """Show what was taken in."""
+        rows = np.array(list(self._rows)[:: 1 + len(self._rows) // MOST_POINTS])
+        past_s = rows[:, 0] - rows[-1, 0]
+        for plot, values in zip(self._plots, rows.T[1:], strict=True):
+            plot.data = past_s, values
+
 
 FIGURES_EVERY_S = 0.25
 STAGES = {"wait": "wait for camera", "frame": "crop", "age": "taken to shown"}
@@ -84,7 +219,7 @@ class LivePage:
         self._chart.add(now, reading)
         if self._keep.is_set():
             self._keep.clear()
-            kept = save_snapshot(reading, reader, self._snapshots)
+            kept = save_snapshot(reading, self._snapshots)
             self._kept.content = PageText("wrote {}").format(str(kept))
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
@@ -131,12 +266,11 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         lines += [PageText("*{}*").format(text) for text in press.remarks]
     elif reader.no_pressure:
         lines.append(PageText("{}").format(reader.no_pressure))
-    if reading.markers_px is not None and reading.seen is not None and reading.rest_px is not None:
-        moved = reading.markers_px - reading.rest_px
+    if reading.markers is not None:
+        seen, moved = reading.markers.seen, reading.markers.uv_px - reading.markers.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
         lines.append(
-            f"{int(reading.seen.sum())} of {len(reading.seen)} markers seen, largest displacement "
-            f"{largest:.1f} px"
+            f"{int(seen.sum())} of {len(seen)} markers seen, largest displacement {largest:.1f} px"
         )
     elif reader.no_markers:
         lines.append(f"markers are not followed: {reader.no_markers}")
@@ -183,7 +317,7 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
 _SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
 
 
-def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Path:
+def save_snapshot(reading: LiveReading, folder: Path) -> Path:
     """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth`` where the depth is not
     refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -192,11 +326,5 @@ def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Pat
     path = folder / f"{stem}_image.png"
     write_png(path, reading.image)
     if reading.surface is not None and not reading.refused:
-        touch = TouchReading(
-            **vars(reading.surface),
-            grid=reader.grid,
-            press=reading.press,
-            no_press=reader.no_pressure,
-        )
-        write_reading(touch, reading.image, path, folder, stem)
+        write_reading(reading.surface, reading.image, path, folder, stem)
     return path

@@ -18,10 +18,11 @@ from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import TrackStatus
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.surface_reading import SurfaceReading
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
+from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
+from taccel_lab.calibration.pressure.touch import TouchReader, TouchReading
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_size
 from taccel_lab.profile import SensorProfile
 
 SIGMA_EVERY = 5
@@ -36,29 +37,41 @@ ForceReadings = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 
 
 @dataclass(frozen=True)
+class SeenMarkers:
+    """Where markers are in one frame."""
+
+    uv_px: np.ndarray
+    """Places, shape [marker, 2]."""
+    rest_px: np.ndarray
+    """Places at rest, likewise."""
+    seen: np.ndarray
+    """Which of them were found in this frame, bool, shape [marker]."""
+
+
+@dataclass(frozen=True)
 class LiveReading:
     """What one frame shows."""
 
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
-    surface: SurfaceReading | None
-    """Surface on the reader's grid; None where the profile has no block for it."""
+    surface: TouchReading | None
+    """Surface on the reader's grid, and what holds it so; None where the profile has no block for
+    it. Without pressure where it is rejected, and of domes."""
     figures: dict[str, Any]
     """Figures of the surface; empty without one."""
     refused: str
     """Why the depth is not to be believed; empty where it is."""
-    markers_px: np.ndarray | None
-    """Places of the markers, shape [marker, 2]; None without markers."""
-    rest_px: np.ndarray | None
-    """Where they are at rest, likewise."""
-    seen: np.ndarray | None
-    """Which of them were found in this frame, bool, shape [marker]."""
+    markers: SeenMarkers | None
+    """None without markers."""
     forces: Mapping[str, float]
     """Forces by name; empty where nothing tells them."""
     stages_s: dict[str, float]
     """Time that each stage took [s]."""
-    press: ContactPressure | None = None
-    """What holds the surface so; None without a surface, where it is rejected, and of domes."""
+
+    @property
+    def press(self) -> ContactPressure | None:
+        """What holds the surface so, where that is known."""
+        return None if self.surface is None else self.surface.press
 
 
 def require_readable(profile: SensorProfile) -> None:
@@ -101,13 +114,16 @@ class LiveReader:
         require_readable(profile)
         has_depth = profile.normals is not None or profile.depth_response is not None
         grid = profile.grid()
-        if background.shape != (grid.height_px, grid.width_px, 3):
-            raise InputError(
-                f"the camera gives images of {background.shape[1]}x{background.shape[0]} px, the "
-                f"profile's has {grid.width_px}x{grid.height_px} px; give --size, --crop and "
-                "--resize as they were when the captures were recorded"
-            )
-        self.remarks = tuple(f"{_first_up(text)}." for text in profile.sensor.provenance.remarks)
+        require_size(
+            "an image of the camera",
+            background.shape[1::-1],
+            "the profile's",
+            (grid.width_px, grid.height_px),
+            "give --size, --crop and --resize as they were when the captures were recorded",
+        )
+        self.remarks = tuple(
+            f"{text[:1].upper()}{text[1:]}." for text in profile.sensor.provenance.remarks
+        )
         """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
@@ -117,12 +133,8 @@ class LiveReader:
         self._unlike = ""
         if has_depth:
             self.surface = SurfaceReader(profile, background=background, device=device)
-        self.pressure, self.no_pressure = None, ""
-        if self.surface is not None:
-            try:
-                self.pressure = PressureReader(profile, self.surface.grid)
-            except InputError as error:
-                self.no_pressure = str(error)
+            self._touch = TouchReader(self.surface)
+        self.no_pressure = "" if self.surface is None else self._touch.no_press
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
         """Why markers are not followed though the profile has some; empty otherwise."""
@@ -140,7 +152,8 @@ class LiveReader:
     @property
     def relaxes(self) -> bool:
         """Whether forces depend on the frames before, and on their times."""
-        return bool(self.profile.material.branches) and self.pressure is not None
+        pressed = self.surface is not None and not self.no_pressure
+        return bool(self.profile.material.branches) and pressed
 
     def read(self, image: np.ndarray, time_s: float | None = None) -> LiveReading:
         """Read the next frame, RGB uint8, of the profile's size.
@@ -148,7 +161,7 @@ class LiveReader:
         ``time_s``: when it was taken, for gels that relax; None where that is not known.
         """
         stages: dict[str, float] = {}
-        surface, press, figures, refused = None, None, {}, ""
+        touch, figures, refused = None, {}, ""
         if self.surface is not None:
             with _timed(stages, "light"):
                 lit = self.surface.lit(image)
@@ -162,33 +175,25 @@ class LiveReader:
                 refused = self._unlike or _refusal(figures)
             self._count += 1
             figures["max_depth_sigma_mm"] = self._sigma_mm
-            if self.pressure is not None and not refused:
+            if refused or self.no_pressure:
+                known = {"grid": self.surface.grid, "no_press": refused or self.no_pressure}
+                touch = TouchReading(**vars(surface), press=None, **known)
+            else:
                 with _timed(stages, "pressure"):
-                    press = self.pressure.read(
-                        surface.rise_m,
-                        surface.touch,
-                        surface.height_sigma_m,
-                        surface.reading_sigma_m,
-                        time_s,
-                    )
-                figures |= press.figures()
-        places = rest = seen = None
+                    touch = self._touch.press(surface, time_s)
+                if touch.press is not None:
+                    figures |= touch.press.figures()
+        markers = None
         if self.tracker is not None:
             with _timed(stages, "markers"):
                 self.tracker.advance(image)
-            places, rest = self.tracker.uv.copy(), self.tracker.dots.uv_px
             seen = self.tracker.status == TrackStatus.SEEN
+            markers = SeenMarkers(self.tracker.uv.copy(), self.tracker.dots.uv_px, seen)
         forces: Mapping[str, float] = {}
         if self.force is not None:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
-        return LiveReading(
-            image, surface, figures, refused, places, rest, seen, forces, stages, press
-        )
-
-
-def _first_up(text: str) -> str:
-    return text[:1].upper() + text[1:]
+        return LiveReading(image, touch, figures, refused, markers, forces, stages)
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
@@ -207,12 +212,12 @@ def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
 
 def _refusal(figures: Mapping[str, Any]) -> str:
     beyond = figures.get("beyond_balls_share", 0.0)
-    if beyond > REFUSED_SHARE:
-        return (
-            f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth "
-            "is given"
-        )
-    return ""
+    if beyond <= REFUSED_SHARE:
+        return ""
+    return (
+        f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth is "
+        "given"
+    )
 
 
 @contextmanager

@@ -233,11 +233,10 @@ def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
             "center_x_mm": x,
             "center_y_mm": y,
         }
-    if reading.markers_px is not None:
-        assert reading.rest_px is not None and reading.seen is not None
-        grid = reader.profile.grid()
-        moved = (reading.markers_px - reading.rest_px) * [grid.mm_per_px_x, grid.mm_per_px_y]
-        moved_mm = np.linalg.norm(moved[reading.seen], axis=1)
+    if reading.markers is not None:
+        grid, markers = reader.profile.grid(), reading.markers
+        moved = (markers.uv_px - markers.rest_px) * [grid.mm_per_px_x, grid.mm_per_px_y]
+        moved_mm = np.linalg.norm(moved[markers.seen], axis=1)
         row["markers_seen"] = len(moved_mm)
         if len(moved_mm):
             row |= {

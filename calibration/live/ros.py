@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.live.run import Latency
 from taccel_lab.errors import InputError
 
 QUEUE = 10

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live sessions: the untouched gel first, then frame after frame until somebody stops it."""
+"""Live sessions: the untouched gel first, then frame after frame until somebody stops it, and how
+long frames take, stage by stage.
+"""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,15 +18,68 @@ from taccel_lab.calibration.capture.camera.camera import (
     Camera,
     ControlLock,
     ControlValues,
+    Framing,
+    Gap,
     Shot,
+    shots,
 )
-from taccel_lab.calibration.capture.camera.framing import Framing
-from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
-from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
-from taccel_lab.calibration.record.camera_faults import FrozenWatch, flicker_words
+from taccel_lab.calibration.record.lamps import FrozenWatch, flicker_words
 from taccel_lab.calibration.record.trigger import GAP_S, REST_FRAMES, REST_S, Trigger
-from taccel_lab.errors import InputError
+from taccel_lab.guards import require_size
+
+KEPT = 600
+"""Frames that figures are of: the last half minute or so."""
+
+
+@dataclass
+class Latency:
+    """Times of the last frames."""
+
+    _frames: deque[dict[str, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
+    _ends_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    _cpu_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def add(self, stages_s: dict[str, float], cpu_s: float) -> None:
+        """A frame is done, whose stages took so long [s], and so long of a core's time."""
+        self._frames.append(dict(stages_s))
+        self._cpu_s.append(cpu_s)
+        self._ends_s.append(time.perf_counter())
+
+    def rate_hz(self) -> float:
+        """Frames a second, waiting for the camera among it; 0 before the second one."""
+        if len(self._ends_s) < 2:
+            return 0.0
+        return (len(self._ends_s) - 1) / max(self._ends_s[-1] - self._ends_s[0], 1e-9)
+
+    def figures(self) -> dict[str, Any]:
+        """Median and 95th percentile of each stage, of their sum and of a core's time for it [ms],
+        which is less where others keep the core busy; the rate [Hz]."""
+        names = list(dict.fromkeys(name for frame in self._frames for name in frame))
+        stages = {
+            name: _spread([frame[name] for frame in self._frames if name in frame])
+            for name in names
+        }
+        busy = [sum(t for name, t in f.items() if name not in NOT_BUSY) for f in self._frames]
+        return {
+            "frames": len(self._frames),
+            "rate_hz": self.rate_hz(),
+            "stages_ms": stages,
+            "busy_ms": _spread(busy),
+            "cpu_ms": _spread(list(self._cpu_s)),
+        }
+
+
+NOT_BUSY = ("wait", "age")
+"""Times that are no work: for the camera, and from the moment a frame was taken to its result."""
+
+
+def _spread(times_s: list[float]) -> dict[str, float]:
+    if not times_s:
+        return {}
+    ms = 1e3 * np.array(times_s)
+    return {"median": float(np.median(ms)), "p95": float(np.percentile(ms, 95))}
 
 
 class LiveWatcher(Protocol):
@@ -85,28 +141,25 @@ def live_session(
     *,
     background: np.ndarray | None = None,
     frames: int | None = None,
-    values: ControlValues | None = None,
-    framing: Framing | None = None,
-    again_s: float = AGAIN_S,
+    values: ControlValues = ControlValues(),
+    framing: Framing = Framing(),
 ) -> Generator[LiveResult, None, None]:
     """Read frames until ``frames`` are done, a watcher stops it or a replay is over.
 
     Gives what it came to so far, always the same object, at first and after each frame.
 
     ``make_reader`` gets the untouched gel, RGB float32 [height_px, width_px, 3]: ``background``, or
-    what is measured at first, when nothing may touch it. ``again_s`` passes between two tries to
-    open a camera that is gone.
+    what is measured at first, when nothing may touch it.
 
     Raises:
         InputError: The images do not fit the profile or change their size, or there is no such
             camera.
         CameraLostError: It does not open at first.
     """
-    values, framing = values or ControlValues(), framing or Framing()
     result = LiveResult(None if background is None else make_reader(background), Latency())
     if result.reader is not None:
         result.remarks = result.reader.remarks
-    untouched, frozen = _Untouched(), FrozenWatch()
+    untouched, frozen = Trigger(), FrozenWatch()
     shown = ""
 
     def opened(camera: Camera) -> None:
@@ -124,7 +177,7 @@ def live_session(
         tell(TOUCH_NOTHING)
     yield result
     done, waited = 0, time.perf_counter()
-    with closing(shots(open_, opened, again_s=again_s)) as stream:
+    with closing(shots(open_, opened)) as stream:
         for event in stream:
             arrived = time.perf_counter()
             if isinstance(event, Gap):
@@ -134,16 +187,18 @@ def live_session(
             shot = Shot(framing.apply(event.image), event.time_s)
             hangs = frozen.see(shot)
             if result.reader is None:
-                found = untouched.add(shot)
-                result.unseen = "" if found is not None else untouched.unseen or WAITS
+                unseen, found = untouched.see(shot.image, shot.time_s).unseen, untouched.untouched
+                result.unseen = "" if found is not None else unseen or WAITS
                 if found is not None:
                     result.reader = make_reader(found)
                     result.remarks = _remarks(result.reader, untouched)
-                tell(untouched.unseen or hangs or (TOUCH_NOTHING if found is None else ""))
+                tell(unseen or hangs or (TOUCH_NOTHING if found is None else ""))
                 waited = time.perf_counter()
                 yield result
                 continue
-            _require_size(shot.image, result.reader.background)
+            size, first = shot.image.shape[1::-1], result.reader.background.shape[1::-1]
+            advice = "set one format with --size"
+            require_size("an image of the camera", size, "it began with", first, advice)
             tell(hangs or " ".join(result.remarks))
             start, start_cpu = time.perf_counter(), time.thread_time()
             reading = result.reader.read(shot.image, shot.time_s)
@@ -161,24 +216,16 @@ def live_session(
             if done == frames or any(watcher.stopped() for watcher in watchers):
                 return
             if any(watcher.wants_background() for watcher in watchers):
-                result.reader, result.remarks, untouched = None, (), _Untouched()
+                result.reader, result.remarks, untouched = None, (), Trigger()
                 tell(TOUCH_NOTHING)
             waited = time.perf_counter()
             yield result
 
 
-def _remarks(reader: LiveReader, untouched: _Untouched) -> tuple[str, ...]:
-    flicker = flicker_words(untouched.flicker_levels)
+def _remarks(reader: LiveReader, untouched: Trigger) -> tuple[str, ...]:
+    flicker = flicker_words(0.0 if untouched.rest is None else untouched.rest.flicker_levels)
     remarks = *reader.remarks, reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
     return tuple(remark for remark in remarks if remark)
-
-
-def _require_size(image: np.ndarray, background: np.ndarray) -> None:
-    if image.shape != background.shape:
-        raise InputError(
-            f"the camera now gives images of {image.shape[1]}x{image.shape[0]} px, it began with "
-            f"{background.shape[1]}x{background.shape[0]} px; set one format with --size"
-        )
 
 
 TOUCH_NOTHING = "Touch nothing: the untouched gel is being measured."
@@ -188,31 +235,3 @@ WAITS = (
 )
 MOST_AGE_S = 5.0
 """A frame is not older: its time is of another clock, as a replay's that is not paced."""
-
-
-class _Untouched:
-    """Mean of frames in which nothing moves."""
-
-    def __init__(self) -> None:
-        self._trigger = Trigger()
-        self._frames: list[np.ndarray] = []
-        self.unseen = ""
-        """Why the last frame shows no gel, in a sentence; empty where it does."""
-
-    @property
-    def flicker_levels(self) -> float:
-        """How much the light went up and down meanwhile."""
-        return 0.0 if self._trigger.rest is None else self._trigger.rest.flicker_levels
-
-    def add(self, shot: Shot) -> np.ndarray | None:
-        """Take a frame in; the mean, RGB float32, once there are enough."""
-        seen = self._trigger.see(shot.image, shot.time_s)
-        self.unseen = seen.unseen
-        if seen.progress == 0.0 and self._trigger.rest is None:
-            self._frames.clear()  # Something moved, nothing was seen, or this is the first one.
-        if seen.unseen:
-            return None
-        self._frames.append(shot.image)
-        if self._trigger.rest is None:
-            return None
-        return np.asarray(np.mean(self._frames, axis=0, dtype=np.float32))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,7 +49,7 @@ def markers_page(result: MarkerCalibration) -> Page:
     ]
     pictures = [_dots(result), _residuals(result)]
     for number, video in enumerate(result.videos):
-        rows = [[key, value] for key, value in video.figures.as_dict().items() if key != "name"]
+        rows = [[key, value] for key, value in asdict(video.figures).items() if key != "name"]
         tables.append(Table(f"Motion in {video.name}", ["what", "value"], rows))
         for one in (_tracks(result, video), _motion(video)):
             pictures.append(replace(one, name=f"video{number}_{one.name}"))

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import f as variance_ratio
 
-from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import MarkerCaptures, Video
 from taccel_lab.calibration.dots.detection import DotFlag
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
+from taccel_lab.calibration.dots.marker_picture import MarkerPicture, markers_or_none
 from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES
 from taccel_lab.calibration.markers.still_frames import Stillness, still_stretches
 from taccel_lab.errors import InputError
@@ -91,7 +92,7 @@ def _find(markers: MarkerCaptures) -> MarkerRest:
                 "(markers.rest or background) nor a video that could show one"
             )
         return MarkerRest(markers.rest)
-    stated = None if markers.rest is None else _dots_of(markers.rest.image())
+    stated = None if markers.rest is None else markers_or_none(markers.rest.image())
     pitch_px = _first_pitch_px(markers.videos) if stated is None else _pitch_px(stated)
     if pitch_px is None:
         if markers.rest is None:
@@ -111,13 +112,6 @@ def _middle(stretch: range) -> int:
     return (stretch[0] + stretch[-1]) // 2
 
 
-def _dots_of(image: np.ndarray) -> MarkerPicture | None:
-    try:
-        return find_markers(image)
-    except InputError:
-        return None
-
-
 def _pitch_px(picture: MarkerPicture) -> float:
     return min(picture.layout_px.pitch)
 
@@ -126,7 +120,7 @@ def _first_pitch_px(videos: Sequence[Video]) -> float | None:
     """Pitch in the first of a few frames that shows a lattice: it need not be exact."""
     for video in videos:
         for image in _spread_frames(video, range(video.frame_count), 3).values():
-            if (picture := _dots_of(image)) is not None:
+            if (picture := markers_or_none(image)) is not None:
                 return _pitch_px(picture)
     return None
 
@@ -151,7 +145,7 @@ def _candidates(videos: Sequence[Video], still: Sequence[Stillness]) -> list[_Ca
         longest = sorted(of_video.stretches, key=len, reverse=True)[:_LOOKED_AT]
         images = _frames_at(video, {_middle(stretch) for stretch in longest})
         for stretch in longest:
-            picture = _dots_of(images[_middle(stretch)])
+            picture = markers_or_none(images[_middle(stretch)])
             if picture is not None:
                 found.append(_Candidate(video, stretch, picture))
     return sorted(found, key=lambda candidate: -len(candidate.stretch))
@@ -254,7 +248,7 @@ def _moving_frames(
         quiet = {number for stretch in of_video.stretches for number in stretch}
         numbers = [number for number in range(of_video.frames) if number not in quiet]
         for number, image in _spread_frames(video, numbers, _MOVING).items():
-            picture = _dots_of(image)
+            picture = markers_or_none(image)
             if picture is not None and (figure := unevenness(picture))[1] > 0:
                 found.append((f"frame {number} of {video_name(video)}", figure))
     return found

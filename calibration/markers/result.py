@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,12 @@ from taccel_lab.calibration.dots.lattice import (
 )
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.gel_view import PixelView
-from taccel_lab.calibration.markers.track_figures import TrackFigures
-from taccel_lab.calibration.markers.tracks import MarkerFlow, MarkerTracks, marker_flow_mm
+from taccel_lab.calibration.markers.tracks import (
+    MarkerFlow,
+    MarkerTracks,
+    TrackFigures,
+    marker_flow_mm,
+)
 from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
 from taccel_lab.profile import MarkersBlock, SensorProfile
 from taccel_lab.report.remark import Remark
@@ -151,7 +155,7 @@ class MarkerCalibration(BlockResult):
             "scale_from": self.view.description,
             "estimates": {name: found.figures() for name, found in self.estimates().items()},
             "residuals": self.residuals(),
-            "videos": [video.figures.as_dict() for video in self.videos],
+            "videos": [asdict(video.figures) for video in self.videos],
             "pitch_px": list(layout_px.pitch),
             "pitch_sigma_px": [layout_px.sigma(PITCH_X), layout_px.sigma(PITCH_Y)],
         }

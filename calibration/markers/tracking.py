@@ -22,10 +22,11 @@ from taccel_lab.calibration.dots.blobs import grey_levels
 from taccel_lab.calibration.dots.detection import DotFlag, Dots, detect_dots
 from taccel_lab.calibration.dots.dot_fit import fit_dots
 from taccel_lab.calibration.dots.lattice import lattice_index
+from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
-from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_size
 
 MIN_MARKERS = 4
 LOST_AFTER = 12
@@ -67,12 +68,8 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
     dots = tracker.dots
     states = []
     for number, frame in enumerate(frames):
-        height, width = np.shape(frame)[:2]
-        if (width, height) != dots.size_px:
-            raise InputError(
-                f"frame {number} is {width}x{height} px, the picture at rest "
-                f"{dots.size_px[0]}x{dots.size_px[1]} px"
-            )
+        size = np.shape(frame)[1::-1]
+        require_size(f"frame {number}", size, "the picture at rest", dots.size_px)
         tracker.advance(frame)
         states.append((tracker.uv, tracker.sigma, tracker.status))
     if not states:

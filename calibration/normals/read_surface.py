@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.dots.dot_mask import DotMask
+from taccel_lab.calibration.dots.marker_picture import DotMask
 from taccel_lab.calibration.frame_light import LightDrift, fit_light, fit_press_light
 from taccel_lab.calibration.light.image_match import light_of_background, pattern_shift, unlike
 from taccel_lab.calibration.normals.surface_reading import SigmaOf, SurfaceReading, touch_of

@@ -121,12 +121,12 @@ class TouchReader:
         """The touch that an image shows; arguments and errors as of ``SurfaceReader.read``."""
         return self.press(self.surface.read(image, name))
 
-    def press(self, found: SurfaceReading) -> TouchReading:
-        """What holds a surface that was read."""
+    def press(self, found: SurfaceReading, time_s: float | None = None) -> TouchReading:
+        """What holds a surface that was read; ``time_s``: when, for a gel that relaxes."""
         press = None
         if self._pressure is not None:
             press = self._pressure.read(
-                found.rise_m, found.touch, found.height_sigma_m, found.reading_sigma_m
+                found.rise_m, found.touch, found.height_sigma_m, found.reading_sigma_m, time_s
             )
         return TouchReading(
             **vars(found), grid=self.surface.grid, press=press, no_press=self.no_press

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A capture folder that grows with every press, and that a kill leaves whole.
+"""A capture folder that grows with every press, and that a kill leaves whole; and what a person
+states of its session, since no camera sees it.
 
 Every image is written beside its name and renamed, then the manifest in the same way: at any moment
 the folder is one that ``load_capture_folder`` reads. A kill between the two leaves an image that
@@ -13,23 +14,184 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock
+from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.importers import freeze_split
-from taccel_lab.calibration.capture.importers.draft import write_png
+from taccel_lab.calibration.capture.importers.draft import require_lengths, write_png
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION, manifest_text
-from taccel_lab.calibration.record.facts import RecordFacts
+from taccel_lab.calibration.capture.schema import (
+    MANIFEST_NAME,
+    SCHEMA_VERSION,
+    manifest_notes,
+    manifest_text,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.files.images import read_image
 from taccel_lab.files.output_folder import require_growable
 from taccel_lab.files.toml_file import read_toml
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors import sensor_family
+
+QUICK_PRESSES = 20
+QUICK_LEAVES_OUT = (
+    "scale: no board, no edge and no ruler was pressed. What is stated or taken from the catalogue "
+    "is believed; published figures for one and the same sensor differ by a quarter, and lengths, "
+    "heights and forces scale with it",
+    "lens: no board was shown, so that distortion stays in the images",
+    "force: no load cell was there. The gel's modulus and friction stay those of the catalogue, "
+    "and no image is turned into newtons",
+    "presses: 20, not the 40 of a full session. Half of the image may have one press or none; "
+    "colours and slopes there are less certain, and fewer presses are held out to say how much",
+    "markers: no dots were followed, so that nothing tells how they move with the gel",
+    "time: a few minutes. Drift over a session, and from one day to the next, is not seen",
+)
+"""What twenty presses of a ball, without a board and without a load cell, cannot tell."""
+SAME_SHAPE = 0.02
+"""Difference of two images' proportions up to which they count as of one framing."""
+
+ScaleFrom = Literal["stated", "catalogue", "later"]
+
+
+@dataclass(frozen=True)
+class RecordFacts:
+    """Facts of one session; what is None was not stated."""
+
+    sensor: str
+    radius_mm: float | None = None
+    """Radius of the ball [mm]."""
+    mm_per_px: tuple[float, float] | None = None
+    """Scale along x and y [mm/px]."""
+    scale: ScaleFrom = "stated"
+    """``catalogue``: that of the sensor's family is taken, and noted as assumed; ``later``: it will
+    be measured with an edge or a board, and is left open."""
+    unit: str | None = None
+    license: str | None = None
+    quick: bool = False
+    source: str = ""
+    camera: CameraInfo | None = None
+    locks: tuple[ControlLock, ...] = field(default=())
+    framing: str = "whole images"
+
+    def __post_init__(self) -> None:
+        sensor_family(self.sensor)
+        x, y = self.mm_per_px or (None, None)
+        require_lengths(radius_mm=self.radius_mm, mm_per_px_x=x, mm_per_px_y=y)
+        if self.mm_per_px is not None and self.scale != "stated":
+            raise InputError(
+                f"--mm-per-px-x states the scale, --scale {self.scale} leaves it open; give one"
+            )
+
+    def require_complete(self) -> None:
+        """Name everything that is missing at once."""
+        missing = []
+        if self.radius_mm is None:
+            plan = capture_plan(self.sensor)
+            missing.append(
+                "the ball's radius: --radius-mm, half of what callipers say (a ball of "
+                f"{plan.ball_radius_mm:g} mm radius suits this sensor)"
+            )
+        if self.mm_per_px is None and self.scale == "stated":
+            missing.append(
+                "the scale: --mm-per-px-x where you have measured it, --scale catalogue to assume "
+                "the usual one of this sensor, or --scale later to press an edge or a board"
+            )
+        if missing:
+            raise InputError("not stated yet:\n" + "\n".join(f"  {line}" for line in missing))
+
+    def require_same(self, manifest: Mapping[str, Any], path: Path) -> None:
+        """Refuse to go on with a folder that was begun otherwise, naming all that differs."""
+        if "recorded" not in manifest:
+            raise InputError(
+                f"{path} has a {MANIFEST_NAME} that taccel-lab capture record did not write; name "
+                "a new folder"
+            )
+        begun = {
+            "sensor": manifest["sensor"],
+            "--radius-mm": manifest.get("indenter", {}).get("radius_mm"),
+            "--mm-per-px-x": manifest.get("mm_per_px_x"),
+            "--mm-per-px-y": manifest.get("mm_per_px_y"),
+            "--unit": manifest.get("unit"),
+        }
+        x, y = self.mm_per_px or (None, None)
+        sensor = sensor_family(self.sensor).name
+        now = dict(zip(begun, (sensor, self.radius_mm, x, y, self.unit), strict=True))
+        differing = [
+            f"{key} was {begun[key]} and is {now[key]}"
+            for key in begun
+            if now[key] is not None and now[key] != begun[key]
+        ]
+        if differing:
+            raise InputError(
+                f"{path} was begun otherwise: {'; '.join(differing)}. Name a new folder, or give "
+                "what it was begun with"
+            )
+
+    def manifest(self, width_px: int, height_px: int) -> dict[str, Any]:
+        """Keys of the manifest for images of this size."""
+        assert self.radius_mm is not None
+        assert self.camera is not None
+        found: dict[str, Any] = {"indenter": {"kind": "sphere", "radius_mm": self.radius_mm}}
+        unit = self.unit or self.camera.serial
+        if unit is not None:
+            found["unit"] = unit
+        scale = self.mm_per_px
+        if self.scale == "catalogue":
+            scale = self.catalogue_scale(width_px, height_px)
+            found["assumed"] = {
+                "mm_per_px": f"{scale[0]:.4g} mm/px, the usual one of the catalogue's {self.sensor}"
+            }
+        if scale is not None:
+            found["mm_per_px_x"], found["mm_per_px_y"] = scale
+        found["source"] = self.source or f"recorded from {self.camera.name}"
+        found["license"] = self.license or "unknown"
+        found["recorded"] = {
+            "camera": self.camera.id,
+            "begun": datetime.now(UTC).replace(microsecond=0),
+            "controls": {lock.name: lock.text for lock in self.locks},
+            "framing": self.framing,
+            "left_out": list(QUICK_LEAVES_OUT) if self.quick else [],
+        }
+        return found
+
+    def catalogue_scale(self, width_px: int, height_px: int) -> tuple[float, float]:
+        """Scale of the family's usual view over images of this size [mm/px].
+
+        Raises:
+            InputError: The images have other proportions than the family's, so that they cannot
+                show the same.
+        """
+        grid = sensor_family(self.sensor).parameters().grid()
+        factor = grid.width_px / width_px
+
+        def alike(width: int, height: int) -> bool:
+            return abs(height * grid.width_px / width / grid.height_px - 1) <= SAME_SHAPE
+
+        if not alike(width_px, height_px):
+            advice = (
+                "the camera is turned by a quarter: turn it back"
+                if alike(height_px, width_px)
+                else "cut them with --crop"
+            )
+            raise InputError(
+                f"--scale catalogue: {self.sensor} has images of {grid.width_px}x{grid.height_px} "
+                f"px, the camera's are {width_px}x{height_px} px and cannot show the same part of "
+                f"the gel; {advice}, or state --mm-per-px-x"
+            )
+        return grid.mm_per_px_x * factor, grid.mm_per_px_y * grid.height_px / height_px
+
+    def notes(self) -> tuple[str, ...]:
+        """Comments for the head of the manifest."""
+        if not self.quick:
+            return ()
+        return ("a quick session, which leaves out:", *(f"- {line}" for line in QUICK_LEAVES_OUT))
+
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")
 _LEFT_BEHIND = re.compile(r"\.(press_[0-9]+|untouched_[0-9]+|background|captures)\..+\.(png|toml)")
@@ -114,7 +276,7 @@ class RecordFolder:
         with atomic_file(self.path / MANIFEST_NAME) as staging:
             staging.write_text(self._text(), encoding="utf-8")
             freeze_split(load_capture_folder(self.path), staging)
-        self.manifest = _read(self.path)
+        self.manifest = read_toml(self.path / MANIFEST_NAME)
 
     def _write_manifest(self) -> None:
         with atomic_file(self.path / MANIFEST_NAME) as staging:
@@ -154,7 +316,8 @@ def open_record(
         notes = facts.notes()
     else:
         load_capture_folder(path)  # Refuses what is damaged, by name.
-        manifest, notes = _read(path), _notes(path)
+        manifest = read_toml(path / MANIFEST_NAME)
+        notes = manifest_notes(path / MANIFEST_NAME)
         facts.require_same(manifest, path)
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
@@ -169,20 +332,6 @@ def open_record(
                 if any(folder.iterdir()):
                     break
                 folder.rmdir()
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return read_toml(path / MANIFEST_NAME)
-
-
-def _notes(path: Path) -> tuple[str, ...]:
-    """Comments at the head, which stay."""
-    notes = []
-    for line in (path / MANIFEST_NAME).read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        notes.append(line.lstrip("# "))
-    return tuple(notes)
 
 
 @contextmanager

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a session in the browser: what the camera sees, what to press, what is wrong."""
+"""The page of a session in the browser: what the camera sees, what to press, what is wrong.
+
+Several pictures are one sheet, as large as a window of some proportions lets them be.
+"""
 
 from __future__ import annotations
 
 import queue
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import cv2
@@ -14,11 +17,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import CELLS, cell_of
-from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
+from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.lamps import Lamp
-from taccel_lab.calibration.record.run import Order
-from taccel_lab.calibration.record.session import SessionStatus
-from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+from taccel_lab.calibration.record.session import Order, SessionStatus
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 
 if TYPE_CHECKING:
@@ -178,3 +179,65 @@ def _circle(
     zoom = picture.shape[1] / shape[1]
     center = (round((circle.u_px + 0.5) * zoom), round((circle.v_px + 0.5) * zoom))
     cv2.circle(picture, center, round(circle.radius_px * zoom), color, thickness, cv2.LINE_AA)
+
+
+PAPER, INK = 250, (60, 60, 60)
+TITLE_PX, MARGIN_PX, TITLE_SCALE = 26, 8, 0.5
+SHEET_PX = 960
+JPEG_QUALITY = 85
+
+
+def tiled(
+    pictures: Sequence[tuple[str, np.ndarray]], aspect: float, width_px: int = SHEET_PX
+) -> np.ndarray:
+    """Pictures with their titles on one sheet, RGB uint8, shape [width_px / aspect, width_px, 3].
+
+    Args:
+        pictures: Title and RGB uint8 [h, w, 3] of each, of any proportions.
+        aspect: Width over height of the sheet.
+        width_px: Its width.
+    """
+    sheet = np.full((max(64, round(width_px / aspect)), width_px, 3), PAPER, np.uint8)
+    count = len(pictures)
+    columns = max(
+        range(1, count + 1),
+        key=lambda n: min(_zoom(image, sheet, n, -(-count // n)) for _, image in pictures),
+    )
+    rows = -(-count // columns)
+    for k, (title, image) in enumerate(pictures):
+        zoom = _zoom(image, sheet, columns, rows)
+        size = max(1, int(image.shape[1] * zoom)), max(1, int(image.shape[0] * zoom))
+        how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR
+        wide, high = sheet.shape[1] // columns, sheet.shape[0] // rows
+        left = (k % columns) * wide + (wide - size[0]) // 2
+        top = (k // columns) * high + TITLE_PX + max(0, (high - TITLE_PX - size[1]) // 2)
+        sheet[top : top + size[1], left : left + size[0]] = cv2.resize(
+            image, size, interpolation=how
+        )[: sheet.shape[0] - top]
+        room = sheet.shape[1] - left if k % columns == columns - 1 else wide
+        title_px = cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, TITLE_SCALE, 1)[0][0]
+        text = min(TITLE_SCALE, TITLE_SCALE * (room - MARGIN_PX) / title_px)
+        where = (left, top - 8)
+        cv2.putText(sheet, title, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
+    return sheet
+
+
+def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> float:
+    wide = sheet.shape[1] / columns - 2 * MARGIN_PX
+    high = sheet.shape[0] / rows - TITLE_PX - MARGIN_PX
+    return max(min(wide / image.shape[1], high / image.shape[0]), 1e-3)
+
+
+def wide_panel(server: ViserServer) -> None:
+    """A panel as wide as there is, always there: it has pictures of its own."""
+    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+
+
+def show_tiles(server: ViserServer, pictures: Sequence[tuple[str, np.ndarray]]) -> None:
+    """Show pictures in all the room that the panel leaves, in the window opened last."""
+    aspect = 4 / 3
+    for client in server.get_clients().values():
+        aspect = client.camera.aspect or aspect
+    sheet = tiled(pictures, float(np.clip(aspect, 0.4, 4.0)))
+    server.scene.set_background_image(sheet, format="jpeg", jpeg_quality=JPEG_QUALITY)

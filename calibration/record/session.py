@@ -1,29 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One recording session: frames in, a growing capture folder and what to show out."""
+"""One recording session, from the first frame to the last: frames in, a growing capture folder and
+what to show out, to whoever watches.
+"""
 
 from __future__ import annotations
 
-import math
-from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, Shot
-from taccel_lab.calibration.capture.camera.shots import Gap
+from taccel_lab.calibration.capture.camera.camera import (
+    Camera,
+    CameraInfo,
+    ControlLock,
+    ControlValues,
+    Framing,
+    Gap,
+    Shot,
+    shots,
+)
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
+from taccel_lab.calibration.capture.coverage import (
+    Advice,
+    cell_name,
+    cell_of,
+    contact_radius_mm,
+    next_press,
+)
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import detect_contact
 from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.record.camera_faults import FrozenWatch
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.folder import RecordFolder
+from taccel_lab.calibration.record.folder import RecordFacts, RecordFolder
 from taccel_lab.calibration.record.lamps import (
+    FrozenWatch,
     Lamp,
     blur_lamp,
     controls_lamp,
@@ -35,6 +51,7 @@ from taccel_lab.calibration.record.lamps import (
 from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_size
 
 LAMPS_EVERY_S = 0.4
 UNTOUCHED_COUNT = 6
@@ -110,7 +127,7 @@ class Recorder:
         Raises:
             InputError: The folder was begun with another one.
         """
-        self.facts = self.facts.at(info, locks, self.facts.framing)
+        self.facts = replace(self.facts, camera=info, locks=tuple(locks))
         self._frozen.replayed = info.replayed
         before = self.folder.manifest.get("recorded", {}).get("camera", "")
         # Other ids name a port, which others take, too.
@@ -149,11 +166,13 @@ class Recorder:
             if self.facts.scale == "catalogue":
                 self.facts.catalogue_scale(width, height)  # Refuses what cannot have it.
         self._hangs = self._frozen.see(shot)
-        if self._background is not None and shot.image.shape != self._background.shape:
-            raise InputError(
-                f"the camera gives {shot.image.shape[1]}x{shot.image.shape[0]} px, the folder "
-                f"{self.folder.path} has {self._background.shape[1]}x{self._background.shape[0]}; "
-                "give --size, --crop and --resize as before, or name a new folder"
+        if self._background is not None:
+            require_size(
+                "an image of the camera",
+                shot.image.shape[1::-1],
+                f"the folder {self.folder.path} has",
+                self._background.shape[1::-1],
+                "give --size, --crop and --resize as before, or name a new folder",
             )
         had_rest = self.trigger.rest is not None
         seen = self.trigger.see(shot.image, shot.time_s)
@@ -321,61 +340,58 @@ class Recorder:
         self._messages.appendleft(text)
 
 
-DEPTHS = ("light", "medium", "deep")
-SHARES = (0.5, 0.7, 0.9)
-"""Contact radius of each depth, as parts of the deepest one's."""
-_CELLS = [(column, row) for row in range(CELLS[1]) for column in range(CELLS[0])]
+Order = Literal["take", "undo", "finish"]
 
 
-@dataclass(frozen=True)
-class Advice:
-    """The press that is missing most."""
+class Watcher(Protocol):
+    """Shows a session and may give orders."""
 
-    cell: tuple[int, int]
-    """Column and row of the coverage table."""
-    depth: str
-    radius_px: float | None
-    """Radius of its contact; None where nothing tells yet how large one is."""
+    def show(self, status: SessionStatus) -> None: ...
 
-    def __str__(self) -> str:
-        wide = (
-            "" if self.radius_px is None else f", a contact about {2 * self.radius_px:.0f} px wide"
-        )
-        return f"{cell_name(*self.cell)}, {self.depth}{wide}"
+    def orders(self) -> list[Order]:
+        """What was asked for since the last call."""
+        ...
 
 
-def next_press(
-    circles: Sequence[ContactCircle], size_px: tuple[int, int], deepest_px: float | None
-) -> Advice:
-    """The place and depth that the presses so far lack most.
+def run_session(
+    recorder: Recorder,
+    open_: Callable[[], Camera],
+    watchers: list[Watcher],
+    *,
+    values: ControlValues = ControlValues(),
+    framing: Framing = Framing(),
+    ends_by_itself: bool = True,
+) -> SessionStatus:
+    """Record until all presses are taken, a watcher ends it, or a replay is over.
 
-    Args:
-        circles: Contacts so far.
-        size_px: Width and height of the image.
-        deepest_px: Contact radius of the deepest press that is wanted, where ball and scale tell
-            it; the largest so far when None.
+    ``ends_by_itself``: when all presses are taken and the ball is lifted.
+
+    Raises:
+        InputError: There is no such camera at first, or its images do not fit the folder.
+        CameraLostError: It does not open at first.
     """
-    if deepest_px is None and circles:
-        deepest_px = max(circle.radius_px for circle in circles)
-    made = Counter(cell_of(circle, *size_px) for circle in circles)
-    cell = min(_CELLS, key=lambda one: made[one])
-    if deepest_px is None:
-        return Advice(cell, DEPTHS[1], None)
-    depths = Counter(
-        (cell_of(circle, *size_px), depth_of(circle, deepest_px)) for circle in circles
-    )
-    over_all = Counter(depth_of(circle, deepest_px) for circle in circles)
-    depth = min(range(len(DEPTHS)), key=lambda k: (depths[cell, k], over_all[k], (1, 0, 2)[k]))
-    return Advice(cell, DEPTHS[depth], SHARES[depth] * deepest_px)
 
+    def opened(camera: Camera) -> None:
+        recorder.opened(camera.info, camera.lock(values))
 
-def depth_of(circle: ContactCircle, deepest_px: float) -> int:
-    """Which of the depths a contact is nearest to."""
-    share = circle.radius_px / deepest_px
-    return min(range(len(SHARES)), key=lambda k: abs(SHARES[k] - share))
-
-
-def contact_radius_mm(ball_mm: float, depth_mm: float) -> float:
-    """Radius of a ball's contact at a depth [mm], at most the ball's own."""
-    depth_mm = min(depth_mm, ball_mm)
-    return math.sqrt(2 * ball_mm * depth_mm - depth_mm**2)
+    with closing(shots(open_, opened)) as stream:
+        for event in stream:
+            if isinstance(event, Gap):
+                status = recorder.lost(event)
+            else:
+                status = recorder.see(Shot(framing.apply(event.image), event.time_s))
+            for order in (order for watcher in watchers for order in watcher.orders()):
+                {"take": recorder.take_now, "undo": recorder.undo, "finish": recorder.finish}[
+                    order
+                ]()
+                status = recorder.status()
+            if ends_by_itself and recorder.complete and status.phase == Phase.WAITING:
+                recorder.finish()
+                status = recorder.status()
+            for watcher in watchers:
+                watcher.show(status)
+            if recorder.finished:
+                return status
+    if recorder.complete:
+        recorder.finish()
+    return recorder.status()

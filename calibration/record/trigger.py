@@ -18,7 +18,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.frame_light import LightDrift, fit_light, without_light
-from taccel_lab.calibration.record.camera_faults import nothing_seen
+from taccel_lab.calibration.record.lamps import nothing_seen
 
 SMOOTHING_SHARE = 1 / 60
 """Standard deviation of the smoothing, as a part of the small image's shorter side."""
@@ -114,9 +114,12 @@ class Trigger:
 
     hold_s: float = HOLD_S
     rest: UntouchedGel | None = None
+    untouched: np.ndarray | None = None
+    """Mean of the frames in which ``rest`` was measured, RGB float32."""
     _phase: Phase = Phase.RESTING
     _recent: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
-    _gathered: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    _gathered: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
+    """Time, small picture and image of frames that may show the untouched gel."""
     _still_since: float | None = None
     _taken_levels: float = 0.0
 
@@ -131,7 +134,7 @@ class Trigger:
         earlier = self._earlier(time_s)
         self._recent.append((time_s, small))
         if self.rest is None:
-            return self._measure(small, time_s)
+            return self._measure(small, image, time_s)
         change, light = self.rest.change(small)
         largest = _largest(change)
         motion = 0.0 if earlier is None else _largest(_smooth(small - earlier))
@@ -184,21 +187,23 @@ class Trigger:
             return None
         return self._recent[0][1]
 
-    def _measure(self, small: np.ndarray, time_s: float) -> Seen:
+    def _measure(self, small: np.ndarray, image: np.ndarray, time_s: float) -> Seen:
         unseen = nothing_seen(small)
         if unseen:
             self._gathered.clear()
             return Seen(Phase.RESTING, False, None, unseen=unseen)
-        self._gathered.append((time_s, small))
+        self._gathered.append((time_s, small, image))
         first = self._gathered[0][0]
         done = min((time_s - first) / REST_S, len(self._gathered) / REST_FRAMES)
         if done < 1:
             return Seen(Phase.RESTING, False, None, progress=max(done, 0.0))
-        rest = _rest_of(self._gathered)
+        rest = _rest_of([frame[:2] for frame in self._gathered])
         if rest is None:  # Something moved: from the start.
             self._gathered.clear()
             return Seen(Phase.RESTING, False, None)
         self.rest, self._phase = rest, Phase.WAITING
+        images = [image for _, _, image in self._gathered]
+        self.untouched = np.asarray(np.mean(images, axis=0, dtype=np.float32))
         self._gathered.clear()
         return Seen(Phase.WAITING, False, rest.change(small)[0], at_rest=True)
 

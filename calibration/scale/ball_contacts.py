@@ -32,7 +32,7 @@ from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_fit import spread_about_zero
-from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from scipy.stats import exponnorm
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_size
 
 MIN_JUMP_LEVELS = 10.0
 """Least jump of colour across the edge [levels of 255]."""
@@ -83,11 +84,7 @@ def find_edge(
     Raises:
         InputError: No edge, one that runs out of the image, or images of different size.
     """
-    if image.shape != background.shape:
-        raise InputError(
-            f"{name} is {image.shape[1]}x{image.shape[0]} px, the background "
-            f"{background.shape[1]}x{background.shape[0]} px; both have to be of one size"
-        )
+    require_size(name, image.shape[1::-1], "the background", background.shape[1::-1])
     change = np.asarray(image, dtype=np.float32) - np.asarray(background, dtype=np.float32)
     change -= np.median(change, axis=(0, 1))
     if mask is not None:

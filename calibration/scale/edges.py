@@ -10,13 +10,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from taccel_lab.calibration.camera.board import hashes_by_name
-from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import EdgeCapture
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
-from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 

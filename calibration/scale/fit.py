@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
 from taccel_lab.calibration.camera.find_boards import detect_views
-from taccel_lab.calibration.camera.pixel_grid import origin_px, stated_scale_remarks
+from taccel_lab.calibration.camera.result import origin_px, stated_scale_remarks
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, MarkerCaptures
 from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest
@@ -21,16 +21,17 @@ from taccel_lab.calibration.scale.ball_contacts import (
     scale_from_stage,
 )
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.scale.estimate import (
+from taccel_lab.calibration.scale.result import (
+    STATED,
     CombinedAxis,
+    ScaleCalibration,
     ScaleEstimate,
     agreement_remarks,
     combine,
 )
-from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
+from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.report.remark import Remark
 
 STATED_ERROR = 0.05
@@ -81,11 +82,8 @@ def calibrate_scale(
         except InputError as error:
             failures[name] = str(error)
 
-    for done, (name, job) in enumerate(jobs):
-        progress("measuring known lengths", done, len(jobs))
+    for name, job in counted(jobs, progress, "measuring known lengths", len(jobs)):
         attempt(name, job)
-    if jobs:
-        progress("measuring known lengths", len(jobs), len(jobs))
     axes = combine(estimates)
     if folder.presses:
         ratio = 1.0

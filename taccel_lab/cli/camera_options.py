@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.capture.camera import Camera, ControlValues, Framing
+    from taccel_lab.calibration.capture.camera.camera import Camera, ControlValues, Framing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,20 +38,20 @@ class CameraFlags:
     def opener(self, paced: bool) -> Callable[[], Camera]:
         """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for
         a size that is none."""
-        from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.capture.camera.camera import parse_size
+        from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 
         size = None if self.size is None else parse_size(self.size, "--size")
         return lambda: open_camera(self.camera, size, CameraReplay(paced=paced))
 
     def framing(self) -> Framing:
         """What is kept of each frame."""
-        from taccel_lab.calibration.capture.camera import Framing
+        from taccel_lab.calibration.capture.camera.camera import Framing
 
         return Framing.parse(self.crop, self.resize)
 
     def values(self) -> ControlValues:
         """Where the controls are locked."""
-        from taccel_lab.calibration.capture.camera import ControlValues
+        from taccel_lab.calibration.capture.camera.camera import ControlValues
 
         return ControlValues(self.exposure, self.gain, self.white_balance)

@@ -19,10 +19,9 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.calibration.live.latency import Latency
     from taccel_lab.calibration.live.page import LiveSheet
     from taccel_lab.calibration.live.reader import ForceReadings, LiveReader, LiveReading
-    from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
+    from taccel_lab.calibration.live.run import Latency, LiveResult, LiveWatcher
     from taccel_lab.profile import SensorProfile
 
 PORT = 8092
@@ -66,7 +65,7 @@ class Live(CameraFlags):
     """Print the last reading's figures and the time of each stage as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.capture.camera import CameraLostError
+        from taccel_lab.calibration.capture.camera.camera import CameraLostError
         from taccel_lab.calibration.live.page import LiveSheet
         from taccel_lab.calibration.live.run import run_together
         from taccel_lab.cli.console import notes, print_json
@@ -122,7 +121,7 @@ class Live(CameraFlags):
     ) -> tuple[SensorProfile, np.ndarray | None]:
         """The untouched gel where it is known before the first frame, and the profile that says
         so; a capture folder is replayed from the gel at rest, as a camera shows it."""
-        from taccel_lab.calibration.capture.camera.open_camera import replayed_files
+        from taccel_lab.calibration.capture.camera.replay import replayed_files
         from taccel_lab.calibration.capture.schema import MANIFEST_NAME
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_captures, load_captures
-from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_circle
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_place, check_radius
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -149,11 +149,14 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
     [
         ({"f0": None}, r"lacks f0"),
         ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
-        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"64x40 px but the background f0 is 64x48"),
+        (
+            {"imgs": np.zeros((2, 40, 64, 3), np.uint8)},
+            r"must have shape \[frames, 48, 64, 3\]",
+        ),
         ({"touch_center": np.array([[30.0, math.nan], [33.0, 24.0]])}, r"\[0, 1\].*finite"),
-        ({"f0": np.uint8(3)}, r"f0 is uint8 \(\)"),
+        ({"f0": np.uint8(3)}, r"f0 must have shape"),
         ({"touch_center": np.full((2, 2), "x")}, r"touch_center has type <U1; real numbers"),
-        ({"touch_radius": np.array([12, 13, 14])}, r"2 frames need touch_center"),
+        ({"touch_radius": np.array([12, 13, 14])}, r"touch_radius must have shape \[2\]"),
         ({"touch_center": np.array([[30.0, 24.0], [-3.0, 24.0]])}, r"\[1\].*into the image"),
         ({"touch_radius": np.array([12, 21])}, r"\[1\].*(more than the ball|outside)"),
     ],
@@ -187,7 +190,8 @@ def test_accepted_circles_fit_image_and_ball(
     assert abs(circle.beyond_px(grid)) < 1e-9 or (circle.beyond_px(grid) < 0) == inside
     assert circle.has_center_in(grid) == (0 <= u <= 159 and 0 <= v <= 119)
     try:
-        check_circle(circle, grid, ball, "x.png")
+        check_place(circle, grid, "x.png")
+        check_radius(circle, grid, ball, "x.png")
         accepted = True
     except InputError as error:
         assert "x.png" in str(error)

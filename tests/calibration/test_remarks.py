@@ -19,10 +19,8 @@ from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.profile_page import profile_page
-from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
-from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder
+from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT, open_record
+from taccel_lab.calibration.record.session import Recorder, run_session
 from taccel_lab.calibration.remarks import RemarkKind, remark_kinds, remark_table
 from taccel_lab.calibration.robust_fit import radius_factor
 from taccel_lab.networks.normal_settings import RAYLEIGH_95

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import importers, load_capture_folder, video
+from taccel_lab.calibration.capture import importers, load, load_capture_folder
 from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.files.videos import count_frames
@@ -108,7 +108,7 @@ def test_nothing_is_read_of_an_import_that_stands(
         counted.append(out.exists())
         return count_frames(path)
 
-    monkeypatch.setattr(video, "count_frames", count)
+    monkeypatch.setattr(load, "count_frames", count)
     cli("capture import", "shear.avi", "out")
     assert out.is_dir() and counted and not any(counted)
 

@@ -84,7 +84,7 @@ CAPTURES: list[tuple[Change, list[str]]] = [
     ),
     (
         other_size,
-        [r"p2\.png is 96x60 px but the background .*background\.png is 96x72 px", "one size"],
+        [r"p2\.png is 96x60 px, the background .*background\.png is 96x72 px", "one size"],
     ),
     (frame_without_contact, [r"p2\.png: no contact found"]),
     (THREE_TIMES_THE_SCALE, [r"captures\.toml: at 0\.3 x 0\.3 mm/px", "pad of 24 x 20 mm"]),

@@ -92,7 +92,7 @@ def _read_recorded(given: Path, out: Path) -> None:
 
 def _load_captures(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_capture_folder
-    from taccel_lab.calibration.capture.video import cut_short
+    from taccel_lab.calibration.capture.load import cut_short
 
     folder = load_capture_folder(given)
     if folder.presses and folder.background is not None:

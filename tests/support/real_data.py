@@ -57,7 +57,7 @@ def labelled_presses(
         u_px, v_px, radius_px = (float(row[key]) for key in ("cx_px", "cy_px", "contact_r_px"))
         circle = ContactCircle(u_px, v_px, min(radius_px, largest_radii * ball_mm / mm_per_px))
         read = partial(read_image, path)
-        presses.append(CapturedPress(path.stem, str(path), file_sha256(path), circle, read))
+        presses.append(CapturedPress(path.stem, str(path), file_sha256(path), read, circle))
     image = read_image(root / background)
     height, width = image.shape[:2]
     return CaptureSet(

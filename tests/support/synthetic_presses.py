@@ -69,7 +69,7 @@ def memory_captures(
 ) -> CaptureSet:
     """A capture set of images in memory, levels of any type."""
     presses = tuple(
-        CapturedPress(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image))
+        CapturedPress(f"p{i}", f"memory[{i}]", f"{i:064x}", partial(np.copy, image), circle)
         for i, (circle, image) in enumerate(zip(circles, images, strict=True))
     )
     mask = np.ones(background.shape[:2], dtype=bool)

@@ -13,7 +13,8 @@ from functools import cache, partial
 
 import numpy as np
 
-from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import EdgeCapture
 from taccel_lab.calibration.capture.schema import EdgeEntry
 from taccel_lab.calibration.scale.edges import MeasuredEdge, measure_edges, scale_from_edges
 from taccel_lab.files.images import read_image

@@ -12,8 +12,6 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.files import natural_key
-from taccel_lab.calibration.capture.suffixes import IMAGES, VIDEOS, is_picture, is_video
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
@@ -21,6 +19,30 @@ from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.videos import count_frames, read_timed_frames
+
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
+
+
+def is_picture(path: Path | str) -> bool:
+    """Whether a file is an image by its ending."""
+    return Path(path).suffix.lower() in IMAGES
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is a video by its ending."""
+    return path.suffix.lower() in VIDEOS
+
+
+def natural_key(path: Path | str) -> list[tuple[int, int, str]]:
+    """Sort key under which ``frame_2`` comes before ``frame_10``."""
+    # ASCII's alone: there are other characters that `isdigit`, but not `int`, takes for digits.
+    parts = re.split(r"([0-9]+)", str(path))
+    return [
+        (0, int(part), "") if index % 2 else (1, 0, part.lower())
+        for index, part in enumerate(parts)
+    ]
+
 
 HELD_BY = (
     f"a video ({', '.join(VIDEOS)}), an image ({', '.join(IMAGES)}), a folder of images, an HDF5 "

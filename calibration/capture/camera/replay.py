@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual camera: a recording or a capture folder, as a camera would show it.
+"""A camera by what a person calls it: an id, or files that a virtual camera replays.
 
-A capture folder is replayed as a person records it: the untouched gel, then each press comes,
-stays and goes. In between the picture is a blend of both, which no press looks like: what is
-taken meanwhile was taken too early.
+A recording is shown as a camera would show it. A capture folder is replayed as a person records it:
+the untouched gel, then each press comes, stays and goes. In between the picture is a blend of both,
+which no press looks like: what is taken meanwhile was taken too early.
 """
 
 from __future__ import annotations
@@ -16,16 +16,20 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.camera import (
+    Camera,
     CameraInfo,
     ControlLock,
     ControlValues,
     Shot,
 )
 from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.calibration.capture.camera.uvc import UvcCamera, find_device
 from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
+from taccel_lab.files.hdf5_images import is_hdf5
+from taccel_lab.files.lerobot_images import is_lerobot
 from taccel_lab.files.recorded_frame import RecordedFrame
 
 
@@ -114,27 +118,27 @@ def open_replay(
             raise InputError(
                 f"{path}: a capture folder is replayed from its background and its presses"
             )
-        return ReplayCamera(path, lambda: pressing(rest.image(), presses, how), how)
+        still = rest.image()
+        return ReplayCamera(
+            path, lambda: (RecordedFrame("", i) for i in pressing(still, presses, how)), how
+        )
     return ReplayCamera(path, Recording.of(path, camera).frames, how)
 
 
 def pressing(
     rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
-) -> Iterator[RecordedFrame]:
-    """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
-    for image in _pressing(rest, presses, how):
-        yield RecordedFrame("", image)
-
-
-def _pressing(
-    rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
 ) -> Iterator[np.ndarray]:
+    """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
     for _ in range(round(how.rest_s * how.fps)):
         yield rest
     steps = max(1, round(how.blend_s * how.fps))
     for press in presses:
         image = press.image()
-        ramp = [_blend(rest, image, k / steps) for k in range(1, steps)]
+        # Levels between the two, a step further each.
+        ramp = [
+            np.rint((1 - k / steps) * rest.astype(np.float32) + k / steps * image).astype(np.uint8)
+            for k in range(1, steps)
+        ]
         yield from ramp
         for _ in range(round(how.hold_s * how.fps)):
             yield image
@@ -143,6 +147,35 @@ def _pressing(
             yield rest
 
 
-def _blend(one: np.ndarray, other: np.ndarray, share: float) -> np.ndarray:
-    mixed = (1 - share) * one.astype(np.float32) + share * other
-    return np.rint(mixed).astype(np.uint8)
+def open_camera(
+    wanted: str, size_px: tuple[int, int] | None = None, replay: CameraReplay | None = None
+) -> Camera:
+    """The camera that ``wanted`` names.
+
+    Args:
+        wanted: Id or serial number (``find_device``), or the path of a recording or of a capture
+            folder. The path of a data set may go on with the name of its camera.
+        size_px: Width and height that a device is asked to give.
+        replay: How stills are shown.
+
+    Raises:
+        InputError: There is none.
+        CameraLostError: It does not open.
+    """
+    files = replayed_files(wanted)
+    if files is not None:
+        return open_replay(files[0], replay, files[1])
+    return UvcCamera(find_device(wanted), size_px)
+
+
+def replayed_files(wanted: str) -> tuple[Path, str | None] | None:
+    """The path that ``wanted`` names, and which camera of it; None for a device."""
+    path = Path(wanted)
+    if wanted.startswith("/dev/"):
+        return None
+    if path.exists():
+        return path, None
+    for folder in path.parents:
+        if is_hdf5(folder) or is_lerobot(folder):
+            return folder, path.relative_to(folder).as_posix()
+    return None

@@ -11,15 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers import (
-    gs_sdk,
-    markers,
-    ninedtact,
-    plain,
-    printer,
-    taxim,
-)
+from taccel_lab.calibration.capture.importers import plain, published
 from taccel_lab.calibration.capture.importers.draft import (
     CaptureLayout,
     Draft,
@@ -28,27 +22,49 @@ from taccel_lab.calibration.capture.importers.draft import (
     require_lengths,
 )
 from taccel_lab.calibration.capture.importers.files import (
+    UNKNOWN,
     capture_folders,
     files_of,
     images_in,
     label_numbers,
     press_rows,
+    read_origin,
     stated_number,
 )
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables
-from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME
-from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME, manifest_notes
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
 
-LAYOUTS: dict[str, CaptureLayout] = {
+LAYOUTS = {
     # The most telling first: any folder of images is a plain one.
-    part.LAYOUT.name: part.LAYOUT
-    for part in (taxim, ninedtact, gs_sdk, printer, markers, plain)
-}
+    layout.name: layout
+    for layout in (
+        CaptureLayout(
+            "taxim", "Taxim: dataPack.npz and params.json",
+            published.is_taxim, published.read_taxim,
+        ),
+        CaptureLayout(
+            "9dtact", "9DTact: camera_calibration and depth_calibration of each unit",
+            published.is_ninedtact, published.read_ninedtact,
+        ),
+        CaptureLayout(
+            "gs-sdk", "gs_sdk: <ball>mm/<n>/gelsight.png with label.npz, or its examples",
+            published.is_gs_sdk, published.read_gs_sdk,
+        ),
+        CaptureLayout(
+            "printer", "printer_presses.csv of capture guide --printer, with its images",
+            plain.is_printed, plain.read_printed,
+        ),
+        CaptureLayout(
+            "markers", "a video, or numbered frames, of a gel with dots",
+            plain.is_video_of_dots, plain.read_video,
+        ),
+        CaptureLayout("plain", "any folder of images", plain.has_images, plain.read_plain),
+    )
+}  # fmt: skip
 AUTO = "auto"
 SCRIPT_SUFFIX = ".py"
 SCRIPTS = "docs/examples/layouts"
@@ -95,7 +111,7 @@ def detect_layout(source: Path | str) -> CaptureLayout:
     """
     source = _own_files_alone(Path(source))
     for layout in LAYOUTS.values():
-        if layout in (markers.LAYOUT, plain.LAYOUT):
+        if layout.name in ("markers", "plain"):
             for name, signs in PUBLISHED.items():
                 # Of one file its name tells alone: what lies beside it is not imported.
                 if (
@@ -106,7 +122,7 @@ def detect_layout(source: Path | str) -> CaptureLayout:
                     raise InputError(
                         f"{source} has {' and '.join(signs)}, as the published set {name}: add "
                         f"--layout {SCRIPTS}/{name}.py, a file of the repository, or --layout "
-                        f"{plain.LAYOUT.name} where all of its images are of one ball"
+                        "plain where all of its images are of one ball"
                     )
         if layout.recognises(source):
             return layout
@@ -307,8 +323,7 @@ def import_folders(
             except InputError as error:
                 text = str(error).replace(str(folder), str(source))
                 raise InputError(f"{text} (imported from {draft.place})") from error
-            lines = (folder / MANIFEST_NAME).read_text(encoding="utf-8").splitlines()
-            notes = tuple(line[2:] for line in lines if line.startswith("# "))
+            notes = manifest_notes(folder / MANIFEST_NAME)
             # Nothing may fail of the folder once it stands: what is said of it is read before.
             written_facts = captures.contents(), captures.assumed, captures.provenance, notes
             written.append(Imported(out / draft.part, *written_facts))

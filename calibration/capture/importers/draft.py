@@ -15,18 +15,18 @@ from typing import Any
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture.camera.recording import is_picture
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers.background_guess import (
+from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     median_image,
 )
-from taccel_lab.calibration.capture.importers.files import images_in, left_out_sentences
+from taccel_lab.calibration.capture.importers.files import UNKNOWN, images_in, left_out_sentences
 from taccel_lab.calibration.capture.importers.label_tables import (
     NAMES,
     LabelTables,
     read_label_tables,
 )
-from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import (
     MANIFEST_NAME,
@@ -39,7 +39,6 @@ from taccel_lab.calibration.capture.schema import (
     SCHEMA_VERSION,
     manifest_text,
 )
-from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
@@ -220,15 +219,19 @@ class Draft:
             self.manifest.setdefault("untouched", []).append(self.add_image(image, "untouched"))
 
     def add_presses(
-        self, images: Sequence[Path], name: Callable[[Path], str] = lambda image: image.stem
+        self,
+        images: Sequence[Path],
+        name: Callable[[Path], str] = lambda image: image.stem,
+        stated: Sequence[dict[str, Any]] = (),
     ) -> None:
-        """Add ball presses, with circles of the tables beside them."""
+        """Add ball presses, with circles of the tables beside them; ``stated`` are further keys of
+        the entry of each."""
         if not images:
             return
         labels = read_label_tables(self.place)
         circles = labels.of_images(images)
-        for image in images:
-            self.add_press(image, name(image), contact=circles.get(image))
+        for image, values in zip(images, stated or [{}] * len(images), strict=True):
+            self.add_press(image, name(image), contact=circles.get(image), **values)
         self.tell_labels(labels, images)
 
     def tell_labels(self, labels: LabelTables, images: Sequence[Path]) -> None:

@@ -45,10 +45,9 @@ class LabelTables:
     """Circles of all label tables of a folder."""
 
     folder: Path
-    circles: dict[str, Circle] = field(default_factory=dict)
-    """Circles by the image as its table names it: path below the folder, file name, or stem."""
-    tables: dict[str, Path] = field(default_factory=dict)
-    """Tables that say so, by the same names."""
+    circles: dict[str, tuple[Circle, Path]] = field(default_factory=dict)
+    """Circles, with the table that says so, by the image as that names it: path below the folder,
+    file name, or stem."""
     read: set[Path] = field(default_factory=set)
     """Tables with circles."""
     left_out: dict[Path, str] = field(default_factory=dict)
@@ -72,11 +71,11 @@ class LabelTables:
             if name in taken:
                 other = self._names(taken[name])[0]
                 raise InputError(
-                    f"{self.tables[name]}: {name!r} may be {other} or {path}; name images by their "
-                    f"path below {self.folder}, with the ending"
+                    f"{self.circles[name][1]}: {name!r} may be {other} or {path}; name images by "
+                    f"their path below {self.folder}, with the ending"
                 )
             taken[name] = image
-            found[image] = self.circles[name]
+            found[image] = self.circles[name][0]
         return found
 
     def _names(self, image: Path) -> tuple[str, str, str, str]:
@@ -109,11 +108,9 @@ def read_label_tables(folder: Path) -> LabelTables:
             if circles:
                 found.read.add(path)
             for name, circle in (circles or {}).items():
-                if found.circles.setdefault(name, circle) != circle:
-                    raise InputError(
-                        f"{path} and {found.tables[name]} have different circles of {name!r}"
-                    )
-                found.tables.setdefault(name, path)
+                known, other = found.circles.setdefault(name, (circle, path))
+                if known != circle:
+                    raise InputError(f"{path} and {other} have different circles of {name!r}")
     return found
 
 

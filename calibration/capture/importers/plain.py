@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plain folder: images of presses, perhaps a background, a mask, label tables and records."""
+"""Layouts of one's own captures: presses of a printer, a video of dots, a folder of images."""
 
 from __future__ import annotations
 
@@ -7,25 +7,127 @@ import re
 from collections import Counter
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.background_guess import (
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.capture.camera.recording import is_video
+from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     guess_background,
 )
 from taccel_lab.calibration.capture.importers.draft import (
     FALLBACK_SENSOR,
     MEDIAN,
-    CaptureLayout,
     Draft,
     ImportOptions,
     board_entry,
 )
-from taccel_lab.calibration.capture.importers.files import capture_folders, images_in
+from taccel_lab.calibration.capture.importers.files import capture_folders, images_in, press_rows
 from taccel_lab.calibration.capture.importers.label_tables import without_path
+from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record
-from taccel_lab.calibration.capture.suffixes import is_video
+from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import image_size, read_grey
+from taccel_lab.files.images import image_size, read_grey, read_image
 from taccel_lab.files.inner_path import real_path
+
+
+def is_printed(path: Path) -> bool:
+    return (path / PRESSES_TABLE).is_file()
+
+
+def read_printed(path: Path, options: ImportOptions) -> list[Draft]:
+    if not is_printed(path):
+        return []
+    table = path / PRESSES_TABLE
+    draft = Draft("", FALLBACK_SENSOR, path)
+    draft.assume_sensor()
+    draft.used.add(table)
+    background = draft.find_background(options, "background.png", "background.jpg")
+    for image in images_in(path, "untouched_*"):
+        if background not in (None, image):
+            draft.add_untouched(image)
+    image_column, x, y, depth, radius = COLUMNS
+    rows = [row for row in press_rows(table, path, image_column) if row.image != background]
+    stated = [
+        {"depth_mm": r.first(depth), "stage_mm": r.together(x, y), "radius_mm": r.first(radius)}
+        for r in rows
+    ]
+    draft.add_presses([row.image for row in rows], stated=stated)
+    for name in (x, y, depth, radius) if rows else ():
+        if rows[0].row.table.column(name) is None:
+            draft.notes.append(f"no press has its {name}: no column is called so")
+    return [draft]
+
+
+MIN_FRAMES = 20
+SAMPLED, STEADY = 12, 0.5
+"""Pairs of neighbours that are looked at, and how much nearer than distant frames they have to be.
+"""
+
+
+def is_video_of_dots(path: Path) -> bool:
+    if path.is_file():
+        return is_video(path)
+    if not path.is_dir() or any(path.glob("*.toml")):
+        return False
+    images = images_in(path)
+    if not images:
+        return bool(_videos(path))
+    # Frames of a video count on without a gap, all with as many digits.
+    numbers = [image.stem for image in images]
+    return (
+        len(images) >= MIN_FRAMES
+        and all(number.isascii() and number.isdigit() for number in numbers)
+        and int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
+        and _moves_steadily(images)
+        and markers_or_none(read_image(images[0])) is not None
+    )
+
+
+def _videos(path: Path) -> list[Path]:
+    return [p for p in sorted(path.iterdir()) if is_video(p)]
+
+
+def _moves_steadily(images: list[Path]) -> bool:
+    """Whether neighbours are alike and distant frames are not: presses are all unlike."""
+    pick = np.unique(np.linspace(0, len(images) - 2, SAMPLED).astype(int))
+    small = {k: _small(images[k]) for k in {*pick, *(pick + 1)}}
+    if len({image.shape for image in small.values()}) > 1:
+        return False
+    steps = [_distance(small[k], small[k + 1]) for k in pick]
+    far = [_distance(small[a], small[b]) for a in pick for b in pick if a < b]
+    return float(np.median(steps)) < STEADY * float(np.percentile(far, 90))
+
+
+def _small(path: Path) -> np.ndarray:
+    return cv2.resize(read_image(path), (64, 48), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.abs(a - b).mean())
+
+
+def read_video(path: Path, options: ImportOptions) -> list[Draft]:
+    draft = Draft("", "gelsight_mini", path)
+    draft.assume_sensor("the usual sensor with dots; --sensor names another")
+    videos = [path] if path.is_file() else [] if images_in(path) else _videos(path)
+    if videos:
+        root = path.parent if path.is_file() else path
+        entries = [{"file": draft.add_file(video, root)} for video in videos]
+        draft.manifest["markers"] = {"videos": entries}
+    else:
+        images = images_in(path)
+        if len(images) < 2:
+            raise InputError(f"{path} holds {len(images)} images; a video needs at least 2 frames")
+        names = [draft.add_image(image, f"frame_{image.stem}") for image in images]
+        draft.manifest["markers"] = {"videos": [{"frames": names}]}
+    draft.notes.append(
+        "no picture at rest is stated: calibrate markers looks for frames in which the gel rests, "
+        "and refuses where there are none"
+    )
+    return [draft]
+
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)
 _DERIVED_NAME = re.compile(r"(^|[_\-. ])(labeled|labelled|drawing|contours|annotated|pseudo)", re.I)
@@ -43,11 +145,11 @@ _SENSOR_WORDS = (
 )
 
 
-def _recognises(path: Path) -> bool:
+def has_images(path: Path) -> bool:
     return path.is_dir() and bool(images_in(path, "**/*"))
 
 
-def _read(path: Path, options: ImportOptions) -> list[Draft]:
+def read_plain(path: Path, options: ImportOptions) -> list[Draft]:
     if not path.is_dir():
         raise InputError(f"{path} is a file; a folder with images is needed")
     draft = _draft(path)
@@ -183,6 +285,3 @@ def _take_videos(path: Path, draft: Draft) -> None:
         entries = [{"file": draft.add_file(video, path)} for video in videos]
         draft.manifest["markers"] = {"videos": entries}
         draft.assume("markers", "the videos are of dots on the gel, at rest in the background")
-
-
-LAYOUT = CaptureLayout("plain", "any folder of images", _recognises, _read)

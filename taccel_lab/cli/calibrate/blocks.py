@@ -126,13 +126,13 @@ class CalibrateMarkers(BlockCommand):
 
     def check(self) -> None:
         """Refuse a file of tracks of an unknown kind."""
-        from taccel_lab.calibration.markers.track_files import require_track_file
+        from taccel_lab.calibration.markers.tracks import require_track_file
 
         if self.tracks is not None:
             require_track_file(self.tracks)
 
     def files(self, result: Any) -> Files:
-        from taccel_lab.calibration.markers.track_files import write_tracks
+        from taccel_lab.calibration.markers.tracks import write_tracks
 
         tracks = {video.name: video.tracks for video in result.videos}
         if self.tracks is None:

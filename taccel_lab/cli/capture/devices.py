@@ -19,7 +19,7 @@ class CaptureDevices:
     def run(self) -> None:
         from rich.table import Table
 
-        from taccel_lab.calibration.capture.camera import list_devices
+        from taccel_lab.calibration.capture.camera.uvc import list_devices
         from taccel_lab.cli.console import print_json, results
 
         devices = list_devices()

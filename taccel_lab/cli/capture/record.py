@@ -19,7 +19,7 @@ from taccel_lab.errors import InputError, keeping
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.record.facts import RecordFacts
+    from taccel_lab.calibration.record.folder import RecordFacts
     from taccel_lab.calibration.record.session import SessionStatus
 
 PORT = 8091
@@ -60,12 +60,11 @@ class _Session(CameraFlags):
         self, presses: int | None, quick: bool, made: Sequence[Mapping[str, Any]] = ()
     ) -> None:
         """Record; ``presses`` None: as many as the sensor's plan has. ``made``: by a stage."""
-        from taccel_lab.calibration.capture.camera import CameraLostError
+        from taccel_lab.calibration.capture.camera.camera import CameraLostError
         from taccel_lab.calibration.capture.guide import capture_plan
         from taccel_lab.calibration.record.folder import open_record
         from taccel_lab.calibration.record.page import RecordPage
-        from taccel_lab.calibration.record.run import Watcher, run_session
-        from taccel_lab.calibration.record.session import Recorder
+        from taccel_lab.calibration.record.session import Recorder, Watcher, run_session
         from taccel_lab.cli.console import notes
         from taccel_lab.report.live_page import PageOptions, live_page
 
@@ -109,7 +108,7 @@ class _Session(CameraFlags):
         self._report(status, quick, folder.out_of_step)
 
     def _facts(self, quick: bool) -> RecordFacts:
-        from taccel_lab.calibration.record.facts import RecordFacts
+        from taccel_lab.calibration.record.folder import RecordFacts
 
         x, y = self.mm_per_px_x, self.mm_per_px_y
         if x is None and y is not None:
@@ -131,7 +130,7 @@ class _Session(CameraFlags):
 
     def _report(self, status: SessionStatus, quick: bool, out_of_step: str) -> None:
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
+        from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT
         from taccel_lab.cli.console import print_json, results
 
         if status.image is None or not (self.out / "captures.toml").is_file():
@@ -209,7 +208,7 @@ class CaptureQuick(_Session):
     """
 
     def run(self) -> None:
-        from taccel_lab.calibration.record.facts import QUICK_PRESSES
+        from taccel_lab.calibration.record.folder import QUICK_PRESSES
 
         self.run_as(QUICK_PRESSES, quick=True)
 
@@ -248,7 +247,7 @@ class _Lines:
 
 
 def _say_left_out(console: Console) -> None:
-    from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
+    from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT
 
     console.print("A quick session leaves out:")
     for line in QUICK_LEAVES_OUT:

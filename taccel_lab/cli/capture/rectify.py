@@ -27,8 +27,7 @@ class CaptureRectify:
     """Print size, scale and notes as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.camera.rectification import RectificationMaps
-        from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+        from taccel_lab.calibration.camera.rectification import RectificationMaps, rectify_captures
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.files.output_folder import require_replaceable

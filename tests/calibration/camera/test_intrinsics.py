@@ -14,17 +14,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.camera.board import BoardView
-from taccel_lab.calibration.camera.bundle import fit_bundle, initial_pose
 from taccel_lab.calibration.camera.chessboard import (
     charuco_board,
     detect_charuco,
     detect_chessboard,
 )
-from taccel_lab.calibration.camera.dot_board import detect_dots
-from taccel_lab.calibration.camera.find_boards import detect_views
+from taccel_lab.calibration.camera.find_boards import detect_dots, detect_views
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics, fold_of_views
-from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.camera.lens import LENSES, fit_bundle, initial_pose
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.camera.camera_model import CameraModel

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
-from taccel_lab.calibration.camera.dot_board import detect_dots
+from taccel_lab.calibration.camera.find_boards import detect_dots
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane import CameraPose

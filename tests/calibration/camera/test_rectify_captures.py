@@ -13,8 +13,7 @@ import pytest
 
 import taccel_lab.calibration.calibrate as whole
 from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
-from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+from taccel_lab.calibration.camera.rectification import RectificationMaps, rectify_captures
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.grey.fit import grey_captures
@@ -174,8 +173,8 @@ def test_the_command_takes_saved_maps(
     ("key", "value", "words"),
     [("map_u_px", np.full((40, 50), "x"), "map_u_px has type <U1"),
      ("map_v_px", np.full((40, 50), np.nan), r"map_v_px\[0, 0\] is nan"),
-     ("measured", np.ones((3, 3), bool), "of one size"),
-     ("mm_per_px", np.ones(3), "two numbers each")],
+     ("measured", np.ones((3, 3), bool), "measured must have shape"),
+     ("mm_per_px", np.ones(3), "mm_per_px must have shape")],
 )  # fmt: skip
 def test_maps_that_are_none_are_refused(
     key: str, value: np.ndarray, words: str, tmp_path: Path

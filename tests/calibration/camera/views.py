@@ -9,7 +9,8 @@ import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.capture.folder import BoardCaptures, Frame
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry
 from tests.calibration.drawn.boards import exact_view, pose_over
 

@@ -11,20 +11,22 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.camera import (
+from taccel_lab.calibration.capture.camera.camera import (
     CameraLostError,
-    CameraReplay,
     ControlValues,
-    Device,
     Framing,
     Gap,
     Shot,
-    list_devices,
-    open_camera,
     shots,
 )
-from taccel_lab.calibration.capture.camera.devices import find_device
-from taccel_lab.calibration.capture.camera.uvc import MANUAL_EXPOSURE, UvcCamera
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
+from taccel_lab.calibration.capture.camera.uvc import (
+    MANUAL_EXPOSURE,
+    Device,
+    UvcCamera,
+    find_device,
+    list_devices,
+)
 from taccel_lab.errors import InputError
 from tests.fuzz.samples.captures import write_video
 from tests.support.capture_sets import CaptureMaker, spread_circles, write_image
@@ -186,7 +188,8 @@ def test_a_capture_folder_is_pressed_again(tmp_path: Path) -> None:
     assert frames[1].time_s - frames[0].time_s == pytest.approx(0.1)
 
 
-def test_a_lost_camera_is_opened_again() -> None:
+def test_a_lost_camera_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("taccel_lab.calibration.capture.camera.camera.AGAIN_S", 0.0)
     captures = [FakeCapture(frames=2), FakeCapture(frames=2)]
     opened: list[str] = []
 
@@ -195,7 +198,7 @@ def test_a_lost_camera_is_opened_again() -> None:
             raise CameraLostError("still gone")
         return UvcCamera(DEVICE, open_capture=lambda _: captures.pop())
 
-    stream = shots(open_, lambda camera: opened.append(camera.info.id), again_s=0)
+    stream = shots(open_, lambda camera: opened.append(camera.info.id))
     kinds = [type(next(stream)) for _ in range(8)]
     stream.close()
     assert kinds == [Shot, Shot, Gap, Shot, Shot, Gap, Gap, Gap] and len(opened) == 2

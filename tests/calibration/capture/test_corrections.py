@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_captures
-from taccel_lab.calibration.capture.overrides import override_presses, override_text, read_overrides
+from taccel_lab.calibration.capture.load import override_presses, override_text
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.cli.capture.check import CaptureCheckCommand
 from taccel_lab.errors import InputError
@@ -91,8 +91,6 @@ def test_bad_corrections(tmp_path: Path, text: str, message: str) -> None:
     captures = press_set(circles, [gel()] * 3)
     with pytest.raises(InputError, match=message):
         override_presses(captures.presses, path)
-    with pytest.raises(InputError, match="does not exist"):
-        read_overrides(tmp_path / "missing.toml")
 
 
 def test_names_with_odd_characters_survive(tmp_path: Path) -> None:

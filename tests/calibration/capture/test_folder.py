@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.guide import capture_plan
+from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.capture.records import (
     apparent_modulus_mpa,
     check_record,
@@ -21,7 +22,6 @@ from taccel_lab.calibration.capture.records import (
     load_record,
 )
 from taccel_lab.calibration.capture.schema import CaptureManifest, RecordEntry, ToolEntry
-from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError
 from taccel_lab.files.loading_faults import require_loading
 from taccel_lab.presses.bonded_layer import layer_force_n
@@ -135,7 +135,7 @@ def test_only_some_sections(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('untouched = ["later.png"]', 'untouched = ["board.png"]', r"board\.png is 128x96 px but"),
+        ('untouched = ["later.png"]', 'untouched = ["board.png"]', r"board\.png is 128x96 px, the"),
         ('image = "edge.png"', 'image = "gone.png"', r"gone\.png does not exist"),
         ('"video/*.png"', '"nothing/*.png"', r"at least 2 frames, found 0"),
         ('frames = ["video/*.png"]', "", "either a file or frames"),

@@ -12,8 +12,13 @@ import pytest
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import read_drafts
-from taccel_lab.calibration.capture.importers.files import files_of, left_out_sentences
-from taccel_lab.calibration.capture.importers.origin import UNKNOWN, Origin, read_origin
+from taccel_lab.calibration.capture.importers.files import (
+    UNKNOWN,
+    Origin,
+    files_of,
+    left_out_sentences,
+    read_origin,
+)
 from taccel_lab.calibration.check import check_captures
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.profile import catalogue_profile

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
+from taccel_lab.calibration.capture.framing import guess_background
 from taccel_lab.calibration.capture.importers import (
     LAYOUTS,
     PUBLISHED,
@@ -19,7 +20,6 @@ from taccel_lab.calibration.capture.importers import (
     detect_layout,
     read_drafts,
 )
-from taccel_lab.calibration.capture.importers.background_guess import guess_background
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import (
     MAKERS,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
-from taccel_lab.calibration.capture.importers.files import natural_key
+from taccel_lab.calibration.capture.camera.recording import natural_key
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import SCRIPTS, gelslim, layout_of, picture
 from tests.support.capture_sets import write_image

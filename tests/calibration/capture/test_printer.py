@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,7 @@ from taccel_lab.calibration.capture.printer import (
     printer_plan,
     read_press_table,
 )
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.folder import open_record
+from taccel_lab.calibration.record.folder import RecordFacts, open_record
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_family
 from tests.support.capture_sets import write_image
@@ -136,7 +136,7 @@ def test_a_session_takes_the_table_only_where_it_is_in_step(tmp_path: Path) -> N
     (tmp_path / "printer_presses.csv").write_text(plan.table())
     made = read_press_table(tmp_path / "printer_presses.csv")
     facts = RecordFacts("9dtact", 4.0, None, "later", None, None, False, "")
-    facts = facts.at(CameraInfo("a", "a"), [], "whole images")
+    facts = replace(facts, camera=CameraInfo("a", "a"))
     rng = np.random.default_rng(0)
     image = rng.integers(90, 110, (96, 128, 3)).astype(np.uint8)
     with open_record(tmp_path / "captures", facts, made) as folder:

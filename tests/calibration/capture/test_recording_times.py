@@ -14,7 +14,7 @@ import pytest
 
 from taccel_lab.calibration.capture.camera.recording import Recording, name_stamps
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_replay
-from taccel_lab.calibration.capture.video import LOST_SHARE
+from taccel_lab.calibration.capture.load import LOST_SHARE
 from taccel_lab.errors import InputError
 from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.videos import count_frames, read_timed_frames

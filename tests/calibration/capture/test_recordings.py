@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from taccel_lab.calibration.capture.camera import open_camera
 from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.calibration.capture.camera.replay import open_camera
 from taccel_lab.errors import InputError
 from taccel_lab.files.videos import count_frames, read_frames
 

@@ -24,7 +24,7 @@ from taccel_lab.calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.split import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
+from taccel_lab.calibration.capture.captures import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import picture
 from tests.support.small_captures import write_captures
@@ -35,7 +35,7 @@ def unread() -> NoReturn:
 
 
 def press(name: str, circle: ContactCircle | None = None) -> CapturedPress:
-    return CapturedPress(name, f"{name}.png", "0" * 64, circle, unread)
+    return CapturedPress(name, f"{name}.png", "0" * 64, unread, circle)
 
 
 def presses(centers: np.ndarray, radius_px: float = 20.0) -> list[CapturedPress]:

@@ -250,7 +250,7 @@ def test_a_press_that_its_label_places_is_off_by_what_is_stated() -> None:
         label = truth + shift + rng.normal(0, 1.5, truth.shape)
         found = truth + rng.normal(0, 0.8, truth.shape)
         placed = fuse_circles(circles(label[4:]), contacts(found[4:], 0.8, 0.8))[0]
-        known = [CapturedPress("p", "", "", c, lambda: np.zeros(0)) for c in circles(label[4:])]
+        known = [CapturedPress("p", "", "", lambda: np.zeros(0), c) for c in circles(label[4:])]
         labels = LabelPlacement.of(known, placed)
         center, radius = labels.sigma_px((0.8, 0.8))
         held = circle_array([labels.applied(c, 200.0) for c in circles(label[:4])])

@@ -206,7 +206,7 @@ def test_radii_that_labels_scatter_are_drawn_to_their_mean() -> None:
     truth = [ContactCircle(50.0, 50.0, 20.0 + float(x)) for x in rng.normal(0, 0.2, 30)]
     labels = [replace(c, radius_px=c.radius_px + float(x)) for c, x in zip(
         truth, rng.normal(1.0, 2.0, 30), strict=True)]  # fmt: skip
-    presses = [CapturedPress(f"p{i}", "", "", c, lambda: np.zeros(0)) for i, c in enumerate(labels)]
+    presses = [CapturedPress(f"p{i}", "", "", lambda: np.zeros(0), c) for i, c in enumerate(labels)]
     shift = LabelPlacement.of(presses, truth)
     assert 0.0 < shift.radius_slope < 0.2
     placed = shift.applied(ContactCircle(50.0, 50.0, 25.0), 40.0)

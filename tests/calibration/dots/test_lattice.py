@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.camera.board_lattice import board_lattice
-from taccel_lab.calibration.camera.dot_board import MIN_SHARE
+from taccel_lab.calibration.camera.board import board_lattice
+from taccel_lab.calibration.camera.find_boards import MIN_SHARE
 from taccel_lab.calibration.dots.lattice import fit_layout, lattice_index, renumbered
 from taccel_lab.errors import InputError
 from taccel_lab.optics import MarkerGrid

@@ -229,7 +229,7 @@ def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
             PixelGrid(untouched.shape[1], untouched.shape[0], mm_per_px, mm_per_px),
             (
                 CapturedPress(
-                    "ball", str(image), file_sha256(image), None, partial(read_image, image)
+                    "ball", str(image), file_sha256(image), partial(read_image, image)
                 ),
             ),
             {},

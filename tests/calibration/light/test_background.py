@@ -12,7 +12,8 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from taccel_lab.calibration.capture import CapturedPress, ContactCircle
-from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.light.background_result import dust_mask, speck_count
 from taccel_lab.errors import InputError
@@ -44,7 +45,7 @@ def capture_folder(
         mm_per_px=(GRID.mm_per_px_x, GRID.mm_per_px_y),
         ball_radius_mm=BALL_MM,
         presses=tuple(
-            CapturedPress(f"p{i}", f"p{i}", "1" * 64, None, partial(np.copy, image))
+            CapturedPress(f"p{i}", f"p{i}", "1" * 64, partial(np.copy, image))
             for i, image in enumerate(presses)
         ),
     )

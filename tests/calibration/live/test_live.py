@@ -13,9 +13,15 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
-from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
-from taccel_lab.calibration.live.pictures import BEYOND, pictures
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
+from taccel_lab.calibration.live.page import (
+    BEYOND,
+    LivePage,
+    LiveSheet,
+    figures_text,
+    latency_text,
+    pictures,
+)
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
 from taccel_lab.errors import InputError
@@ -217,7 +223,7 @@ def test_frames_that_change_their_size_are_refused(
     rest = np.asarray(grey[0].background).astype(np.uint8)
     write_image(tmp_path / "frames" / "0.png", rest)
     write_image(tmp_path / "frames" / "1.png", rest[::2, ::2])
-    with pytest.raises(InputError, match=r"now gives images of 100x75 px, it began with 200x150"):
+    with pytest.raises(InputError, match=r"camera is 100x75 px, it began with 200x150"):
         session(tmp_path / "frames", *grey, Watching(), background=rest.astype(np.float32))
 
 
@@ -247,10 +253,9 @@ def test_markers_of_a_real_video_are_followed() -> None:
     moved = []
     for frame in frames[:100:8]:
         reading = reader.read(frame)
-        assert reading.markers_px is not None and reading.rest_px is not None
-        assert reading.seen is not None
-        assert reading.seen.mean() > 0.5
-        moved.append(np.linalg.norm(reading.markers_px - reading.rest_px, axis=1).max())
+        markers = reading.markers
+        assert markers is not None and markers.seen.mean() > 0.5
+        moved.append(np.linalg.norm(markers.uv_px - markers.rest_px, axis=1).max())
     assert moved[0] < 1.0 and max(moved) > 3.0
 
 

@@ -164,7 +164,9 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     publisher.tell("Touch nothing")
     assert ros.node.logged[-1] == "Touch nothing"
     assert result.reader is not None
-    refused = replace(reading, refused="too steep", press=None, forces={})
+    assert reading.surface is not None
+    unpressed = replace(reading.surface, press=None)
+    refused = replace(reading, refused="too steep", surface=unpressed, forces={})
     publisher.show(refused, result.reader, result.latency)
     depth, wrench = (ros.node.published[f"tactile/left/{t}"][-1] for t in ("depth", "wrench"))
     force = wrench.wrench.force
@@ -174,12 +176,12 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     assert ros.node.ended and publisher.stopped()
     # A snapshot of the same reading.
     for number in range(2):
-        kept = save_snapshot(reading, result.reader, tmp_path / "kept")
+        kept = save_snapshot(reading, tmp_path / "kept")
         assert kept.name == f"snapshot_{number:03d}_image.png"
     with np.load(tmp_path / "kept" / "snapshot_001.npz") as arrays:
         np.testing.assert_allclose(arrays["rise_m"], reading.surface.rise_m, rtol=1e-6)
         assert arrays["pressure_pa"].max() > 0
-    save_snapshot(refused, result.reader, tmp_path / "kept")
+    save_snapshot(refused, tmp_path / "kept")
     names = {path.name for path in (tmp_path / "kept").iterdir() if "002" in path.name}
     assert names == {"snapshot_002_image.png"}
 

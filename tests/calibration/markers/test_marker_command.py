@@ -14,8 +14,8 @@ import pytest
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.markers.tracks import track_figures
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.dots.lattice import fit_layout, lattice_index
+from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.fit import layout_on_gel
 from taccel_lab.calibration.markers.gel_view import (
@@ -21,10 +22,13 @@ from taccel_lab.calibration.markers.gel_view import (
     face_seen,
     pixel_jacobian,
 )
-from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
-from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import associate, track_markers
-from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus, marker_flow_mm
+from taccel_lab.calibration.markers.tracks import (
+    MarkerTracks,
+    TrackStatus,
+    marker_flow_mm,
+    track_figures,
+)
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.camera.media import media_between
 from taccel_lab.errors import InputError

@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
+from taccel_lab.calibration.capture.captures import Frame
+from taccel_lab.calibration.capture.folder import MarkerCaptures, Video
 from taccel_lab.calibration.capture.schema import VideoEntry
 from taccel_lab.calibration.dots.lattice import PITCH_X, PITCH_Y
 from taccel_lab.calibration.dots.marker_picture import find_markers

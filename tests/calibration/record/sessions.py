@@ -9,12 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera import Camera, CameraLostError, CameraReplay, Shot
-from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, ControlValues
-from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_replay
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.run import Order
-from taccel_lab.calibration.record.session import SessionStatus
+from taccel_lab.calibration.capture.camera.camera import (
+    Camera,
+    CameraInfo,
+    CameraLostError,
+    ControlLock,
+    ControlValues,
+    Shot,
+)
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera, open_replay
+from taccel_lab.calibration.record.folder import RecordFacts
+from taccel_lab.calibration.record.session import Order, SessionStatus
 from taccel_lab.files.recorded_frame import RecordedFrame
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID

@@ -15,21 +15,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
-from taccel_lab.calibration.capture.camera import CameraReplay, Shot, open_camera
-from taccel_lab.calibration.capture.camera.camera import CameraInfo
-from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
-from taccel_lab.calibration.record.camera_faults import FROZEN_S
-from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.page import BLUE, LAMP_COLORS, RecordPage
-from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import (
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, Shot
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
+from taccel_lab.calibration.capture.coverage import (
+    CELLS,
     SHARES,
-    Recorder,
-    SessionStatus,
+    cell_name,
+    cell_of,
     contact_radius_mm,
     next_press,
 )
-from taccel_lab.calibration.record.tiles import tiled
+from taccel_lab.calibration.record.folder import open_record
+from taccel_lab.calibration.record.lamps import FROZEN_S
+from taccel_lab.calibration.record.page import BLUE, LAMP_COLORS, RecordPage, tiled
+from taccel_lab.calibration.record.session import (
+    Recorder,
+    SessionStatus,
+    run_session,
+)
 from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger, UntouchedGel
 from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, page_address

@@ -14,10 +14,8 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.calibration.record.facts import RecordFacts
-from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder, SessionStatus
+from taccel_lab.calibration.record.folder import RecordFacts, open_record
+from taccel_lab.calibration.record.session import Recorder, SessionStatus, run_session
 from taccel_lab.errors import InputError
 from tests.calibration.record.sessions import (
     FACTS,
@@ -81,12 +79,13 @@ def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert names == ["background.png", "captures.toml", *(f"press_{k:03d}.png" for k in range(3))]
 
 
-def test_a_camera_may_go_and_come_back(tmp_path: Path) -> None:
+def test_a_camera_may_go_and_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("taccel_lab.calibration.capture.camera.camera.AGAIN_S", 0.0)
     camera = UnpluggedCamera(source(tmp_path / "set", 3), lost_at=(30, 75, 120), drop_every=7)
     watching = Watching()
     with open_record(tmp_path / "out", FACTS) as folder:
         recorder = Recorder(folder, FACTS, 3)
-        run_session(recorder, camera.open, [watching], again_s=0.0)
+        run_session(recorder, camera.open, [watching])
     assert camera.opened == 4
     gone = [status.prompt for status in watching.seen if "camera is gone" in status.prompt]
     assert len(gone) == 9 and "nothing is lost" in gone[0]  # the loss, and two refusals each

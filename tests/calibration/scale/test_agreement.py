@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle, Frame
+from taccel_lab.calibration.capture.folder import EdgeCapture
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
 from taccel_lab.calibration.result import Estimate
@@ -24,9 +24,8 @@ from taccel_lab.calibration.scale.ball_contacts import (
 )
 from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
-from taccel_lab.calibration.scale.estimate import combine_axis
 from taccel_lab.calibration.scale.fit import calibrate_scale
-from taccel_lab.calibration.scale.result import ScaleCalibration
+from taccel_lab.calibration.scale.result import ScaleCalibration, combine_axis
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import judge
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
@@ -189,7 +188,7 @@ def test_false_alarms_are_rare_and_real_ones_are_not() -> None:
 
 def contact(radius_px: float, ball_mm: float) -> BallContact:
     circle = ContactCircle(100.0, 100.0, radius_px)
-    press = CapturedPress(f"p{radius_px}", "p.png", "0" * 64, circle, lambda: BACKGROUND)
+    press = CapturedPress(f"p{radius_px}", "p.png", "0" * 64, lambda: BACKGROUND, circle)
     return BallContact(press, ball_mm, circle)
 
 

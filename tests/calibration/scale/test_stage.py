@@ -28,7 +28,7 @@ def contacts(
         u, v = np.array([160, 120]) + turn.T @ places[k] / SCALE + noise_px * rng.normal(size=2)
         circle = ContactCircle(float(u), float(v), 16.0)
         press = CapturedPress(
-            f"{k}", f"{k}", "", circle, lambda: np.zeros(0), stage_mm=places[k + step]
+            f"{k}", f"{k}", "", lambda: np.zeros(0), circle, stage_mm=places[k + step]
         )
         found.append(BallContact(press, 2.0, circle))
     return found
