@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import CORNER_MASS, MIDDLE_MASS
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.env_rows import device_array, on_device
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -145,7 +146,7 @@ def widened(shared: wp.array, shape: tuple[int, ...]) -> wp.array:
     """A copy of float64 with as many rows as ``shape`` says; ``shared`` has them or has one."""
     result = wp.empty(shape, dtype=wp.float64, device=shared.device)
     flat = [shared.flatten(), result.flatten()]
-    wp.launch(_widen_rows_kernel, dim=result.size, inputs=flat, device=shared.device)
+    launch(_widen_rows_kernel, result.size, *flat)
     return result
 
 
@@ -222,19 +223,15 @@ def write_moduli(
     """Young's moduli [Pa] and Poisson's ratios, as ``env_values`` gives them, of one body of a
     group whose moduli are those of each environment; what is None stays."""
     _, first, last = member
-    wp.launch(
-        _moduli_kernel,
-        dim=(len(mask), last - first),
-        inputs=[mask, young, poisson, first, group.element_count],
-        outputs=[group.young_moduli, group.poisson_ratios, group.mu, group.lam],
-        device=mask.device,
-    )
+    inputs = [mask, young, poisson, first, group.element_count, group.young_moduli]
+    inputs += [group.poisson_ratios, group.mu, group.lam]
+    launch(_moduli_kernel, (len(mask), last - first), *inputs)
 
 
 def write_largest(mask: wp.array, young: wp.array, body: int, largest: wp.array) -> None:
     """Keep ``Model.largest_moduli`` with the moduli of a body [Pa]."""
     inputs = [mask, young, body]
-    wp.launch(_largest_kernel, len(mask), inputs=inputs, outputs=[largest], device=mask.device)
+    launch(_largest_kernel, len(mask), *inputs, largest)
 
 
 def write_densities(
@@ -248,15 +245,9 @@ def write_densities(
     """Lumped masses [kg] of the nodes of one body of a group, from its densities [kg/m^3]."""
     quadratic = group.element is Element.QUADRATIC
     shares = wp.vec2d(CORNER_MASS, MIDDLE_MASS) if quadratic else wp.vec2d(0.25, 0.25)
-    wp.launch(
-        _density_kernel,
-        dim=(len(mask), len(group.gather_nodes)),
-        inputs=[mask, densities, group.volumes, member[1]]
-        + [group.gather_nodes, group.node_starts, group.node_entries, group.nodes_per_element]
-        + [shares, *nodes],
-        outputs=[masses],
-        device=mask.device,
-    )
+    inputs = [mask, densities, group.volumes, member[1], group.gather_nodes, group.node_starts]
+    inputs += [group.node_entries, group.nodes_per_element, shares, *nodes, masses]
+    launch(_density_kernel, (len(mask), len(group.gather_nodes)), *inputs)
 
 
 def write_scaled(
@@ -270,13 +261,8 @@ def write_scaled(
     """Masses [kg] of a range of nodes: those of the scene times ``given`` over ``of_scene``, one
     for all environments or one for each."""
     reference = wp.array(np.asarray(of_scene), dtype=wp.float64, device=mask.device)
-    wp.launch(
-        _scale_kernel,
-        dim=(len(mask), nodes[1] - nodes[0]),
-        inputs=[mask, given, reference, scene_masses, nodes[0]],
-        outputs=[masses],
-        device=mask.device,
-    )
+    inputs = [mask, given, reference, scene_masses, nodes[0], masses]
+    launch(_scale_kernel, (len(mask), nodes[1] - nodes[0]), *inputs)
 
 
 def write_friction(
@@ -284,6 +270,4 @@ def write_friction(
 ) -> None:
     """Coefficient of a pair of bodies."""
     inputs = [mask, given, first, second]
-    wp.launch(
-        _set_friction_kernel, len(mask), inputs=inputs, outputs=[pair_friction], device=mask.device
-    )
+    launch(_set_friction_kernel, len(mask), *inputs, pair_friction)

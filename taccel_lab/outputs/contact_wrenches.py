@@ -35,6 +35,7 @@ from taccel_lab.ipc.potentials.friction import (
     sliding,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -224,13 +225,7 @@ class PairWrenches:
     def totals(self) -> wp.array:
         """Wrench on each body by all others, six float64, shape [env_count, body_count]."""
         totals = wp.zeros(self.wrenches.shape[:2], dtype=vec6d, device=self.wrenches.device)
-        wp.launch(
-            _total_kernel,
-            dim=totals.shape,
-            inputs=[self.wrenches],
-            outputs=[totals],
-            device=totals.device,
-        )
+        launch(_total_kernel, totals.shape, self.wrenches, totals)
         return totals
 
 
@@ -241,20 +236,10 @@ def _added(model: Model, kernel: wp.Kernel, counts: wp.array, inputs: list) -> P
     starts = np.concatenate([[0], np.cumsum(numbers, dtype=np.int32)])
     places = wp.array(starts, dtype=wp.int32, device=model.device)
     interactions = wp.zeros(int(starts[-1]), dtype=Interaction, device=model.device)
-    wp.launch(
-        kernel,
-        dim=(model.env_count, int(numbers.max(initial=0))),
-        inputs=[*inputs, places],
-        outputs=[interactions],
-        device=model.device,
-    )
+    launch(kernel, (model.env_count, int(numbers.max(initial=0))), *inputs, places, interactions)
     result = PairWrenches.none(model)
-    wp.launch(
-        _add_kernel,
-        dim=result.wrenches.shape[:2],
-        inputs=[places, interactions],
-        outputs=[result.wrenches, result.gaps],
-        device=model.device,
+    launch(
+        _add_kernel, result.wrenches.shape[:2], places, interactions, result.wrenches, result.gaps
     )
     return result
 

@@ -23,6 +23,7 @@ from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.elements.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -199,38 +200,22 @@ class StressReader:
     def _add(
         self, positions: wp.array, inverses: wp.array | None, first: int, share: float
     ) -> None:
-        wp.launch(
-            _stress_kernel(self.group.law, self.group.element),
-            dim=self.stresses.shape,
-            inputs=[positions, inverses, first, share, self._data],
-            outputs=[self.stresses, self.volumes],
-            device=self.model.device,
-        )
+        inputs = [positions, inverses, first, share, self._data, self.stresses, self.volumes]
+        launch(_stress_kernel(self.group.law, self.group.element), self.stresses.shape, *inputs)
 
     def add_to_nodes(self, nodal: wp.array) -> None:
         """Write the mean of the last ``stresses`` around each node of the group into ``nodal``,
         mat33d, shape [env_count, node_count]."""
         g = self.group
-        wp.launch(
-            _nodal_stress_kernel,
-            dim=(self.model.env_count, len(g.gather_nodes)),
-            inputs=[g.gather_nodes, g.node_starts, g.node_entries, g.nodes_per_element]
-            + [self.stresses, self.volumes],
-            outputs=[nodal],
-            device=self.model.device,
-        )
+        inputs = [g.gather_nodes, g.node_starts, g.node_entries, g.nodes_per_element]
+        inputs += [self.stresses, self.volumes, nodal]
+        launch(_nodal_stress_kernel, (self.model.env_count, len(g.gather_nodes)), *inputs)
 
 
 def von_mises(stresses: wp.array) -> wp.array:
     """Equivalent stress sqrt(3/2 s : s) of the deviators [Pa], float64, same shape."""
     equivalent = wp.zeros(stresses.shape, dtype=wp.float64, device=stresses.device)
-    wp.launch(
-        _von_mises_kernel,
-        dim=stresses.shape,
-        inputs=[stresses],
-        outputs=[equivalent],
-        device=stresses.device,
-    )
+    launch(_von_mises_kernel, stresses.shape, stresses, equivalent)
     return equivalent
 
 
@@ -244,11 +229,5 @@ def peak_at(nodes: np.ndarray, values: wp.array) -> tuple[wp.array, wp.array]:
     peaks = wp.zeros(values.shape[0], dtype=wp.float64, device=device)
     places = wp.zeros(values.shape[0], dtype=wp.int32, device=device)
     chosen = wp.array(np.asarray(nodes, dtype=np.int32), dtype=wp.int32, device=device)
-    wp.launch(
-        _peak_kernel,
-        dim=values.shape[0],
-        inputs=[chosen, values],
-        outputs=[peaks, places],
-        device=device,
-    )
+    launch(_peak_kernel, values.shape[0], chosen, values, peaks, places)
     return peaks, places

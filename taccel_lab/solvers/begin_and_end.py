@@ -11,6 +11,7 @@ from taccel_lab.ipc.potentials.friction import ToolWays
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import STEPPING, forget_gain, stop
 from taccel_lab.solvers.env_progress import (
     Balance,
@@ -220,12 +221,8 @@ def begin_step(run: StepLaunches) -> None:
         p.flags,
         run.rules,
     )
-    wp.launch(
-        _begin_nodes_kernel,
-        dim=state.positions.shape,
-        inputs=[state.positions, state.velocities, s.previous, s.origin, p.roster, p.phases],
-        device=run.model.device,
-    )
+    inputs = [state.positions, state.velocities, s.previous, s.origin, p.roster, p.phases]
+    launch(_begin_nodes_kernel, state.positions.shape, *inputs)
     _begin_potentials(run)
     for part in s.elastic:
         part.add_energy(p.phases.fresh, state.positions, p.search.before)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
 from taccel_lab.solvers.env_progress import (
     Balance,
@@ -172,12 +173,7 @@ def _retreat(run: StepLaunches) -> None:
     s, p, state = run.s, run.p, run.state
     assert s.friction is not None
     x, mask = state.positions, p.phases.inner
-    wp.launch(
-        _retreat_kernel,
-        dim=x.shape,
-        inputs=[s.trial, s.follow_start, x, p.phases, p.following, p.flags],
-        device=run.model.device,
-    )
+    launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.phases, p.following, p.flags)
     run.collide(mask, x)
     s.friction.lag(mask, x, s.origin)
     evaluate_gradient(run, mask)

@@ -9,6 +9,7 @@ from taccel_lab.ipc.device.sums import force_sums
 from taccel_lab.ipc.motion.unknowns import reduce_gradient
 from taccel_lab.ipc.potentials.elements.data import ElementSum
 from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_progress import Balance, Rules
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -122,12 +123,19 @@ def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
     """
     s, state, x = run.s, run.state, run.state.positions
     friction_gradient = s.friction_gradient if s.friction is not None else None
-    wp.launch(
+    launch(
         _begin_gradient_kernel,
-        dim=(run.model.env_count, max(x.shape[1], state.poses.shape[1])),
-        inputs=[mask, int(take_trial), s.trial, s.trial_poses, x, state.poses]
-        + [s.gradient, s.contact_gradient, friction_gradient, run.p.balance],
-        device=run.model.device,
+        (run.model.env_count, max(x.shape[1], state.poses.shape[1])),
+        mask,
+        int(take_trial),
+        s.trial,
+        s.trial_poses,
+        x,
+        state.poses,
+        s.gradient,
+        s.contact_gradient,
+        friction_gradient,
+        run.p.balance,
     )
     if s.joints is not None:
         s.joints.set_frames(state.poses)

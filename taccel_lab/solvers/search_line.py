@@ -16,9 +16,10 @@ from taccel_lab.ipc.affine.bent_step import (
 )
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
-from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope, launch_rows
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope
 from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
+from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
 from taccel_lab.solvers.env_progress import (
     Balance,
@@ -340,16 +341,15 @@ def search_line(run: StepLaunches) -> None:
     parts = [p.phases, p.counts, p.prescribed, p.clearance, p.balance, p.following]
     parts += [p.search, p.flags]
     start = [p.phases.active, *gradients, s.displacements, run.energies, known]
-    launch_rows(_open_search_kernel, [*start, *rules, *parts], [])
+    launch_blocks(_open_search_kernel, len(p.phases.active), *start, *rules, *parts)
 
     def judge() -> None:
         evaluate_trial(run)
         rules = [s.collisions.room, SMALLEST_TURN]
         parts = [p.phases, p.counts, p.prescribed, p.clearance, p.following, p.curvature]
         parts += [p.search, p.flags]
-        launch_rows(
-            _judge_trial_kernel, [p.phases.inner, run.energies, *rules, *parts, run.rules], []
-        )
+        inputs = [p.phases.inner, run.energies, *rules, *parts, run.rules]
+        launch_blocks(_judge_trial_kernel, len(p.phases.inner), *inputs)
 
     # All that search have a first trial: a loop around it would only have to be entered.
     judge()

@@ -9,7 +9,6 @@ import warp as wp
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.contact.collisions import Collisions
-from taccel_lab.ipc.device.launches import Scratch
 from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
 from taccel_lab.ipc.linear.corrected import CorrectedSolve
 from taccel_lab.ipc.linear.system import LinearSystem
@@ -23,6 +22,7 @@ from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.model import Model
+from taccel_lab.model.launches import Scratch
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgress, follow_after, make_rules
 from taccel_lab.solvers.state_rows import StateRows

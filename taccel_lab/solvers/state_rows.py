@@ -14,6 +14,7 @@ import warp as wp
 
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 from taccel_lab.state import State
 
 wp.set_module_options({"enable_backward": False})
@@ -95,9 +96,5 @@ class StateRows:
     def _move(
         self, mask: wp.array, also: wp.array, count: int, sources: wp.array, targets: wp.array
     ) -> None:
-        wp.launch(
-            _move_rows_kernel,
-            dim=(self._model.env_count, self._lanes),
-            inputs=[mask, also, self._lanes, count, self._widths, sources, targets],
-            device=self._model.device,
-        )
+        inputs = [mask, also, self._lanes, count, self._widths, sources, targets]
+        launch(_move_rows_kernel, (self._model.env_count, self._lanes), *inputs)

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import capture
+from taccel_lab.model.launches import capture
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step import take_step
 from taccel_lab.solvers.step_launches import StepLaunches

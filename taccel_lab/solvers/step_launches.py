@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import side_by_side
 from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
+from taccel_lab.model.launches import launch, side_by_side
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Phases
 from taccel_lab.solvers.solver_parts import SolverParts
@@ -63,16 +63,14 @@ class StepLaunches:
 
     def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
         """Launch one thread an environment."""
-        wp.launch(kernel, dim=self.model.env_count, inputs=list(inputs), device=self.model.device)
+        launch(kernel, self.model.env_count, *inputs, device=self.model.device)
 
     def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
         state = self.state
-        wp.launch(
-            _commit_kernel,
-            dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
-            inputs=[mask, positions, poses, state.positions, state.poses],
-            device=self.model.device,
+        inputs = [mask, positions, poses, state.positions, state.poses]
+        launch(
+            _commit_kernel, (self.model.env_count, max(positions.shape[1], poses.shape[1])), *inputs
         )
 
     def collide(self, mask: wp.array, positions: wp.array) -> None:

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import WARP_THREADS, launch
 from taccel_lab.ipc.device.matrices import signed_svd_3x3
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian, principal_block
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import (
@@ -32,6 +31,7 @@ from taccel_lab.ipc.elasticity.st_venant_kirchhoff import (
     st_venant_kirchhoff_piola,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
@@ -130,14 +130,9 @@ def predict_affine(
     """
     affine = model.affine
     bends.zero_()
-    launch(
-        _predict_affine_kernel,
-        dim=(model.env_count, affine.count),
-        inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial]
-        + [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))],
-        outputs=[predicted, bends],
-        device=model.device,
-    )
+    inputs = [active, affine.control_starts, affine.lengths, model.masses, inertial]
+    inputs += [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))]
+    launch(_predict_affine_kernel, (model.env_count, affine.count), *inputs, predicted, bends)
 
 
 @wp.kernel
@@ -167,10 +162,5 @@ def ride_along(model: Model, active: wp.array, positions: wp.array, predicted: w
     where the control nodes of the bodies are already: they keep their places on the bodies."""
     affine = model.affine
     if len(affine.riders):
-        launch(
-            _ride_kernel,
-            dim=(model.env_count, len(affine.riders)),
-            inputs=[active, affine.riders, affine.control_starts, affine.lengths, positions],
-            outputs=[predicted],
-            device=model.device,
-        )
+        inputs = [active, affine.riders, affine.control_starts, affine.lengths, positions]
+        launch(_ride_kernel, (model.env_count, len(affine.riders)), *inputs, predicted)

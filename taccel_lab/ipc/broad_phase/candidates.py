@@ -23,6 +23,7 @@ from taccel_lab.ipc.broad_phase.stiff_targets import (
 )
 from taccel_lab.ipc.device.ragged_lists import GrowingList, clear_all, initial_capacity
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,12 +107,7 @@ class Candidates:
         reach = margins
         if self.model.largest_thickness_m > 0:
             reach = self._reach
-            wp.launch(
-                _widen_kernel,
-                dim=len(reach),
-                inputs=[margins, self.model.largest_thickness_m, reach],
-                device=self.model.device,
-            )
+            launch(_widen_kernel, len(reach), margins, self.model.largest_thickness_m, reach)
         clear_all(active, self.lists)
         self._search(active, positions, displacements, reach)
 
@@ -125,13 +121,9 @@ class Candidates:
         run_search(self._stiff, model, active, path, self._frames, node_face + edge_edge)
         balls = model.contact_plan.ball_face
         if len(balls):
-            wp.launch(
-                BALL_JOBS,
-                dim=(model.env_count, len(balls)),
-                inputs=[active, balls, surface.node_bodies, surface.node_radii, model.present]
-                + [surface.faces, *path],
-                outputs=node_face,
-                device=model.device,
+            inputs = [active, balls, surface.node_bodies, surface.node_radii, model.present]
+            launch(
+                BALL_JOBS, (model.env_count, len(balls)), *inputs, surface.faces, *path, *node_face
             )
         if self._soft is not None:
             self._soft.search(active, positions, displacements, margins, node_face, edge_edge)

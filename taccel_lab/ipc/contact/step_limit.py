@@ -24,6 +24,7 @@ from taccel_lab.ipc.distance.ccd import (
 )
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -239,13 +240,8 @@ def limit_checks(
 
     def against(kernel: wp.Kernel, pairs: PairList, primitives: list[wp.array]) -> None:
         lanes = lane_count(model.device, model.env_count, pairs.largest_room)
-        wp.launch(
-            kernel,
-            dim=(model.env_count, lanes),
-            inputs=[active, lanes, pairs.room, pairs.pairs, *primitives, *path, max_iterations],
-            outputs=[limits],
-            device=model.device,
-        )
+        inputs = [active, lanes, pairs.room, pairs.pairs, *primitives, *path, max_iterations]
+        launch(kernel, (model.env_count, lanes), *inputs, limits)
 
     def of_faces() -> None:
         primitives = [model.surface.faces, model.surface.face_reaches_sq]
@@ -255,13 +251,8 @@ def limit_checks(
         against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges])
 
     def of_planes() -> None:
-        wp.launch(
-            _node_plane_kernel,
-            dim=(model.env_count, len(planes)),
-            inputs=[active, planes, model.present, *path],
-            outputs=[limits],
-            device=model.device,
-        )
+        inputs = [active, planes, model.present, *path, limits]
+        launch(_node_plane_kernel, (model.env_count, len(planes)), *inputs)
 
     checks = []
     if candidates.node_faces.capacity:

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -152,13 +153,8 @@ def move_entries(
     new = wp.zeros(end, dtype=old.dtype, device=old.device)
     if len(old) and end:
         lanes = lane_count(old.device, len(counts), len(old))
-        wp.launch(
-            _move_entries_kernel,
-            dim=(len(counts), lanes),
-            inputs=[lanes, counts, old_starts, starts, _words(old)],
-            outputs=[_words(new)],
-            device=old.device,
-        )
+        inputs = [lanes, counts, old_starts, starts, _words(old), _words(new)]
+        launch(_move_entries_kernel, (len(counts), lanes), *inputs)
     return new
 
 
@@ -300,12 +296,7 @@ class GrowingList:
 def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
     """Empty one or two lists of the active environments (int32, [env_count]) in one launch."""
     first, second = lists[0], lists[1] if len(lists) > 1 else None
-    wp.launch(
-        _clear_kernel,
-        dim=len(active),
-        inputs=[active, first.counts, second.counts if second else None],
-        device=first.device,
-    )
+    launch(_clear_kernel, len(active), active, first.counts, second.counts if second else None)
 
 
 def grow_all(lists: Sequence[GrowingList]) -> np.ndarray:

@@ -7,15 +7,17 @@ are one launch; on the CPU a frame has one thread.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.ipc.motion.trial import Trial, put_node
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.kinematics import pose_between
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -116,8 +118,8 @@ class FrameNodes:
         path: tuple[wp.array, wp.array],
         fractions: wp.array | None,
         poses: wp.array | None,
-        inputs: list,
-        outputs: list,
+        inputs: Sequence[wp.array],
+        *rest: wp.array | Trial,
     ) -> None:
         model = self._model
         if not model.kinematic:
@@ -129,13 +131,8 @@ class FrameNodes:
         if fractions is not None and poses is not None:
             motion.fractions, motion.poses = fractions, poses
         motion.lanes = lane_count(model.device, model.env_count, max(self._most, 1))
-        launch(
-            kernel,
-            dim=(model.env_count, len(model.kinematic), motion.lanes),
-            inputs=[*inputs, motion],
-            outputs=outputs,
-            device=model.device,
-        )
+        dim = (model.env_count, len(model.kinematic), motion.lanes)
+        launch(kernel, dim, *inputs, motion, *rest, device=model.device)
 
     def aim(
         self,
@@ -155,10 +152,8 @@ class FrameNodes:
         They go to its end, or with ``fractions`` (float64, [env_count]) that part of it, to poses
         that are written to ``targets``.
         """
-        inputs = [active, moving]
-        self._launch(
-            _aim_nodes_kernel, path, fractions, targets, inputs, [positions, displacements]
-        )
+        masks = (active, moving)
+        self._launch(_aim_nodes_kernel, path, fractions, targets, masks, positions, displacements)
 
     def place(
         self,
@@ -169,4 +164,4 @@ class FrameNodes:
     ) -> None:
         """Put them where they are at the part ``fractions`` of ``path``, and write the ``poses``
         there; see ``aim``."""
-        self._launch(_carry_kernel, path, fractions, poses, [], [trial])
+        self._launch(_carry_kernel, path, fractions, poses, (), trial)

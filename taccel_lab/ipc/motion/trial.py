@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import vertex_range
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -74,9 +74,4 @@ class StraightNodes:
     def place(self, trial: Trial) -> None:
         """Put them where ``trial`` leads."""
         if len(self.nodes):
-            launch(
-                _straight_kernel,
-                dim=(self._model.env_count, len(self.nodes)),
-                inputs=[self.nodes, trial],
-                device=self._model.device,
-            )
+            launch(_straight_kernel, (self._model.env_count, len(self.nodes)), self.nodes, trial)

@@ -16,10 +16,10 @@ from taccel_lab.ipc.affine.rigidity import (
     orthogonality_gradient,
     orthogonality_hessian,
 )
-from taccel_lab.ipc.device.launches import WARP_THREADS, launch
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
@@ -116,28 +116,20 @@ class AffinePotential(Potential):
         their energy and stiffness together would be.
         """
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        launch(
-            kernel,
-            dim=self.energies.shape,
-            inputs=inputs,
-            outputs=outputs,
-            device=self.model.device,
-        )
-
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
-        self._launch(_affine_energy_kernel, [active, positions, *self._bodies], [self.energies])
+        inputs = [active, positions, *self._bodies, self.energies]
+        launch(_affine_energy_kernel, self.energies.shape, *inputs)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
-        self._launch(_affine_gradient_kernel, [active, positions, *self._bodies], [gradient])
+        inputs = [active, positions, *self._bodies, gradient]
+        launch(_affine_gradient_kernel, self.energies.shape, *inputs)
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_modes``: PSD_* of each
         environment."""
-        self._launch(
-            _affine_hessian_kernel, [active, positions, *self._bodies, psd_modes, system], []
-        )
+        inputs = [active, positions, *self._bodies, psd_modes, system]
+        launch(_affine_hessian_kernel, self.energies.shape, *inputs)

@@ -7,6 +7,8 @@ that of the guard (see ``collisions``); edge pairs carry the mollifier of [Li et
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from taccel_lab.ipc.contact.barrier import (
@@ -29,7 +31,6 @@ from taccel_lab.ipc.contact.pair_energy import (
     pair_gradient,
     pair_hessian,
 )
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector, lower_to
@@ -43,6 +44,7 @@ from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
@@ -273,31 +275,25 @@ class ContactPotential(EnergyTerm):
         """Room of the collisions."""
         return self.collisions.room
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:
+    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, *rest: Any) -> None:
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
-        launch(
-            kernel,
-            dim=(m.env_count, lanes),
-            inputs=[active, lanes, c.lists, c.geometry, positions, *rest],
-            device=m.device,
-        )
+        launch(kernel, (m.env_count, lanes), active, lanes, c.lists, c.geometry, positions, *rest)
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` of the current collision set [J]."""
         c = self.collisions
         if len(self.energies) != c.capacity:
             self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
-        self._launch(_contact_energy_kernel, active, positions, [self.energies])
+        self._launch(_contact_energy_kernel, active, positions, self.energies)
 
     def add_gradient(
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         for stage in self._sums.stages():
-            self._launch(
-                _contact_gradient_kernel, active, positions, [gradient, min_distance, stage]
-            )
+            rest = (gradient, min_distance, stage)
+            self._launch(_contact_gradient_kernel, active, positions, *rest)
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
@@ -306,9 +302,5 @@ class ContactPotential(EnergyTerm):
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
-        launch(
-            _contact_hessian_kernel,
-            dim=(m.env_count, lanes, parts),
-            inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
-            device=m.device,
-        )
+        inputs = [active, lanes, c.lists, c.geometry, positions, modes, parts, system]
+        launch(_contact_hessian_kernel, (m.env_count, lanes, parts), *inputs)

@@ -36,6 +36,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.state import JointState
 
 
@@ -123,23 +124,13 @@ class JointPotential(Potential):
         self._bound_rounding(mask, positions)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
         self._evaluate(mask, positions, self.coordinates, derivatives=False)
-        wp.launch(
-            begin_joints_kernel,
-            dim=self._shape,
-            inputs=[mask, self._values, self.state.targets, self._step],
-            outputs=[self._start_multipliers],
-            device=self.model.device,
-        )
+        inputs = [mask, self._values, self.state.targets, self._step, self._start_multipliers]
+        launch(begin_joints_kernel, self._shape, *inputs)
 
     def close_predicted(self, active: wp.array, positions: wp.array) -> None:
         """Move control nodes of affine bodies, placed each by itself, so that joints are closed."""
-        wp.launch(
-            close_joints_kernel,
-            dim=self.model.env_count,
-            inputs=[active, self._tree, self._poses, self._table],
-            outputs=[positions],
-            device=self.model.device,
-        )
+        inputs = [active, self._tree, self._poses, self._table, positions]
+        launch(close_joints_kernel, self.model.env_count, *inputs)
 
     def update_multipliers(self, active: wp.array, positions: wp.array) -> None:
         """Measure ``violations`` of constraints and limits [m] in active environments.
@@ -148,27 +139,19 @@ class JointPotential(Potential):
         to converge once more; elsewhere nothing changes.
         """
         self._evaluate(active, positions, derivatives=False)
-        self._launch(joint_violation_kernel, [active, self._values], [self._joint_violations])
-        wp.launch(
-            largest_violation_kernel,
-            dim=len(active),
-            inputs=[active, self._joint_violations, self.tolerance_m],
-            outputs=[self.violations, self._mask],
-            device=self.model.device,
-        )
+        inputs = [active, self._values, self._table, self._step, self._joint_violations]
+        launch(joint_violation_kernel, self._shape, *inputs)
+        inputs = [active, self._joint_violations, self.tolerance_m, self.violations, self._mask]
+        launch(largest_violation_kernel, len(active), *inputs)
         self._absorb(self._mask)
 
     def end_step(self, done: wp.array, positions: wp.array) -> None:
         """Read coordinates and reactions where ``done`` (int32, [env_count]) is set, and keep the
         forces as multipliers of the next step."""
         self._evaluate(done, positions)
-        wp.launch(
-            joint_outputs_kernel,
-            dim=self._shape,
-            inputs=[done, positions, self._values, self._derivatives, self._table, self._step],
-            outputs=[self.coordinates, self.rates, self.efforts, self.forces, self.torques],
-            device=self.model.device,
-        )
+        inputs = [done, positions, self._values, self._derivatives, self._table, self._step]
+        inputs += [self.coordinates, self.rates, self.efforts, self.forces, self.torques]
+        launch(joint_outputs_kernel, self._shape, *inputs)
         self._absorb(done)
 
     def restore(self, mask: wp.array) -> None:
@@ -188,14 +171,14 @@ class JointPotential(Potential):
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments. Its zero has no meaning."""
         self._evaluate(active, positions, derivatives=False)
-        self._launch(joint_energy_kernel, [active, self._values], [self.energies])
+        inputs = [active, self._values, self._table, self._step, self.energies]
+        launch(joint_energy_kernel, self._shape, *inputs)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
         self._evaluate(active, positions)
-        self._launch_groups(
-            joint_gradient_kernel, [active, self._values, self._derivatives], [gradient]
-        )
+        inputs = [self._values, self._derivatives]
+        self._launch_groups(joint_gradient_kernel, active, inputs, gradient)
 
     def add_hessian(
         self,
@@ -207,8 +190,8 @@ class JointPotential(Potential):
         """Add the Gauss-Newton matrix [N/m], positive semidefinite in every mode, and to
         the right-hand side what the motion of kinematic frames to their goals asks for [N]."""
         self._evaluate(active, positions)
-        inputs = [active, self._values, self._derivatives, self._poses, self._goals]
-        self._launch_groups(joint_hessian_kernel, inputs, [system])
+        inputs = [self._values, self._derivatives, self._poses, self._goals]
+        self._launch_groups(joint_hessian_kernel, active, inputs, system)
 
     # Parts -------------------------------------------------------------------------------------
 
@@ -219,49 +202,25 @@ class JointPotential(Potential):
         references: wp.array | None = None,
         derivatives: bool = True,
     ) -> None:
-        wp.launch(
-            evaluate_rows_kernel,
-            dim=(*self._shape, ROW_COUNT),
-            inputs=[active, positions, self._poses, self._table]
-            + [self._step.starts if references is None else references],
-            outputs=[self._values, self._derivatives if derivatives else None],
-            device=self.model.device,
-        )
+        inputs = [active, positions, self._poses, self._table]
+        inputs += [self._step.starts if references is None else references, self._values]
+        inputs += [self._derivatives if derivatives else None]
+        launch(evaluate_rows_kernel, (*self._shape, ROW_COUNT), *inputs)
 
     def _bound_rounding(self, mask: wp.array, positions: wp.array) -> None:
         affine = self.model.affine
-        wp.launch(
-            joint_rounding_kernel,
-            dim=self.model.env_count,
-            inputs=[mask, positions, affine.first_control, 4 * affine.count]
-            + [self._table, self._step],
-            outputs=[self.rounding_n, self.rounding_j],
-            device=self.model.device,
+        inputs = [mask, positions, affine.first_control, 4 * affine.count, self._table, self._step]
+        launch(
+            joint_rounding_kernel, self.model.env_count, *inputs, self.rounding_n, self.rounding_j
         )
 
     def _absorb(self, which: wp.array) -> None:
-        wp.launch(
-            absorb_forces_kernel,
-            dim=(*self._shape, ROW_COUNT),
-            inputs=[which, self._values, self._table, self._step],
-            device=self.model.device,
-        )
+        inputs = [which, self._values, self._table, self._step]
+        launch(absorb_forces_kernel, (*self._shape, ROW_COUNT), *inputs)
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch(
-            kernel,
-            dim=self._shape,
-            inputs=[*inputs, self._table, self._step],
-            outputs=outputs,
-            device=self.model.device,
-        )
-
-    def _launch_groups(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+    def _launch_groups(
+        self, kernel: wp.Kernel, active: wp.array, inputs: list, out: wp.array | NewtonSystem
+    ) -> None:
         for group in self._colors:
-            wp.launch(
-                kernel,
-                dim=(self._shape[0], len(group), 8),
-                inputs=[inputs[0], group, *inputs[1:], self._table, self._step],
-                outputs=outputs,
-                device=self.model.device,
-            )
+            dim = (self._shape[0], len(group), 8)
+            launch(kernel, dim, active, group, *inputs, self._table, self._step, out)

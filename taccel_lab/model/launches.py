@@ -31,22 +31,31 @@ of a warp spread over the multiprocessors of a GPU, of which 256 bodies in one b
 def launch(
     kernel: wp.Kernel,
     dim: int | Sequence[int],
-    inputs: Sequence[Any],
-    outputs: Sequence[Any] = (),
-    *,
-    device: wp.Device,
+    *arguments: Any,
+    device: wp.Device | None = None,
 ) -> None:
-    """``wp.launch`` in blocks of the size that the kernel's module states (its option
-    ``block_dim``), which is what it is compiled for; ``wp.launch`` alone takes 256 threads and
-    compiles the module anew for them, whatever the option says."""
-    wp.launch(
-        kernel,
-        dim=dim,
-        inputs=list(inputs),
-        outputs=list(outputs),
-        device=device,
-        block_dim=kernel.module.options["block_dim"],
-    )
+    """Launch a kernel where its arrays are, or on a ``device`` where it has only structs of them.
+
+    Its blocks have the size that its module states (option ``block_dim``), which is what it is
+    compiled for; ``wp.launch`` alone takes 256 threads and compiles the module anew for them.
+    """
+    block_dim = kernel.module.options["block_dim"]
+    device = device or _device_of(arguments)
+    wp.launch(kernel, dim, arguments, device=device, block_dim=block_dim)
+
+
+def launch_blocks(
+    kernel: wp.Kernel, dim: int | Sequence[int], *arguments: Any, block_dim: int | None = None
+) -> None:
+    """Launch a kernel likewise, with a block for each index: of the size that the module states
+    unless ``block_dim`` does."""
+    block_dim = block_dim or kernel.module.options["block_dim"]
+    device = _device_of(arguments)
+    wp.launch_tiled(kernel, dim=dim, inputs=arguments, device=device, block_dim=block_dim)
+
+
+def _device_of(arguments: Sequence[Any]) -> wp.Device:
+    return next(value.device for value in arguments if isinstance(value, wp.array))
 
 
 _MOST = 6
