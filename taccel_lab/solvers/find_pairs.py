@@ -10,7 +10,7 @@ import warp as wp
 
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import Counts, Phases
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -22,32 +22,31 @@ _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 @wp.kernel
 def _count_search_kernel(
     searched: wp.array(dtype=wp.int32),
-    node_faces: ListRoom,  # out
-    edge_edges: ListRoom,  # out
-    covered: wp.array(dtype=wp.float64),  # out
-    phases: Phases,  # out
-    counts: Counts,  # out
+    node_faces: ListRoom,
+    edge_edges: ListRoom,
+    covered: wp.array(dtype=wp.float64),
+    p: Progress,
 ):
     """Count a search; stop environments whose pairs did not fit: the host makes room."""
     env = wp.tid()
     if searched[env] == 0:
         return
-    counts.searches[env] += 1
+    p.counts.searches[env] += 1
     # Both, as a list that was too short is emptied.
     first = overflows(env, node_faces)
     second = overflows(env, edge_edges)
     if first or second:
         covered[env] = wp.float64(0.0)
-        stop(env, _CONTACT_OVERFLOW, phases)
+        stop(env, _CONTACT_OVERFLOW, p)
 
 
 def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.array) -> None:
     """Pairs within ``reach`` [m] of the way of ``displacements`` and of the frames to ``poses``, in
     the environments of ``mask``."""
-    s, state, p = run.s, run.state, run.p
+    s, state = run.s, run.state
 
     def count() -> None:
         rooms = [part.room for part in s.candidates.lists]
-        run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered, p.phases, p.counts)
+        run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered)
 
     s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)

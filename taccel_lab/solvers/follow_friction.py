@@ -17,7 +17,7 @@ import warp as wp
 from taccel_lab.ipc.motion.unknowns import reduce_gradient, spread_solution
 from taccel_lab.ipc.potentials.friction_change import add_friction_change
 from taccel_lab.model.env_rows import copy_rows, zero_rows
-from taccel_lab.solvers.env_progress import Balance, Counts, Curvature, Following, Prescribed, Rules
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
 
 wp.set_module_options({"enable_backward": False})
@@ -30,34 +30,30 @@ FOLLOW_BELOW = 0.1
 
 
 @wp.func
-def follows_friction(
-    env: int,
-    counts: Counts,
-    prescribed: Prescribed,
-    balance: Balance,
-    following: Following,  # out
-    curvature: Curvature,
-    r: Rules,
-):
+def follows_friction(env: int, p: Progress):
     """Choose whether the next direction follows friction: where that is frozen at the positions,
     and matrices are not projected. With joints it does not: their forces have rounds of their own.
     """
-    following.follows[env] = 0
-    if r.has_friction == 0 or r.has_joints != 0 or counts.lags[env] < r.follow_after:
+    p.following.follows[env] = 0
+    if (
+        p.rules.has_friction == 0
+        or p.rules.has_joints != 0
+        or p.counts.lags[env] < p.rules.follow_after
+    ):
         return
-    if following.left[env] < wp.float64(SLOW):
+    if p.following.left[env] < wp.float64(SLOW):
         return
-    if following.pause[env] > 0:
-        following.pause[env] -= 1
+    if p.following.pause[env] > 0:
+        p.following.pause[env] -= 1
         return
-    if prescribed.progress[env] < wp.float64(1.0) or curvature.projected[env] > 0:
+    if p.prescribed.progress[env] < wp.float64(1.0) or p.curvature.projected[env] > 0:
         return
-    if wp.isfinite(balance.last_residual[env]):
+    if wp.isfinite(p.balance.last_residual[env]):
         return
-    if r.relative_tolerance * balance.excess[env] < wp.float64(FOLLOW_BELOW):
-        following.follows[env] = 1
-        following.share[env] = wp.float64(1.0)
-        following.excess_before[env] = balance.excess[env]
+    if p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(FOLLOW_BELOW):
+        p.following.follows[env] = 1
+        p.following.share[env] = wp.float64(1.0)
+        p.following.excess_before[env] = p.balance.excess[env]
 
 
 def follow_friction(run: StepLaunches) -> None:

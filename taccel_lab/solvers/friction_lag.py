@@ -12,17 +12,7 @@ import warp as wp
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Counts,
-    Flags,
-    Following,
-    Gain,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.measure import (
     add_friction,
     element_rounding,
@@ -46,93 +36,74 @@ PAUSE = 2
 
 
 @wp.func
-def retreats(
-    env: int,
-    phases: Phases,  # out
-    balance: Balance,
-    following: Following,  # out
-    flags: Flags,  # out
-) -> bool:
+def retreats(env: int, p: Progress) -> bool:
     """Whether a step that followed friction is taken back: a part of it, or all."""
-    if following.follows[env] == 0:
+    if p.following.follows[env] == 0:
         return False
-    if following.share[env] == wp.float64(0.0):
-        following.pause[env] = PAUSE
+    if p.following.share[env] == wp.float64(0.0):
+        p.following.pause[env] = PAUSE
         return False
-    if balance.excess[env] < wp.float64(GAIN) * following.excess_before[env]:
+    if p.balance.excess[env] < wp.float64(GAIN) * p.following.excess_before[env]:
         return False
     share = wp.float64(SHARE)
-    if following.share[env] < wp.float64(1.0):
+    if p.following.share[env] < wp.float64(1.0):
         share = wp.float64(0.0)
-    following.share[env] = share
-    enter(env, RETREATING, phases)
-    flags.retreating[0] = 1
+    p.following.share[env] = share
+    enter(env, RETREATING, p)
+    p.flags.retreating[0] = 1
     return True
 
 
 @wp.kernel
-def _judge_friction_kernel(
-    elements: wp.array2d(dtype=wp.float64),
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,
-    balance: Balance,  # out
-    following: Following,  # out
-    search: Search,
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
-):
+def _judge_friction_kernel(elements: wp.array2d(dtype=wp.float64), p: Progress):
     """Only the residual with the friction that was frozen anew counts as converged.
 
     Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
     two faces in turn) the steps between are damped until it shrinks again.
     """
     env = wp.tid()
-    if phases.phase[env] < FREEZING:
+    if p.phases.phase[env] < FREEZING:
         return
-    if phases.phase[env] == FREEZING:
-        counts.lags[env] += 1
-    leave(env, phases)
+    if p.phases.phase[env] == FREEZING:
+        p.counts.lags[env] += 1
+    leave(env, p)
     one = wp.float64(1.0)
-    weigh(env, elements, balance, r)
-    if retreats(env, phases, balance, following, flags):
+    weigh(env, elements, p)
+    if retreats(env, p):
         return
-    excess = balance.excess[env]
-    damping = balance.damping[env]
-    if following.follows[env] == 0:
-        following.left[env] = wp.max(following.left[env], excess / balance.lag_change[env])
-    if following.follows[env] != 0:
-        balance.damping[env] = one
-    elif excess > (one - wp.float64(0.1) * damping) * balance.lag_change[env]:
-        balance.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
+    excess = p.balance.excess[env]
+    damping = p.balance.damping[env]
+    if p.following.follows[env] == 0:
+        p.following.left[env] = wp.max(p.following.left[env], excess / p.balance.lag_change[env])
+    if p.following.follows[env] != 0:
+        p.balance.damping[env] = one
+    elif excess > (one - wp.float64(0.1) * damping) * p.balance.lag_change[env]:
+        p.balance.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
     else:
-        balance.damping[env] = wp.min(wp.float64(1.5) * damping, one)
-    balance.lag_change[env] = excess
-    balance.last_residual[env] = wp.float64(wp.inf)
+        p.balance.damping[env] = wp.min(wp.float64(1.5) * damping, one)
+    p.balance.lag_change[env] = excess
+    p.balance.last_residual[env] = wp.float64(wp.inf)
     if excess <= one:
-        stop(env, _CONVERGED, phases)
-    elif counts.lags[env] >= r.max_lags:
-        stop(env, _FRICTION, phases)
-    go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
+        stop(env, _CONVERGED, p)
+    elif p.counts.lags[env] >= p.rules.max_lags:
+        stop(env, _FRICTION, p)
+    go_on(env, p)
 
 
 @wp.kernel
 def _retreat_kernel(
     trial: wp.array2d(dtype=wp.vec3d),
     start: wp.array2d(dtype=wp.vec3d),
-    positions: wp.array2d(dtype=wp.vec3d),  # out
-    phases: Phases,
-    following: Following,
-    flags: Flags,  # out
+    positions: wp.array2d(dtype=wp.vec3d),
+    p: Progress,
 ):
     """Positions between the start of a step and where it led."""
     env, node = wp.tid()
     if env == 0 and node == 0:
-        flags.retreating[0] = 0
-    if phases.phase[env] == RETREATING:
+        p.flags.retreating[0] = 0
+    if p.phases.phase[env] == RETREATING:
         displacement = trial[env, node] - start[env, node]
-        positions[env, node] = start[env, node] + following.share[env] * displacement
+        positions[env, node] = start[env, node] + p.following.share[env] * displacement
 
 
 def refreeze_friction(run: StepLaunches) -> None:
@@ -146,25 +117,8 @@ def refreeze_friction(run: StepLaunches) -> None:
     )
     add_friction(run, p.phases.inner)
     measure_residual(run, p.phases.inner)
-    _judge(run)
+    run.decide(_judge_friction_kernel, element_rounding(run))
     wp.capture_while(p.flags.retreating, lambda: _retreat(run))
-
-
-def _judge(run: StepLaunches) -> None:
-    p = run.p
-    run.decide(
-        _judge_friction_kernel,
-        element_rounding(run),
-        p.phases,
-        p.counts,
-        p.prescribed,
-        p.balance,
-        p.following,
-        p.search,
-        p.gain,
-        p.flags,
-        run.rules,
-    )
 
 
 def _retreat(run: StepLaunches) -> None:
@@ -173,9 +127,9 @@ def _retreat(run: StepLaunches) -> None:
     s, p, state = run.s, run.p, run.state
     assert s.friction is not None
     x, mask = state.positions, p.phases.inner
-    launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.phases, p.following, p.flags)
+    launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.struct)
     run.collide(mask, x)
     s.friction.lag(mask, x, s.origin)
     evaluate_gradient(run, mask)
     run.energy(mask, x, state.poses, p.search.base, p.search.before)
-    _judge(run)
+    run.decide(_judge_friction_kernel, element_rounding(run))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import warp as wp
 
 from taccel_lab.ipc.contact.step_limit import limit_checks
-from taccel_lab.solvers.env_progress import Balance, Clearance, Counts
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
 
 wp.set_module_options({"enable_backward": False})
@@ -19,21 +19,19 @@ def _choose_kernel(
     mask: wp.array(dtype=wp.int32),
     travels: wp.array(dtype=wp.float64),
     gap_limit: wp.float64,
-    counts: Counts,  # out
-    clearance: Clearance,  # out
-    balance: Balance,
+    p: Progress,
 ):
     """A way of less than half of the smallest gap meets nothing; ``min_distance`` knows no gap
     above ``gap_limit``."""
     env = wp.tid()
-    clearance.near[env] = 0
+    p.clearance.near[env] = 0
     if mask[env] == 0:
         return
-    clearance.limit[env] = wp.float64(1.0)
-    gap = wp.min(balance.min_distance[env], gap_limit)
+    p.clearance.limit[env] = wp.float64(1.0)
+    gap = wp.min(p.balance.min_distance[env], gap_limit)
     if not (wp.float64(2.0) * travels[env] < gap):
-        clearance.near[env] = 1
-        counts.ccd_passes[env] += 1
+        p.clearance.near[env] = 1
+        p.counts.ccd_passes[env] += 1
 
 
 def limit_step(
@@ -47,7 +45,7 @@ def limit_step(
     the positions. ``beside``: what else may be launched meanwhile."""
     s, p = run.s, run.p
     gap_limit = s.shortest_range_m if gaps_known else 0.0
-    run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit, p.counts, p.clearance, p.balance)
+    run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit)
     x, displacements = run.state.positions, s.displacements
     checks = limit_checks(
         run.model, p.clearance.near, s.candidates, x, displacements, p.clearance.limit

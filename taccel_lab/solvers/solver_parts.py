@@ -147,6 +147,14 @@ class SolverParts:
         ranges = [body.nodes for body in model.bodies]
         self.body_nodes = wp.array(ranges, dtype=wp.vec2i, device=device)
         """Range of each body in the nodes, vec2i, shape [body_count]."""
+        rules = make_rules(
+            self.config,
+            self.affine.rounding_n if self.affine else 0.0,
+            self.affine.energy_rounding if self.affine else 0.0,
+            self.joints.tolerance_m if self.joints else None,
+            self.friction is not None,
+            follow_after(model),
+        )
         soft = len(scene.soft_bodies)
         carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]
         self.progress = EnvProgress(
@@ -154,15 +162,8 @@ class SolverParts:
             len(model.bodies),
             carriers if any(i >= 0 for i in carriers) else [],
             model.kinematic_radii_m,
+            rules,
             device,
-        )
-        self.rules = make_rules(
-            self.config,
-            self.affine.rounding_n if self.affine else 0.0,
-            self.affine.energy_rounding if self.affine else 0.0,
-            self.joints.tolerance_m if self.joints else None,
-            self.friction is not None,
-            follow_after(model),
         )
         self.share_energies()
 

@@ -12,7 +12,7 @@ from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, writ
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model.launches import launch, side_by_side
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import Phases
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -22,15 +22,11 @@ _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 
 
 @wp.kernel
-def _stop_overflowed_kernel(
-    mask: wp.array(dtype=wp.int32),
-    room: ListRoom,  # out
-    phases: Phases,  # out
-):
+def _stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Progress):
     """Stop environments of ``mask`` whose list was too short."""
     env = wp.tid()
     if mask[env] != 0 and overflows(env, room):
-        stop(env, _CONTACT_OVERFLOW, phases)
+        stop(env, _CONTACT_OVERFLOW, p)
 
 
 @wp.kernel
@@ -59,11 +55,10 @@ class StepLaunches:
         self.model = solver.model
         self.state = solver.work
         self.p = solver.progress
-        self.rules = solver.rules
 
     def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
-        """Launch one thread an environment."""
-        launch(kernel, self.model.env_count, *inputs, device=self.model.device)
+        """Launch one thread an environment, with what is known of the step as the last argument."""
+        launch(kernel, self.model.env_count, *inputs, self.p.struct, device=self.model.device)
 
     def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
@@ -80,7 +75,7 @@ class StepLaunches:
     def check_room(self, mask: wp.array, part: GrowingList) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         if part.capacity:
-            self.decide(_stop_overflowed_kernel, mask, part.room, self.p.phases)
+            self.decide(_stop_overflowed_kernel, mask, part.room)
 
     def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None
