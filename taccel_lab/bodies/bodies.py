@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
 
-from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.mass_properties import (
     MassProperties,
     StatedMass,
@@ -20,6 +20,22 @@ from taccel_lab.bodies.material import Material, MaterialField
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh, quadratic_mesh
+
+
+class Element(StrEnum):
+    """How displacements vary inside a tet of the mesh."""
+
+    LINEAR = "linear"
+    """Four nodes, one deformation gradient a tet. Cheapest by tet; far too stiff near nu = 0.5."""
+    QUADRATIC = "quadratic"
+    """Ten nodes, with one pressure a tet: free of volumetric locking up to nu = 0.499. Middle nodes
+    are added to the edges of the mesh, whose tets stay straight at rest."""
+
+    @property
+    def point_count(self) -> int:
+        """Points of a tet at which its material is evaluated."""
+        return 4 if self is Element.QUADRATIC else 1
+
 
 ALL_LAYERS = 0xFFFFFFFF
 """Mask of a body that may touch every layer."""

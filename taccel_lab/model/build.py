@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element, KinematicBody, Plane, SoftBody
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.bodies.surface_topology import (
@@ -19,13 +18,12 @@ from taccel_lab.bodies.surface_topology import (
     surface_topology,
 )
 from taccel_lab.model.carried import carried_blocks
-from taccel_lab.model.contact_plan import BodySurface, contact_plan
-from taccel_lab.model.devices import require_device
 from taccel_lab.model.elastic import build_element_groups
+from taccel_lab.model.launches import require_device
 from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
-from taccel_lab.model.surface import Put, surface_arrays, surface_trees
+from taccel_lab.model.surface import BodySurface, Put, contact_plan, surface_arrays, surface_trees
 from taccel_lab.model.turns import TURNS
 
 MAX_CONTACT_COUPLES = 400

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.bodies import Element, SoftBody
+from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.model.carried import CarriedBlocks

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import CORNER_MASS, MIDDLE_MASS
 from taccel_lab.model.elastic import ElementArrays

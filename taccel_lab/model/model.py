@@ -34,7 +34,6 @@ from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.bodies.material import check_density, check_mooney, check_poisson, check_young
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.errors import InputError
-from taccel_lab.model.contact_plan import ContactPlan
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.env_parameters import (
     check_mass,
@@ -48,7 +47,7 @@ from taccel_lab.model.env_parameters import (
 )
 from taccel_lab.model.env_rows import device_mask
 from taccel_lab.model.matrix_pattern import BlockPattern
-from taccel_lab.model.surface import SurfaceArrays, SurfaceTrees
+from taccel_lab.model.surface import ContactPlan, SurfaceArrays, SurfaceTrees
 from taccel_lab.summary import Summary
 
 

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.potentials.elements.data import ElementData, modulus_index

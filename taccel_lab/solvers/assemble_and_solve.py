@@ -15,7 +15,7 @@ from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Progress, lower_flags
-from taccel_lab.solvers.follow_friction import follow_friction, follows_friction
+from taccel_lab.solvers.friction_lag import follow_friction, follows_friction
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 

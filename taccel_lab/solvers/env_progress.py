@@ -177,7 +177,7 @@ class Balance:
 
 @wp.struct
 class Following:
-    """Steps whose direction counts how friction follows the contacts (``follow_friction``)."""
+    """Steps whose direction counts how friction follows the contacts (``friction_lag``)."""
 
     follows: wp.array(dtype=wp.int32)
     """Mask of those that take such a step."""

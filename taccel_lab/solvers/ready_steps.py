@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.model.env_rows import checked_mask, device_mask
-from taccel_lab.solvers.control import Control
+from taccel_lab.solvers.config import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport

@@ -24,8 +24,7 @@ from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
-from taccel_lab.solvers.find_pairs import find_pairs
-from taccel_lab.solvers.limit_step import limit_step
+from taccel_lab.solvers.limit_step import find_pairs, limit_step
 from taccel_lab.solvers.search_line import begin_trial, evaluate_trial
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus

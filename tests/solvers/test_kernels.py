@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.scene import AffineBody, Element, Material, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.env_progress import Progress

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.motion.unknowns import newton_system, reduce_gradient
 from taccel_lab.ipc.potentials.elements.elastic import PSD_NONE

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.ipc.device.sums import add_row_sums
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem

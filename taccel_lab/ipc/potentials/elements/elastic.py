@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE

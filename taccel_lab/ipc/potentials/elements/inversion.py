@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.volume_bounds import is_inside_out, least_corner, smallest_ratio
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementSum

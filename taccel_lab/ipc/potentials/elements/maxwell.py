@@ -29,9 +29,8 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.bodies import Element
+from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.ipc.device.matrices import symmetric_eigen_3x3
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, ElementSum
