@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.joints import ROW_COUNT
+from taccel_lab.bodies.primitives import checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
@@ -18,7 +19,6 @@ from taccel_lab.model.env_rows import (
     copy_rows,
     device_mask,
     given_array,
-    host_values,
     on_device,
     zero_rows,
 )
@@ -307,11 +307,7 @@ def no_viscous_strain(model: Model) -> wp.array:
 
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, kinematic_count, 7]."""
-    value = host_values(poses, "poses", (model.env_count, len(model.kinematic), 7))
-    norm = np.linalg.norm(value[..., 3:], axis=-1)
-    if value.size and (np.abs(norm - 1) > 1e-6).any():
-        raise InputError(f"pose quaternions (x, y, z, w) must have unit length, got {norm.min():g}")
-    return value
+    return checked_pose("poses", poses, (model.env_count, len(model.kinematic), 7))
 
 
 def poses_array(model: Model, poses: Any) -> wp.array:

@@ -11,6 +11,7 @@ from enum import StrEnum
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 
 MOST_BRANCHES = 3
 """Most branches of a material: each is one more evaluation of all elements, and three span as many
@@ -34,14 +35,9 @@ class MaxwellBranch:
     """Relaxation time tau [s]."""
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ("relative_modulus", self.relative_modulus, 1e-6, 100.0),
-            ("time_s", self.time_s, 1e-6, 1e6),
-        ):
-            if not (math.isfinite(value) and low <= value <= high):
-                raise InputError(
-                    f"{name} of a Maxwell branch must lie in [{low:g}, {high:g}], got {value:g}"
-                )
+        modulus = self.relative_modulus
+        require_range("relative_modulus of a Maxwell branch", modulus, 1e-6, 100.0)
+        require_range("time_s of a Maxwell branch", self.time_s, 1e-6, 1e6, "s")
 
 
 def check_branches(branches: Sequence[MaxwellBranch]) -> tuple[MaxwellBranch, ...]:
@@ -61,7 +57,6 @@ def check_branches(branches: Sequence[MaxwellBranch]) -> tuple[MaxwellBranch, ..
 
 
 _YOUNG_PA = (1e2, 1e12)
-_DENSITY_KG_M3 = (1.0, 3e4)
 
 
 class MaterialModel(StrEnum):
@@ -97,8 +92,7 @@ def check_poisson(value: float, where: str = "") -> None:
 
 def check_density(value: float, where: str = "") -> None:
     """Refuse a density that no solid has."""
-    if not (math.isfinite(value) and _DENSITY_KG_M3[0] <= value <= _DENSITY_KG_M3[1]):
-        raise InputError(f"density{where} must lie in [1, 3e4] kg/m^3, got {value:g}")
+    require_range(f"density{where}", value, 1, 3e4, "kg/m^3")
 
 
 def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
@@ -110,10 +104,7 @@ def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str 
         if ratio != 0:
             raise InputError(f"mooney_ratio is a parameter of mooney_rivlin only, not of {model}")
         return
-    if not (math.isfinite(ratio) and 0 <= ratio <= 1):
-        raise InputError(
-            f"mooney_ratio{where} = c01 / (c10 + c01) must lie in [0, 1], got {ratio:g}"
-        )
+    require_range(f"mooney_ratio{where} = c01 / (c10 + c01)", ratio, 0, 1)
     least = ratio / (1 + 2 * ratio)
     if ratio > 0 and poisson < least:
         raise InputError(
@@ -154,9 +145,8 @@ class Material:
     ) -> Material:
         """Make a Mooney-Rivlin solid from its constants [Pa]: mu = 2 (c10 + c01) and the bulk
         modulus of small strains."""
-        for name, value in (("c10", c10_pa), ("c01", c01_pa)):
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} must be zero or positive, got {value:g} Pa")
+        require_range("c10", c10_pa, 0, math.inf, "Pa")
+        require_range("c01", c01_pa, 0, math.inf, "Pa")
         mu = 2 * (c10_pa + c01_pa)
         if not (mu > 0 and math.isfinite(bulk_modulus_pa) and bulk_modulus_pa > 0):
             raise InputError(

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -151,10 +152,7 @@ def host_values(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
         InputError: Of another shape, or not finite.
     """
     found = np.asarray(value, dtype=np.float64)
-    if found.shape != shape:
-        raise InputError(f"{name} have shape {found.shape}, expected {shape}")
-    if not np.isfinite(found).all():
-        raise InputError(f"{name} hold NaN or infinite values")
+    require_shape(name, found, shape)
     return found
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.scene import TimeStepping
 
 
@@ -69,33 +70,19 @@ class SolverConfig:
             ("absolute_tolerance_n", 1e-15, 1e3),
             ("friction_speed_m_s", 1e-12, 1e2),
             ("friction_eps_m", 1e-12, 1e-2),
+            ("friction_step_share", 0, 1),
+            ("max_newton_iterations", 1, math.inf),
+            ("max_step_iterations", 1, math.inf),
+            ("max_cg_iterations", 1, math.inf),
+            ("max_line_search_cuts", 1, math.inf),
+            ("max_friction_lags", 1, math.inf),
+            ("max_joint_rounds", 1, math.inf),
+            ("max_collisions", 1, math.inf),
+            ("max_substep_halvings", 0, 20),
         ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
-        if not 0 <= self.friction_step_share <= 1:
-            raise InputError(
-                f"friction_step_share must lie in [0, 1], got {self.friction_step_share:g}"
-            )
-        if self.kappa_pa is not None and not (
-            math.isfinite(self.kappa_pa) and 1.0 <= self.kappa_pa <= 1e13
-        ):
-            raise InputError(f"kappa_pa must lie in [1, 1e13] Pa, got {self.kappa_pa:g}")
-        for name in (
-            "max_newton_iterations",
-            "max_step_iterations",
-            "max_cg_iterations",
-            "max_line_search_cuts",
-            "max_friction_lags",
-            "max_joint_rounds",
-            "max_collisions",
-        ):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.max_substep_halvings <= 20:
-            raise InputError(
-                f"max_substep_halvings must lie in [0, 20], got {self.max_substep_halvings}"
-            )
+            require_range(name, getattr(self, name), low, high)
+        if self.kappa_pa is not None:
+            require_range("kappa_pa", self.kappa_pa, 1, 1e13, "Pa")
 
     def static_range_m(self, time: TimeStepping) -> float:
         """Sliding in a whole step below which friction is static [m].
