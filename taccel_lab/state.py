@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -169,15 +170,8 @@ class State(Summary):
     def copy(self) -> State:
         """Return an independent copy."""
 
-        def twin(part: Any) -> Any:
-            if isinstance(part, wp.array):
-                return wp.clone(part)
-            if isinstance(part, StepHistory | JointState):
-                return type(part)(*map(wp.clone, part.arrays()))
-            return part if isinstance(part, Model) else copy(part)
-
         names = [one.name for one in fields(self) if one.init]
-        return State(**{name: twin(getattr(self, name)) for name in names})
+        return State(**{name: _each(wp.clone, getattr(self, name)) for name in names})
 
     @in_turn
     def shared(self) -> State:
@@ -189,18 +183,9 @@ class State(Summary):
             same = array.size > 0 and (value == value[:1]).all()
             return wp.clone(array[:1] if same else array)
 
-        def part(value: Any) -> Any:
-            return None if value is None else type(value)(*map(rows, value.arrays()))
-
-        return State(
-            positions=rows(self.positions),
-            velocities=rows(self.velocities),
-            poses=rows(self.poses),
-            history=part(self.history),
-            joints=part(self.joints),
-            viscous_inverses=None if self.viscous_inverses is None else rows(self.viscous_inverses),
-            model=self.model,
-        )
+        names = ("positions", "velocities", "poses", "history", "joints", "viscous_inverses")
+        parts = {name: _each(rows, getattr(self, name)) for name in names}
+        return State(**parts, model=self.model)
 
     @in_turn
     def restore(self, other: State, mask: np.ndarray | wp.array | None = None) -> None:
@@ -297,6 +282,15 @@ class State(Summary):
         for array, value in zip(self.loads(model), given, strict=True):
             if value is not None:
                 copy_rows(mask, value, array)
+
+
+def _each(change: Callable[[wp.array], wp.array], part: Any) -> Any:
+    """A part of a state with each of its arrays changed; a copy of what has none."""
+    if isinstance(part, wp.array):
+        return change(part)
+    if isinstance(part, StepHistory | JointState):
+        return type(part)(*map(change, part.arrays()))
+    return part if isinstance(part, Model) else copy(part)
 
 
 def no_viscous_strain(model: Model) -> wp.array:

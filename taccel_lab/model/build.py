@@ -260,7 +260,8 @@ def build_model(
         [*connectivities, _affine_connectivity(scene, layout), *bonds, couples], free_index
     )
     for group, part in zip(groups, parts, strict=True):
-        group.set_gather(block_gather(pattern, part.first, part.second, free_index, moving), put)
+        gather = block_gather(pattern, part.first, part.second, free_index, moving)
+        group.gather = gather.on(put)
         group.carried = carried_blocks(pattern, part.first, part.second, free_index, parents, put)
 
     bodies = scene.bodies

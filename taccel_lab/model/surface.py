@@ -76,15 +76,9 @@ def surface_arrays(
     put: Put,
 ) -> SurfaceArrays:
     """Copy the collision surface to the device."""
+    rows = {"faces": wp.vec3i, "edges": wp.vec2i, "face_edges": wp.vec3i, "edge_faces": wp.vec2i}
     return SurfaceArrays(
-        faces=put(topology.faces, wp.vec3i),
-        edges=put(topology.edges, wp.vec2i),
-        face_edges=put(topology.face_edges, wp.vec3i),
-        edge_faces=put(topology.edge_faces, wp.vec2i),
-        node_face_starts=put(topology.node_face_starts, wp.int32),
-        node_faces=put(topology.node_faces, wp.int32),
-        node_edge_starts=put(topology.node_edge_starts, wp.int32),
-        node_edges=put(topology.node_edges, wp.int32),
+        **{name: put(value, rows.get(name, wp.int32)) for name, value in vars(topology).items()},
         node_areas=put(areas[0], wp.float64),
         edge_areas=put(areas[1], wp.float64),
         face_areas=put(areas[2], wp.float64),

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.rigidity import affine_map
+from taccel_lab.ipc.affine.rigidity import body_map
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
@@ -35,14 +35,6 @@ LARGEST_TURN = 0.1
 for contact, and it leads off the straight one by the square of the angle."""
 SMALLEST_TURN = 1e-5
 """Angle below which steps stay straight [rad]: they strain by 5e-11."""
-
-
-@wp.func
-def body_map(
-    env: int, start: int, length: wp.float64, nodes: wp.array2d(dtype=wp.vec3d)
-) -> wp.mat33d:
-    """Linear map of a body, or its change, from control nodes [m]."""
-    return affine_map(nodes[env, start + 1], nodes[env, start + 2], nodes[env, start + 3], length)
 
 
 @wp.func

@@ -59,7 +59,7 @@ from taccel_lab.ipc.contact.narrow_phase import (
     node_face_kernel,
     node_plane_kernel,
 )
-from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
+from taccel_lab.ipc.device.ragged_lists import GrowingList, entry_types, initial_capacity
 from taccel_lab.ipc.distance.closest_pairs import point_triangle_distance_sq
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
@@ -186,14 +186,7 @@ class Collisions(GrowingList):
     run to run, and the sums with it in the last digits, unless they are sorted.
     """
 
-    columns: ClassVar = {
-        "kinds": wp.int32,
-        "stencils": wp.vec4i,
-        "stiffnesses": wp.float64,
-        "thresholds": wp.float64,
-        "ranges": wp.float64,
-        "insets": wp.float64,
-    }
+    columns: ClassVar = entry_types(CollisionLists)
     kinds: wp.array
     """POINT_TRIANGLE to POINT_PLANE, shape [capacity] as all below."""
     stencils: wp.array
@@ -238,13 +231,8 @@ class Collisions(GrowingList):
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
         surface = ContactSurface()
-        surface.faces, surface.edges = source.faces, source.edges
-        surface.face_edges, surface.edge_faces = source.face_edges, source.edge_faces
-        surface.node_face_starts, surface.node_faces = source.node_face_starts, source.node_faces
-        surface.node_edge_starts, surface.node_edges = source.node_edge_starts, source.node_edges
-        surface.node_areas, surface.edge_areas = source.node_areas, source.edge_areas
-        surface.face_areas = source.face_areas
-        surface.face_reaches_sq = source.face_reaches_sq
+        for name in ContactSurface.vars.keys() & vars(source):
+            setattr(surface, name, getattr(source, name))
         surface.rest_positions = model.rest_positions
         surface.self_ranges = self_ranges(model, self.dhat)
         surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)

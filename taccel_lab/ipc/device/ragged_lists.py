@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -70,6 +70,11 @@ class ListRoom:
     counts: wp.array(dtype=wp.int32)
     starts: wp.array(dtype=wp.int32)
     peaks: wp.array(dtype=wp.int32)
+
+
+def entry_types(lists: Any) -> dict[str, type]:
+    """Types of the entries of a struct of lists, which has a ``room`` beside them, by name."""
+    return {name: v.type.dtype for name, v in lists.vars.items() if name != "room"}
 
 
 @wp.func

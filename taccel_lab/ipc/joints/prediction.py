@@ -13,7 +13,7 @@ import warp as wp
 from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.joints.kernels import node_controls, second_controls
 from taccel_lab.ipc.joints.layout import JointTable
-from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE, matrix_row, with_row
+from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,9 +30,9 @@ def turn_onto(source: wp.vec3d, target: wp.vec3d) -> wp.mat33d:
 @wp.func
 def _directions(frame: mat43d) -> wp.mat33d:
     return wp.matrix_from_cols(
-        wp.normalize(matrix_row(frame, 1)),
-        wp.normalize(matrix_row(frame, 2)),
-        wp.normalize(matrix_row(frame, 3)),
+        wp.normalize(frame[1]),
+        wp.normalize(frame[2]),
+        wp.normalize(frame[3]),
     )
 
 
@@ -41,21 +41,22 @@ def placed_child(
     kind: int, child: mat43d, child_weights: wp.mat44d, child_frame: mat43d, parent_frame: mat43d
 ) -> mat43d:
     """Control vectors of a body moved so that its joint to a placed parent is closed."""
-    gap = matrix_row(child_frame, 0) - matrix_row(parent_frame, 0)
-    axis = wp.normalize(matrix_row(parent_frame, 1))
+    gap = child_frame[0] - parent_frame[0]
+    axis = wp.normalize(parent_frame[1])
     if kind == REVOLUTE:
-        turn = turn_onto(wp.normalize(matrix_row(child_frame, 1)), axis)
+        turn = turn_onto(wp.normalize(child_frame[1]), axis)
     else:
         turn = _directions(parent_frame) * wp.transpose(_directions(child_frame))
-    point = matrix_row(parent_frame, 0)
+    point = parent_frame[0]
     if kind == PRISMATIC:
         point += wp.dot(axis, gap) * axis
     result = child
     for k in range(1, 4):
-        turned = turn * matrix_row(child, k)
-        result = with_row(result, k, turned)
+        turned = turn * child[k]
+        result[k] = turned
         point -= child_weights[0, k] * turned
-    return with_row(result, 0, point)
+    result[0] = point
+    return result
 
 
 @wp.kernel
@@ -83,4 +84,4 @@ def close_joints_kernel(
                 start = t.second_controls[joint]
                 placed = placed_child(t.kinds[joint], b, w_b, w_b * b, w_a * a)
             for k in range(4):
-                positions[env, start + k] = matrix_row(placed, k)
+                positions[env, start + k] = placed[k]

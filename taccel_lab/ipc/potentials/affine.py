@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.affine.rigidity import (
-    affine_map,
+    body_map,
     orthogonality_block,
     orthogonality_energy,
     orthogonality_gradient,
@@ -22,15 +22,6 @@ from taccel_lab.model import Model
 from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
-
-
-@wp.func
-def _body_map(
-    env: int, start: int, length: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
-) -> wp.mat33d:
-    return affine_map(
-        positions[env, start + 1], positions[env, start + 2], positions[env, start + 3], length
-    )
 
 
 @wp.kernel
@@ -45,7 +36,7 @@ def _affine_energy_kernel(
     env, body = wp.tid()
     if active[env] == 0:
         return
-    a = _body_map(env, control_starts[body], lengths[body], positions)
+    a = body_map(env, control_starts[body], lengths[body], positions)
     energies[env, body] = orthogonality_energy(a, stiffness[body])
 
 
@@ -63,7 +54,7 @@ def _affine_gradient_kernel(
         return
     start = control_starts[body]
     length = lengths[body]
-    a = _body_map(env, start, length, positions)
+    a = body_map(env, start, length, positions)
     g = orthogonality_gradient(a, length, stiffness[body])
     for k in range(3):
         gradient[env, start + 1 + k] += wp.vec3d(g[0, k], g[1, k], g[2, k])
@@ -84,7 +75,7 @@ def _affine_hessian_kernel(
         return
     start = control_starts[body]
     length = lengths[body]
-    a = _body_map(env, start, length, positions)
+    a = body_map(env, start, length, positions)
     h = orthogonality_hessian(a, stiffness[body], psd_modes[env])
     # Held in a variable: nine inlined copies of a block would only take longer to compile.
     count = int(3)

@@ -50,19 +50,19 @@ wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
 
 @wp.func
+def _cross_sq(env: int, nodes: wp.vec4i, positions: wp.array2d(dtype=wp.vec3d)) -> wp.float64:
+    x = positions[env]
+    return edge_edge_cross_sq(x[nodes[0]], x[nodes[1]], x[nodes[2]], x[nodes[3]])
+
+
+@wp.func
 def is_mollified(
     env: int, nodes: wp.vec4i, threshold: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
 ) -> bool:
     """Whether an edge pair is parallel enough for the mollifier to act."""
     if threshold <= wp.float64(0.0):
         return False
-    cross_sq = edge_edge_cross_sq(
-        positions[env, nodes[0]],
-        positions[env, nodes[1]],
-        positions[env, nodes[2]],
-        positions[env, nodes[3]],
-    )
-    return cross_sq < threshold
+    return _cross_sq(env, nodes, positions) < threshold
 
 
 @wp.func
@@ -70,15 +70,9 @@ def mollifier(
     env: int, nodes: wp.vec4i, threshold: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
 ) -> wp.float64:
     """Factor of an edge pair that is nearly parallel; 1 for all other collisions."""
-    if not is_mollified(env, nodes, threshold, positions):
+    if threshold <= wp.float64(0.0):
         return wp.float64(1.0)
-    cross_sq = edge_edge_cross_sq(
-        positions[env, nodes[0]],
-        positions[env, nodes[1]],
-        positions[env, nodes[2]],
-        positions[env, nodes[3]],
-    )
-    return edge_edge_mollifier(cross_sq, threshold)
+    return edge_edge_mollifier(_cross_sq(env, nodes, positions), threshold)
 
 
 @wp.func

@@ -26,11 +26,11 @@ from taccel_lab.ipc.contact.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
+from taccel_lab.ipc.device.ragged_lists import ListRoom, entry_types, list_end, move_entries
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.distance.derivatives import pair_normal
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.potentials.contact import mollifier
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
@@ -60,13 +60,7 @@ class FrozenContacts:
     normal_motions: wp.array(dtype=wp.vec3d)
 
 
-_FROZEN = {
-    "stencils": wp.vec4i,
-    "weights": wp.vec4d,
-    "normals": wp.vec3d,
-    "mu_lambdas": wp.float64,
-    "normal_motions": wp.vec3d,
-}
+_FROZEN = entry_types(FrozenContacts)
 
 
 @wp.struct
@@ -106,15 +100,7 @@ def freeze_contact(
     pair = closest_pair(env, kind, nodes, positions, geometry)
     gap = collision_gap(pair, nodes, lists.insets[at], geometry)
     force = -contact_potential_d1(gap, lists.ranges[at], lists.stiffnesses[at])
-    threshold = lists.thresholds[at]
-    if threshold > wp.float64(0.0):
-        cross_sq = edge_edge_cross_sq(
-            positions[env, nodes[0]],
-            positions[env, nodes[1]],
-            positions[env, nodes[2]],
-            positions[env, nodes[3]],
-        )
-        force *= edge_edge_mollifier(cross_sq, threshold)
+    force *= mollifier(env, nodes, lists.thresholds[at], positions)
     first = geometry.node_bodies[nodes[0]]
     second = geometry.node_bodies[nodes[3]]
     mu = pair_friction[env % pair_friction.shape[0], first, second]

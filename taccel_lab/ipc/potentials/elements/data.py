@@ -224,6 +224,8 @@ class ElementSum(Potential):
             data.block_sums, data.force_sums = chunks.blocks, chunks.forces
             block_count, force_count = chunks.block_count, chunks.force_count
         self._data = data
+        assert group.gather is not None
+        self._gather = group.gather
         self._bound: wp.array | None = None
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each element [J], shape [env_count, element_count]."""
@@ -335,16 +337,16 @@ class ElementSum(Potential):
 
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
         """Add the parts of elements or chunks to the matrix, without atomics."""
-        g, m = self.group, self.model
+        m, g, carried = self.model, self._gather, self.group.carried
         inputs = [active, g.blocks, g.source_starts, g.sources, self._blocks, system.values]
         launch(_gather_blocks_kernel, (m.env_count, len(g.blocks)), *inputs)
-        if g.carried is not None:
-            gather_carried(m, active, g.carried, self._blocks, system.values)
+        if carried is not None:
+            gather_carried(m, active, carried, self._blocks, system.values)
 
     def gather_rim(self, moving: wp.array, system: NewtonSystem) -> None:
         """Add what prescribed nodes contribute to the right-hand side where they move: in the
         environments of ``moving`` (int32, [env_count])."""
-        g, m = self.group, self.model
+        m, g = self.model, self._gather
         if len(g.rim_rows):
             inputs = [moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes, self._blocks]
             inputs += [system.displacements, system.rhs]
