@@ -33,7 +33,7 @@ def _widen_rows_kernel(source: wp.array(dtype=wp.float64), result: wp.array(dtyp
 
 
 @wp.kernel
-def _moduli_kernel(
+def moduli_kernel(
     mask: wp.array(dtype=wp.int32),
     given_young: wp.array2d(dtype=wp.float64),
     given_poisson: wp.array2d(dtype=wp.float64),
@@ -44,6 +44,8 @@ def _moduli_kernel(
     mu: wp.array(dtype=wp.float64),
     lam: wp.array(dtype=wp.float64),
 ):
+    """Moduli [Pa] and ratios of elements from ``first`` on, as ``env_values`` gives them; what is
+    not given stays."""
     env, k = wp.tid()
     if mask[env] == 0:
         return
@@ -61,12 +63,13 @@ def _moduli_kernel(
 
 
 @wp.kernel
-def _largest_kernel(
+def largest_kernel(
     mask: wp.array(dtype=wp.int32),
     given_young: wp.array2d(dtype=wp.float64),
     body: int,
     largest: wp.array2d(dtype=wp.float64),
 ):
+    """Keeps ``Model.largest_moduli`` with the moduli of a body [Pa]."""
     env = wp.tid()
     if mask[env] == 0:
         return
@@ -129,13 +132,14 @@ def _scale_kernel(
 
 
 @wp.kernel
-def _set_friction_kernel(
+def set_friction_kernel(
     mask: wp.array(dtype=wp.int32),
     given: wp.array2d(dtype=wp.float64),
     first: int,
     second: int,
     pair_friction: wp.array3d(dtype=wp.float64),
 ):
+    """Coefficient of a pair of bodies."""
     env = wp.tid()
     if mask[env] != 0:
         pair_friction[env, first, second] = given[env, 0]
@@ -213,27 +217,6 @@ def _check_rows(values: np.ndarray, check: Callable[[float, str], None], mask: A
         check(float(rows.flat[place]), f" of environment {chosen[row]}")
 
 
-def write_moduli(
-    group: ElementArrays,
-    member: tuple[int, int, int],
-    mask: wp.array,
-    young: wp.array | None,
-    poisson: wp.array | None,
-) -> None:
-    """Young's moduli [Pa] and Poisson's ratios, as ``env_values`` gives them, of one body of a
-    group whose moduli are those of each environment; what is None stays."""
-    _, first, last = member
-    inputs = [mask, young, poisson, first, group.element_count, group.young_moduli]
-    inputs += [group.poisson_ratios, group.mu, group.lam]
-    launch(_moduli_kernel, (len(mask), last - first), *inputs)
-
-
-def write_largest(mask: wp.array, young: wp.array, body: int, largest: wp.array) -> None:
-    """Keep ``Model.largest_moduli`` with the moduli of a body [Pa]."""
-    inputs = [mask, young, body]
-    launch(_largest_kernel, len(mask), *inputs, largest)
-
-
 def write_densities(
     group: ElementArrays,
     member: tuple[int, int, int],
@@ -263,11 +246,3 @@ def write_scaled(
     reference = wp.array(np.asarray(of_scene), dtype=wp.float64, device=mask.device)
     inputs = [mask, given, reference, scene_masses, nodes[0], masses]
     launch(_scale_kernel, (len(mask), nodes[1] - nodes[0]), *inputs)
-
-
-def write_friction(
-    mask: wp.array, given: wp.array, first: int, second: int, pair_friction: wp.array
-) -> None:
-    """Coefficient of a pair of bodies."""
-    inputs = [mask, given, first, second]
-    launch(_set_friction_kernel, len(mask), *inputs, pair_friction)
