@@ -95,11 +95,8 @@ def guard_force(solver: SolverIPC, state: State, moves: np.ndarray) -> np.ndarra
     tangent = Tangent(solver, state, moves, guarded, past=True)
     tangent.add_elements()
     friction = solver.friction
-    tangent.add_contact(
-        None
-        if friction is None
-        else friction.motion(state.positions, solver.origin, state.poses, solver.origin_poses)
-    )
+    motion = solver.motion_to(state.positions, state.poses)
+    tangent.add_contact(None if friction is None else motion)
     solved = tangent.solve()
     found = (loads * solved.solution).sum(axis=(1, 2))
     known = np.array([cause is None for cause in solved.causes])

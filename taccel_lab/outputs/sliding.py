@@ -113,7 +113,7 @@ def read_sliding(solver: SolverIPC, state: State, into: Sliding | None = None) -
     result.limits.zero_()
     device, env_count = solver.model.device, solver.model.env_count
     lanes = lane_count(device, env_count, solver.collisions.largest_room)
-    motion = friction.motion(state.positions, solver.origin, state.poses, solver.origin_poses)
+    motion = solver.motion_to(state.positions, state.poses)
     inputs = [lanes, friction.frozen, motion, result.slips, result.limits]
     launch(_add_sliding_kernel, (env_count, lanes), *inputs)
     inputs = [friction.eps_u_m, result.slips, result.limits, result.slipping]

@@ -81,14 +81,8 @@ class StepLaunches:
         self, positions: wp.array | None = None, poses: wp.array | None = None
     ) -> StepMotion:
         """Motion since the start of the step, to the state or to a trial."""
-        s, state = self.s, self.state
-        assert s.friction is not None
-        return s.friction.motion(
-            state.positions if positions is None else positions,
-            s.origin,
-            state.poses if poses is None else poses,
-            s.origin_poses,
-        )
+        positions = self.state.positions if positions is None else positions
+        return self.s.motion_to(positions, self.state.poses if poses is None else poses)
 
     def together(self, parts: Sequence[Callable[[], None]]) -> None:
         side_by_side(self.model.device, parts)

@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.primitives import Ball
-from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
+from taccel_lab.bodies.surface_topology import is_closed, one_node_of_each_part
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.broad_phase.boxes import find_body_boxes
 from taccel_lab.ipc.contact.overlap_kernels import (

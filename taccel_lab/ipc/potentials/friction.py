@@ -366,12 +366,6 @@ class FrictionPotential(EnergyTerm):
         frozen.room = room
         self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
-    def motion(
-        self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
-    ) -> StepMotion:
-        """Gather what sliding is measured from."""
-        return step_motion(self.model, positions, previous, poses, previous_poses)
-
     def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``, in a step that
         began at ``previous``."""

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from taccel_lab.geometry import TetMesh
-from taccel_lab.ipc.potentials.elements.elastic import PSD_CLAMP, PSD_NONE
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.scene import (
     Element,
