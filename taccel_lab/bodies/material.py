@@ -56,6 +56,8 @@ def check_branches(branches: Sequence[MaxwellBranch]) -> tuple[MaxwellBranch, ..
     return tuple(branches)
 
 
+_BY_TET = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
+"""Parameters that a material field may have by tet."""
 _YOUNG_PA = (1e2, 1e12)
 
 
@@ -204,8 +206,7 @@ class MaterialField:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "branches", check_branches(self.branches))
-        names = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
-        arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in names}
+        arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in _BY_TET}
         shapes = {array.shape for array in arrays.values() if array.shape}
         if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
             found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
@@ -224,15 +225,8 @@ class MaterialField:
     @property
     def tet_count(self) -> int | None:
         """Tets the arrays are for, None when all are numbers."""
-        for value in (
-            self.young_modulus_pa,
-            self.poisson_ratio,
-            self.density_kg_m3,
-            self.mooney_ratio,
-        ):
-            if np.ndim(value):
-                return np.size(value)
-        return None
+        values = (getattr(self, name) for name in _BY_TET)
+        return next((np.size(value) for value in values if np.ndim(value)), None)
 
     @property
     def shear_modulus_pa(self) -> np.ndarray:

@@ -107,17 +107,8 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
             if near[i, j] and near[j, k] and near[i, k]
         ]
     )
-    inward = (
-        np.einsum(
-            "ij,ij->i",
-            np.cross(
-                vertices[faces[:, 1]] - vertices[faces[:, 0]],
-                vertices[faces[:, 2]] - vertices[faces[:, 0]],
-            ),
-            vertices[faces[:, 0]],
-        )
-        < 0
-    )
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
     faces[inward] = faces[inward][:, [0, 2, 1]]
     edge = 1.05146 * radius_m
     while edge > edge_m * 1.2:

@@ -111,32 +111,19 @@ def _affine_arrays(
     first = len(layout.soft)
     ranges = [layout.node_range(first + i) for i in range(layout.affine_count)]
     ends = [ranges[-1][1]] if ranges else []
+    solids = list(zip(scene.affine_bodies, layout.properties, strict=True))
+    joined = {name for joint in scene.joints for name in (joint.first, joint.second)}
     return AffineArrays(
         control_starts=put(layout.control_nodes()[:, 0], wp.int32),
-        lengths=put(np.array([s.radius_m for s in layout.properties]), wp.float64),
+        lengths=put(np.array([s.radius_m for _, s in solids]), wp.float64),
         stiffness=put(
-            np.array(
-                [
-                    body.young_modulus_pa * solid.volume_m3
-                    for body, solid in zip(scene.affine_bodies, layout.properties, strict=True)
-                ]
-            ),
-            wp.float64,
+            np.array([body.young_modulus_pa * s.volume_m3 for body, s in solids]), wp.float64
         ),
         vertex_starts=put(np.array([r[0] for r in ranges] + ends), wp.int32),
         carried=put(carried, wp.int32),
         carried_starts=put(carried_starts, wp.int32),
         riders=put(layout.riders(), wp.vec2i),
-        have_joints=put(
-            np.array(
-                [
-                    any(body.name in (joint.first, joint.second) for joint in scene.joints)
-                    for body in scene.affine_bodies
-                ],
-                dtype=np.int32,
-            ),
-            wp.int32,
-        ),
+        have_joints=put(np.array([body.name in joined for body, _ in solids]), wp.int32),
         properties=layout.properties,
         first_control=layout.first_control,
         count=layout.affine_count,

@@ -17,8 +17,8 @@ import warp as wp
 
 from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
-from taccel_lab.ipc.potentials.elements.data import ElementData, modulus_index
+from taccel_lab.ipc.elasticity.laws import LAWS
+from taccel_lab.ipc.potentials.elements.data import ElementData, element_data, modulus_index
 from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.elements.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
@@ -171,16 +171,7 @@ class StressReader:
     def __init__(self, model: Model, group: ElementArrays) -> None:
         self.model = model
         self.group = group
-        data = ElementData()
-        data.nodes, data.gradients, data.volumes = (
-            group.elements,
-            group.shape_gradients,
-            group.volumes,
-        )
-        data.moduli = Moduli()
-        data.moduli.mu, data.moduli.lam = group.mu, group.lam
-        data.moduli.ratio = group.mooney_ratio
-        self._data = data
+        self._data = element_data(group)
         shape, device = (model.env_count, group.element_count), model.device
         self.stresses = wp.zeros(shape, dtype=wp.mat33d, device=device)
         """Cauchy stress of each element [Pa], mat33d, shape [env_count, element_count]."""

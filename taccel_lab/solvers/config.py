@@ -90,13 +90,10 @@ class SolverConfig:
         Raises:
             InputError: the range of the other kind of scene was set.
         """
-        kind, unused = (
-            ("quasi-static", "friction_speed_m_s")
-            if time.quasi_static
-            else ("dynamic", "friction_eps_m")
-        )
+        kind, used, unused = "quasi-static", "friction_eps_m", "friction_speed_m_s"
+        if not time.quasi_static:
+            kind, used, unused = "dynamic", unused, used
         if getattr(self, unused) != getattr(SolverConfig, unused):
-            used = "friction_eps_m" if time.quasi_static else "friction_speed_m_s"
             raise InputError(
                 f"{unused} means nothing in a {kind} scene; its static friction goes by {used}"
             )

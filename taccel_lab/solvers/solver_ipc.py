@@ -436,13 +436,7 @@ class SolverIPC(SolverParts):
         mask = run.p.phases.active
         mask.assign(who.astype(np.int32))
         self.rows.read(mask)
-        self.displacements.zero_()
-        dhat = self.config.dhat_m
-        self.candidates.update(
-            mask, work.positions, self.displacements, work.poses, work.poses, dhat
-        )
-        self.pairs.forget(mask)
-        self.collisions.update(mask, work.positions, self.candidates)
+        self.find_contacts(mask, work)
         if self.friction is not None:
             self.friction.lag(mask, work.positions, self.origin)
         evaluate_forces(run, mask)

@@ -261,6 +261,15 @@ class SolverParts:
         """Mask of the environments that a step works on, int32, shape [env_count]."""
         return self.progress.phases.active
 
+    def find_contacts(self, mask: wp.array, state: State) -> None:
+        """Find the collisions of a state in the environments of ``mask``, and make room for them;
+        ``displacements`` become zero."""
+        x, poses = state.positions, state.poses
+        self.displacements.zero_()
+        self.candidates.update(mask, x, self.displacements, poses, poses, self.config.dhat_m)
+        self.pairs.forget(mask)
+        self.collisions.update(mask, x, self.candidates)
+
     def motion_to(self, positions: wp.array, poses: wp.array) -> StepMotion:
         """Motion since the start of the step, which sliding is measured from."""
         return step_motion(self.model, positions, self.origin, poses, self.origin_poses)

@@ -164,8 +164,7 @@ def add_contact_gradient(
     lower_to(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
     rows = contact_rows(env, at, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
-        row = wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
-        add_vector(env, nodes[i], row, gradient, sums)
+        add_vector(env, nodes[i], rows[i], gradient, sums)
 
 
 @wp.kernel

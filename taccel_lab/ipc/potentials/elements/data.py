@@ -205,6 +205,15 @@ def _force_rounding_kernel(
     forces[env, tet] = share * _EPSILON * reach * force
 
 
+def element_data(group: ElementArrays) -> ElementData:
+    """Nodes, shapes and moduli of a group as they are now; no chunks."""
+    data, moduli = ElementData(), Moduli()
+    data.nodes, data.gradients, data.volumes = group.elements, group.shape_gradients, group.volumes
+    moduli.mu, moduli.lam, moduli.ratio = group.mu, group.lam, group.mooney_ratio
+    data.moduli = moduli
+    return data
+
+
 class ElementSum(Potential):
     """Energy, gradient and matrix of one group of elements, from the kernels of its elements."""
 
@@ -214,9 +223,7 @@ class ElementSum(Potential):
         self.kernels = kernels
         device, count, width = model.device, group.element_count, group.nodes_per_element
         shape = (model.env_count, count)
-        data = ElementData()
-        data.nodes, data.gradients = group.elements, group.shape_gradients
-        data.volumes, data.moduli = group.volumes, Moduli()
+        data = element_data(group)
         block_count, force_count = count * width * (width + 1) // 2, count * width
         self._chunk_lanes = 0
         if group.chunks is not None:
@@ -244,9 +251,8 @@ class ElementSum(Potential):
     def data(self) -> ElementData:
         """What the kernels read; the arrays of the group's moduli as they are now."""
         if self._bound is not self.group.mu:
-            moduli, group = self._data.moduli, self.group
-            moduli.mu, moduli.lam, moduli.ratio = group.mu, group.lam, group.mooney_ratio
-            self._bound = group.mu
+            self._data.moduli = element_data(self.group).moduli
+            self._bound = self.group.mu
         return self._data
 
     @property
