@@ -13,6 +13,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import ClassVar
 
 import numpy as np
 
@@ -76,6 +77,8 @@ Drive = PositionDrive | VelocityDrive
 class Joint:
     """What all joints share; use FixedJoint, RevoluteJoint or PrismaticJoint."""
 
+    kind: ClassVar[JointKind]
+    """What the joint leaves free."""
     first: str
     """Name of an affine body."""
     second: str | None = None
@@ -113,11 +116,6 @@ class Joint:
             object.__setattr__(self, "second_pose", pose)
 
     @property
-    def kind(self) -> JointKind:
-        """What the joint leaves free."""
-        raise NotImplementedError("use FixedJoint, RevoluteJoint or PrismaticJoint")
-
-    @property
     def limits(self) -> tuple[float, float]:
         """Smallest and largest coordinate [rad or m]."""
         return -math.inf, math.inf
@@ -136,15 +134,14 @@ class Joint:
 class FixedJoint(Joint):
     """The bodies move as one."""
 
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.FIXED
+    kind = JointKind.FIXED
 
 
 @dataclass(frozen=True)
 class RevoluteJoint(Joint):
     """A hinge: the first body turns about the axis, by the right-hand rule."""
 
+    kind = JointKind.REVOLUTE
     limits_deg: tuple[float, float] | None = None
     """Smallest and largest angle [deg], around 0; more than a turn is possible."""
     drive: Drive | None = None
@@ -153,10 +150,6 @@ class RevoluteJoint(Joint):
         super().__post_init__()
         _check_limits(self.limits_deg, "limits_deg", self.name)
         _check_drive(self.drive, self.name)
-
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.REVOLUTE
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -173,6 +166,7 @@ class RevoluteJoint(Joint):
 class PrismaticJoint(Joint):
     """A slider: the first body moves along the axis and does not turn."""
 
+    kind = JointKind.PRISMATIC
     limits_mm: tuple[float, float] | None = None
     """Smallest and largest slide [mm], around 0."""
     drive: Drive | None = None
@@ -181,10 +175,6 @@ class PrismaticJoint(Joint):
         super().__post_init__()
         _check_limits(self.limits_mm, "limits_mm", self.name)
         _check_drive(self.drive, self.name)
-
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.PRISMATIC
 
     @property
     def limits(self) -> tuple[float, float]:
