@@ -20,7 +20,9 @@ from taccel_lab.ipc.joints.rows import (
     drive_response,
     equality_response,
     joint_row,
+    matrix_row,
     unwrapped,
+    with_row,
 )
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 
@@ -50,7 +52,7 @@ def node_controls(env: int, start: int, positions: wp.array2d(dtype=wp.vec3d)) -
     """Control vectors of an affine body as rows."""
     y = mat43d()
     for k in range(4):
-        y[k] = positions[env, start + k]
+        y = with_row(y, k, positions[env, start + k])
     return y
 
 
@@ -59,9 +61,9 @@ def _pose_controls(pose: wp.transformd) -> mat43d:
     """Origin and axes of a kinematic frame."""
     y = mat43d()
     r = wp.quat_to_matrix(wp.transform_get_rotation(pose))
-    y[0] = wp.transform_get_translation(pose)
+    y = with_row(y, 0, wp.transform_get_translation(pose))
     for k in range(3):
-        y[k + 1] = wp.vec3d(r[0, k], r[1, k], r[2, k])
+        y = with_row(y, k + 1, wp.vec3d(r[0, k], r[1, k], r[2, k]))
     return y
 
 
@@ -119,8 +121,8 @@ def evaluate_rows_kernel(
         by_first = wp.transpose(w_a) * row.a
         by_second = wp.transpose(w_b) * row.b
         for k in range(4):
-            derivatives[env, joint, i, k] = by_first[k]
-            derivatives[env, joint, i, k + 4] = by_second[k]
+            derivatives[env, joint, i, k] = matrix_row(by_first, k)
+            derivatives[env, joint, i, k + 4] = matrix_row(by_second, k)
 
 
 @wp.kernel
@@ -267,7 +269,7 @@ def joint_hessian_kernel(
             add_block(env, node, other, block, system)
         elif frame >= 0:
             row = system.free_index[node]
-            system.rhs[env, row] = system.rhs[env, row] - block * motion[m - 4]
+            system.rhs[env, row] = system.rhs[env, row] - block * matrix_row(motion, m - 4)
 
 
 @wp.kernel
@@ -333,7 +335,7 @@ def joint_outputs_kernel(
     efforts[env, joint] = -drive_of(env, joint, x, t, s).slope
     y = node_controls(env, t.first_controls[joint], positions)
     w_a = t.first_weights[env % t.first_weights.shape[0], joint]
-    anchor = (w_a * y)[0]
+    anchor = matrix_row(w_a * y, 0)
     force = wp.vec3d()
     torque = wp.vec3d()
     for k in range(4):
@@ -341,7 +343,7 @@ def joint_outputs_kernel(
         for i in range(_ROWS):
             slope = response_of(env, joint, i, values[env, joint, i], t, s).slope
             pull -= slope * derivatives[env, joint, i, k]
-        arm = y[k]
+        arm = matrix_row(y, k)
         if k == 0:
             force = pull
             arm = arm - anchor

@@ -56,6 +56,21 @@ class JointRow:
 
 
 @wp.func
+def matrix_row(m: mat43d, i: int) -> wp.vec3d:
+    """Row i: the point (0) or a direction of a frame."""
+    return wp.vec3d(m[i, 0], m[i, 1], m[i, 2])
+
+
+@wp.func
+def with_row(m: mat43d, i: int, value: wp.vec3d) -> mat43d:
+    """The matrix with row i replaced."""
+    result = m
+    for k in range(3):
+        result[i, k] = value[k]
+    return result
+
+
+@wp.func
 def unit_axis(i: int) -> wp.vec3d:
     """World axis i."""
     result = wp.vec3d()
@@ -68,9 +83,9 @@ def coincidence_row(a: mat43d, b: mat43d, i: int) -> JointRow:
     """Component i of d."""
     row = JointRow()
     axis = unit_axis(i)
-    row.value = wp.dot(axis, a[0] - b[0])
-    row.a[0] = axis
-    row.b[0] = -axis
+    row.value = wp.dot(axis, matrix_row(a, 0) - matrix_row(b, 0))
+    row.a = with_row(row.a, 0, axis)
+    row.b = with_row(row.b, 0, -axis)
     return row
 
 
@@ -78,12 +93,11 @@ def coincidence_row(a: mat43d, b: mat43d, i: int) -> JointRow:
 def slide_row(a: mat43d, b: mat43d, direction: int) -> JointRow:
     """d along a direction of frame b (1: t, 2: u, 3: v)."""
     row = JointRow()
-    d = a[0] - b[0]
-    along = b[direction]
+    d = matrix_row(a, 0) - matrix_row(b, 0)
+    along = matrix_row(b, direction)
     row.value = wp.dot(along, d)
-    row.a[0] = along
-    row.b[0] = -along
-    row.b[direction] = d
+    row.a = with_row(row.a, 0, along)
+    row.b = with_row(with_row(row.b, 0, -along), direction, d)
     return row
 
 
@@ -93,11 +107,11 @@ def turn_row(a: mat43d, b: mat43d, i: int, directions: int, scale: wp.float64) -
     row = JointRow()
     axis = unit_axis(i)
     for k in range(1, directions + 1):
-        r_a = a[k]
-        r_b = b[k]
+        r_a = matrix_row(a, k)
+        r_b = matrix_row(b, k)
         row.value += scale * wp.dot(axis, wp.cross(r_a, r_b))
-        row.a[k] = scale * wp.cross(r_b, axis)
-        row.b[k] = scale * wp.cross(axis, r_a)
+        row.a = with_row(row.a, k, scale * wp.cross(r_b, axis))
+        row.b = with_row(row.b, k, scale * wp.cross(axis, r_a))
     return row
 
 
@@ -105,20 +119,20 @@ def turn_row(a: mat43d, b: mat43d, i: int, directions: int, scale: wp.float64) -
 def angle_row(a: mat43d, b: mat43d) -> JointRow:
     """Angle of frame a about the axis, seen from frame b, in (-pi, pi]."""
     row = JointRow()
-    u_a = a[2]
-    v_a = a[3]
-    u_b = b[2]
-    v_b = b[3]
+    u_a = matrix_row(a, 2)
+    v_a = matrix_row(a, 3)
+    u_b = matrix_row(b, 2)
+    v_b = matrix_row(b, 3)
     sine = wp.dot(v_b, u_a) - wp.dot(u_b, v_a)
     cosine = wp.dot(u_b, u_a) + wp.dot(v_b, v_a)
     row.value = wp.atan2(sine, cosine)
     scale = wp.float64(1.0) / (sine * sine + cosine * cosine)
     s = sine * scale
     c = cosine * scale
-    row.a[2] = c * v_b - s * u_b
-    row.a[3] = -c * u_b - s * v_b
-    row.b[2] = -c * v_a - s * u_a
-    row.b[3] = c * u_a - s * v_a
+    row.a = with_row(row.a, 2, c * v_b - s * u_b)
+    row.a = with_row(row.a, 3, -c * u_b - s * v_b)
+    row.b = with_row(row.b, 2, -c * v_a - s * u_a)
+    row.b = with_row(row.b, 3, c * u_a - s * v_a)
     return row
 
 

@@ -38,7 +38,7 @@ from taccel_lab.ipc.joints.kernels import (
     second_controls,
 )
 from taccel_lab.ipc.joints.layout import JointTable, joint_layout
-from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE
+from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE, matrix_row, with_row
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
@@ -61,9 +61,9 @@ def turn_onto(source: wp.vec3d, target: wp.vec3d) -> wp.mat33d:
 @wp.func
 def _directions(frame: mat43d) -> wp.mat33d:
     return wp.matrix_from_cols(
-        wp.normalize(frame[1]),
-        wp.normalize(frame[2]),
-        wp.normalize(frame[3]),
+        wp.normalize(matrix_row(frame, 1)),
+        wp.normalize(matrix_row(frame, 2)),
+        wp.normalize(matrix_row(frame, 3)),
     )
 
 
@@ -72,22 +72,21 @@ def placed_child(
     kind: int, child: mat43d, child_weights: wp.mat44d, child_frame: mat43d, parent_frame: mat43d
 ) -> mat43d:
     """Control vectors of a body moved so that its joint to a placed parent is closed."""
-    gap = child_frame[0] - parent_frame[0]
-    axis = wp.normalize(parent_frame[1])
+    gap = matrix_row(child_frame, 0) - matrix_row(parent_frame, 0)
+    axis = wp.normalize(matrix_row(parent_frame, 1))
     if kind == REVOLUTE:
-        turn = turn_onto(wp.normalize(child_frame[1]), axis)
+        turn = turn_onto(wp.normalize(matrix_row(child_frame, 1)), axis)
     else:
         turn = _directions(parent_frame) * wp.transpose(_directions(child_frame))
-    point = parent_frame[0]
+    point = matrix_row(parent_frame, 0)
     if kind == PRISMATIC:
         point += wp.dot(axis, gap) * axis
     result = child
     for k in range(1, 4):
-        turned = turn * child[k]
-        result[k] = turned
+        turned = turn * matrix_row(child, k)
+        result = with_row(result, k, turned)
         point -= child_weights[0, k] * turned
-    result[0] = point
-    return result
+    return with_row(result, 0, point)
 
 
 @wp.kernel
@@ -115,7 +114,7 @@ def close_joints_kernel(
                 start = t.second_controls[joint]
                 placed = placed_child(t.kinds[joint], b, w_b, w_b * b, w_a * a)
             for k in range(4):
-                positions[env, start + k] = placed[k]
+                positions[env, start + k] = matrix_row(placed, k)
 
 
 class JointPotential(Potential):
