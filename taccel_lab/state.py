@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.joints import ROW_COUNT
+from taccel_lab.bodies.primitives import checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
@@ -18,7 +20,6 @@ from taccel_lab.model.env_rows import (
     copy_rows,
     device_mask,
     given_array,
-    host_values,
     on_device,
     zero_rows,
 )
@@ -169,15 +170,8 @@ class State(Summary):
     def copy(self) -> State:
         """Return an independent copy."""
 
-        def twin(part: Any) -> Any:
-            if isinstance(part, wp.array):
-                return wp.clone(part)
-            if isinstance(part, StepHistory | JointState):
-                return type(part)(*map(wp.clone, part.arrays()))
-            return part if isinstance(part, Model) else copy(part)
-
         names = [one.name for one in fields(self) if one.init]
-        return State(**{name: twin(getattr(self, name)) for name in names})
+        return State(**{name: _each(wp.clone, getattr(self, name)) for name in names})
 
     @in_turn
     def shared(self) -> State:
@@ -189,18 +183,9 @@ class State(Summary):
             same = array.size > 0 and (value == value[:1]).all()
             return wp.clone(array[:1] if same else array)
 
-        def part(value: Any) -> Any:
-            return None if value is None else type(value)(*map(rows, value.arrays()))
-
-        return State(
-            positions=rows(self.positions),
-            velocities=rows(self.velocities),
-            poses=rows(self.poses),
-            history=part(self.history),
-            joints=part(self.joints),
-            viscous_inverses=None if self.viscous_inverses is None else rows(self.viscous_inverses),
-            model=self.model,
-        )
+        names = ("positions", "velocities", "poses", "history", "joints", "viscous_inverses")
+        parts = {name: _each(rows, getattr(self, name)) for name in names}
+        return State(**parts, model=self.model)
 
     @in_turn
     def restore(self, other: State, mask: np.ndarray | wp.array | None = None) -> None:
@@ -299,6 +284,15 @@ class State(Summary):
                 copy_rows(mask, value, array)
 
 
+def _each(change: Callable[[wp.array], wp.array], part: Any) -> Any:
+    """A part of a state with each of its arrays changed; a copy of what has none."""
+    if isinstance(part, wp.array):
+        return change(part)
+    if isinstance(part, StepHistory | JointState):
+        return type(part)(*map(change, part.arrays()))
+    return part if isinstance(part, Model) else copy(part)
+
+
 def no_viscous_strain(model: Model) -> wp.array:
     """``State.viscous_inverses`` of gels that were never strained: identities."""
     shape = (model.env_count, model.viscous_point_count, 3, 3)
@@ -307,11 +301,7 @@ def no_viscous_strain(model: Model) -> wp.array:
 
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, kinematic_count, 7]."""
-    value = host_values(poses, "poses", (model.env_count, len(model.kinematic), 7))
-    norm = np.linalg.norm(value[..., 3:], axis=-1)
-    if value.size and (np.abs(norm - 1) > 1e-6).any():
-        raise InputError(f"pose quaternions (x, y, z, w) must have unit length, got {norm.min():g}")
-    return value
+    return checked_pose("poses", poses, (model.env_count, len(model.kinematic), 7))
 
 
 def poses_array(model: Model, poses: Any) -> wp.array:

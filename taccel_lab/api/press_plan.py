@@ -15,7 +15,7 @@ from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
-from taccel_lab.model.devices import require_device
+from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
 from taccel_lab.presses.force_interval import measured_range
 from taccel_lab.presses.touch import check_depth

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from taccel_lab.files.example_file import file_or_example
 from taccel_lab.files.text_file import read_text
 from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
-from taccel_lab.model.devices import require_device
+from taccel_lab.model.launches import require_device
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.report.page import first_figure
 from taccel_lab.studies.evaluate.runner import Listener, StudyOutcome, default_kit, run_study

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
 
-from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.mass_properties import (
     MassProperties,
     StatedMass,
@@ -17,9 +17,26 @@ from taccel_lab.bodies.mass_properties import (
     with_stated_mass,
 )
 from taccel_lab.bodies.material import Material, MaterialField
-from taccel_lab.bodies.primitives import Ball, TriangleMesh
+from taccel_lab.bodies.primitives import Ball, TriangleMesh, checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh, quadratic_mesh
+from taccel_lab.guards import require_range, require_shape
+
+
+class Element(StrEnum):
+    """How displacements vary inside a tet of the mesh."""
+
+    LINEAR = "linear"
+    """Four nodes, one deformation gradient a tet. Cheapest by tet; far too stiff near nu = 0.5."""
+    QUADRATIC = "quadratic"
+    """Ten nodes, with one pressure a tet: free of volumetric locking up to nu = 0.499. Middle nodes
+    are added to the edges of the mesh, whose tets stay straight at rest."""
+
+    @property
+    def point_count(self) -> int:
+        """Points of a tet at which its material is evaluated."""
+        return 4 if self is Element.QUADRATIC else 1
+
 
 ALL_LAYERS = 0xFFFFFFFF
 """Mask of a body that may touch every layer."""
@@ -44,8 +61,7 @@ class Surface:
         for name in ("layer", "collides_with"):
             if not 0 <= getattr(self, name) <= ALL_LAYERS:
                 raise InputError(f"{name} must be a mask of 32 bits, got {getattr(self, name)}")
-        if not (math.isfinite(self.thickness_m) and 0 <= self.thickness_m <= 0.1):
-            raise InputError(f"thickness_m must lie in [0, 0.1] m, got {self.thickness_m}")
+        require_range("thickness_m", self.thickness_m, 0, 0.1, "m")
 
     def meets(self, other: Surface) -> bool:
         """Tell whether the layers of two bodies may touch."""
@@ -54,34 +70,14 @@ class Surface:
 
 def check_friction(value: float | None, whose: str) -> None:
     """Refuse a friction coefficient out of [0, 10]; None is no say."""
-    if value is not None and not (math.isfinite(value) and 0 <= value <= 10):
-        raise InputError(f"friction coefficient of {whose} must lie in [0, 10], got {value}")
+    if value is not None:
+        require_range(f"friction coefficient of {whose}", value, 0, 10)
 
 
 def check_stiff_density(value: float, where: str) -> None:
     """Refuse a density that no affine body has; it may be light, as a shell that is not meshed."""
     if not (math.isfinite(value) and 0 < value <= 3e4):
         raise InputError(f"density{where} must lie in (0, 3e4] kg/m^3, got {value}")
-
-
-def check_pose(value: np.ndarray | None, whose: str) -> np.ndarray | None:
-    """A pose or one an environment, [7] or [env, 7]: position [m], quaternion x, y, z, w."""
-    if value is None:
-        return None
-    pose = np.asarray(value, dtype=np.float64)
-    if pose.shape[-1:] != (7,) or pose.ndim > 2:
-        raise InputError(f"pose of {whose} must have shape [7] or [env, 7], got {pose.shape}")
-    if not np.isfinite(pose).all():
-        raise InputError(f"pose of {whose} holds NaN or infinite values")
-    norm = np.linalg.norm(pose[..., 3:], axis=-1)
-    if (np.abs(norm - 1) > 1e-6).any():
-        raise InputError(f"quaternion (x, y, z, w) of {whose} must have unit length, got {norm}")
-    return pose
-
-
-def _check_vector(value: tuple[float, float, float], name: str, whose: str) -> None:
-    if len(value) != 3 or not all(math.isfinite(v) for v in value):
-        raise InputError(f"{name} of {whose} must be three finite numbers, got {value}")
 
 
 @dataclass(frozen=True)
@@ -122,19 +118,13 @@ class SoftBody:
         if self.mount is not None and self.initial_pose is not None:
             raise InputError(f"{self.name!r} has a mount: its pose is the mount's")
         if self.mount_pose is not None:
-            pose = check_pose(self.mount_pose, f"{self.name!r} in its mount")
             if self.mount is None:
                 raise InputError(f"{self.name!r} has a mount_pose, but no mount")
-            if pose is not None and pose.ndim != 1:
-                raise InputError(
-                    f"mount_pose of {self.name!r} is one for all environments, [7], got shape "
-                    f"{pose.shape}"
-                )
+            pose = checked_pose(f"mount_pose of {self.name!r}", self.mount_pose, (7,))
             object.__setattr__(self, "mount_pose", pose)
         if self.surface.environments is not None:
             raise InputError(f"soft body {self.name!r} must be present in all environments")
-        object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))
-        _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
+        _check_start(self)
 
     def bonded(self) -> np.ndarray:
         """Return bonded node indices of ``mesh``, int64, shape [n]."""
@@ -190,15 +180,11 @@ class AffineBody:
         if not isinstance(self.shape, TriangleMesh):
             raise InputError(f"affine body {self.name!r} needs a closed TriangleMesh")
         check_stiff_density(self.density_kg_m3, f" of {self.name!r}")
-        if not (math.isfinite(self.young_modulus_pa) and 1e3 <= self.young_modulus_pa <= 1e13):
-            raise InputError(
-                f"young_modulus_pa of {self.name!r} must lie in [1e3, 1e13] Pa, "
-                f"got {self.young_modulus_pa}"
-            )
+        name = f"young_modulus_pa of {self.name!r}"
+        require_range(name, self.young_modulus_pa, 1e3, 1e13, "Pa")
         check_friction(self.friction_coefficient, repr(self.name))
-        object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))
-        _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
-        _check_vector(self.initial_spin_rad_s, "initial_spin_rad_s", repr(self.name))
+        _check_start(self)
+        require_shape(f"initial_spin_rad_s of {self.name!r}", self.initial_spin_rad_s, (3,))
 
     def mass_properties(self) -> MassProperties:
         """Return those of the even solid, or those stated; InputError for a mesh that encloses
@@ -235,14 +221,22 @@ class Plane:
     surface: Surface = Surface()
 
     def __post_init__(self) -> None:
-        _check_vector(self.point_m, "point_m", repr(self.name))
-        _check_vector(self.normal, "normal", repr(self.name))
+        require_shape(f"point_m of {self.name!r}", self.point_m, (3,))
+        require_shape(f"normal of {self.name!r}", self.normal, (3,))
         length = math.hypot(*self.normal)
         if not length > 1e-9:
             raise InputError(f"normal of {self.name!r} must not be zero, got {self.normal}")
         unit = tuple(v / length for v in self.normal)
         object.__setattr__(self, "normal", unit)
         check_friction(self.friction_coefficient, repr(self.name))
+
+
+def _check_start(body: SoftBody | AffineBody) -> None:
+    """Refuse a pose and a velocity that no body can start with; the pose becomes an array."""
+    if body.initial_pose is not None:
+        pose = checked_pose(f"initial_pose of {body.name!r}", body.initial_pose)
+        object.__setattr__(body, "initial_pose", pose)
+    require_shape(f"initial_velocity_m_s of {body.name!r}", body.initial_velocity_m_s, (3,))
 
 
 Body = SoftBody | AffineBody | KinematicBody | Plane

@@ -13,10 +13,13 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import ClassVar
 
 import numpy as np
 
+from taccel_lab.bodies.primitives import checked_pose
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_positive, require_range, require_shape
 
 ROW_COUNT = 7
 """Scalar rows of every joint, see ``ipc.joints.rows``; those that a kind does not have are zero."""
@@ -44,9 +47,9 @@ class PositionDrive:
     """Largest torque [N m] or force [N]."""
 
     def __post_init__(self) -> None:
-        _require("stiffness", self.stiffness, allow_zero=False)
-        _require("damping", self.damping)
-        _require("max_effort", self.max_effort, allow_zero=False, allow_infinite=True)
+        require_positive("stiffness of a drive", self.stiffness)
+        require_range("damping of a drive", self.damping, 0, math.inf)
+        _check_effort(self.max_effort)
         object.__setattr__(self, "target", _target(self.target))
 
 
@@ -62,8 +65,8 @@ class VelocityDrive:
     """Largest torque [N m] or force [N]."""
 
     def __post_init__(self) -> None:
-        _require("damping", self.damping, allow_zero=False)
-        _require("max_effort", self.max_effort, allow_zero=False, allow_infinite=True)
+        require_positive("damping of a drive", self.damping)
+        _check_effort(self.max_effort)
         object.__setattr__(self, "target", _target(self.target))
 
 
@@ -74,6 +77,8 @@ Drive = PositionDrive | VelocityDrive
 class Joint:
     """What all joints share; use FixedJoint, RevoluteJoint or PrismaticJoint."""
 
+    kind: ClassVar[JointKind]
+    """What the joint leaves free."""
     first: str
     """Name of an affine body."""
     second: str | None = None
@@ -98,10 +103,7 @@ class Joint:
             raise InputError(f"{who} connects {self.first!r} with itself")
         for field in ("anchor_m", "axis"):
             value = np.array(getattr(self, field), dtype=np.float64)
-            if value.shape[-1:] != (3,) or value.ndim > 2 or not np.isfinite(value).all():
-                raise InputError(
-                    f"{field} of {who} must be three finite numbers or [env_count, 3], got {value}"
-                )
+            require_shape(f"{field} of {who}", value, (3,), ("env_count", 3))
             object.__setattr__(self, field, value)
         length = np.linalg.norm(self.axis, axis=-1, keepdims=True)
         if not (length > 1e-12).all():
@@ -110,17 +112,8 @@ class Joint:
         if self.second_pose is not None:
             if self.second is None:
                 raise InputError(f"{who} is to the world, which has no second_pose")
-            pose = np.array(self.second_pose, dtype=np.float64)
-            if pose.shape[-1:] != (7,) or pose.ndim > 2 or not np.isfinite(pose).all():
-                raise InputError(f"second_pose of {who} must have shape [7] or [env_count, 7]")
-            if (np.abs(np.linalg.norm(pose[..., 3:], axis=-1) - 1) > 1e-6).any():
-                raise InputError(f"second_pose of {who} needs a unit quaternion (x, y, z, w)")
+            pose = checked_pose(f"second_pose of {who}", self.second_pose)
             object.__setattr__(self, "second_pose", pose)
-
-    @property
-    def kind(self) -> JointKind:
-        """What the joint leaves free."""
-        raise NotImplementedError("use FixedJoint, RevoluteJoint or PrismaticJoint")
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -141,15 +134,14 @@ class Joint:
 class FixedJoint(Joint):
     """The bodies move as one."""
 
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.FIXED
+    kind = JointKind.FIXED
 
 
 @dataclass(frozen=True)
 class RevoluteJoint(Joint):
     """A hinge: the first body turns about the axis, by the right-hand rule."""
 
+    kind = JointKind.REVOLUTE
     limits_deg: tuple[float, float] | None = None
     """Smallest and largest angle [deg], around 0; more than a turn is possible."""
     drive: Drive | None = None
@@ -158,10 +150,6 @@ class RevoluteJoint(Joint):
         super().__post_init__()
         _check_limits(self.limits_deg, "limits_deg", self.name)
         _check_drive(self.drive, self.name)
-
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.REVOLUTE
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -178,6 +166,7 @@ class RevoluteJoint(Joint):
 class PrismaticJoint(Joint):
     """A slider: the first body moves along the axis and does not turn."""
 
+    kind = JointKind.PRISMATIC
     limits_mm: tuple[float, float] | None = None
     """Smallest and largest slide [mm], around 0."""
     drive: Drive | None = None
@@ -186,10 +175,6 @@ class PrismaticJoint(Joint):
         super().__post_init__()
         _check_limits(self.limits_mm, "limits_mm", self.name)
         _check_drive(self.drive, self.name)
-
-    @property
-    def kind(self) -> JointKind:
-        return JointKind.PRISMATIC
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -246,19 +231,14 @@ def _check_body(name: str, what: str, allowed: Collection[str], kind: str) -> No
         )
 
 
-def _require(
-    name: str, value: float, allow_zero: bool = True, allow_infinite: bool = False
-) -> None:
-    low = value >= 0 if allow_zero else value > 0
-    if not (low and (math.isfinite(value) or (allow_infinite and value == math.inf))):
-        kind = "zero or positive" if allow_zero else "positive"
-        raise InputError(f"{name} of a drive must be {kind}, got {value:g}")
+def _check_effort(value: float) -> None:
+    if value != math.inf:
+        require_positive("max_effort of a drive", value)
 
 
 def _target(value: float | np.ndarray) -> float | np.ndarray:
     target = np.array(value, dtype=np.float64)
-    if target.ndim > 1 or not np.isfinite(target).all():
-        raise InputError(f"target of a drive must be finite, a number or [env_count], got {value}")
+    require_shape("target of a drive", target, (), ("env_count",))
     return target if target.ndim else float(target)
 
 

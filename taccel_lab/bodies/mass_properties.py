@@ -11,7 +11,6 @@ put into the body, and then into its centre of mass, so that a distant origin co
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -21,6 +20,7 @@ from taccel_lab.bodies.mesh_checks import check_edges
 from taccel_lab.bodies.primitives import TriangleMesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.connectivity import piece_of_cells
+from taccel_lab.guards import require_positive, require_shape
 
 _SOLID = 1 + 1e-6
 """Sum of two principal moments over the third one: of a flat plate 1."""
@@ -67,15 +67,9 @@ class StatedMass:
     def __post_init__(self) -> None:
         center = np.array(self.center_m, dtype=np.float64)
         inertia = np.array(self.inertia_kg_m2, dtype=np.float64)
-        if not (math.isfinite(self.mass_kg) and self.mass_kg > 0):
-            raise InputError(f"mass must be positive and finite, got {self.mass_kg:g} kg")
-        if center.shape != (3,) or inertia.shape != (3, 3):
-            raise InputError(
-                f"centre and inertia must have shapes [3] and [3, 3], got {center.shape} and "
-                f"{inertia.shape}"
-            )
-        if not (np.isfinite(center).all() and np.isfinite(inertia).all()):
-            raise InputError("centre and inertia must be finite")
+        require_positive("mass", self.mass_kg, "kg")
+        require_shape("centre", center, (3,))
+        require_shape("inertia", inertia, (3, 3))
         low, middle, high = np.linalg.eigvalsh((inertia + inertia.T) / 2)
         if np.abs(inertia - inertia.T).max() > 1e-6 * high or not low + middle > high * _SOLID:
             raise InputError(
@@ -115,8 +109,7 @@ def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:
     they lie apart, and inward ones where they bound a cavity. Raises InputError naming the edges or
     faces that are not so, and for a density that is not positive.
     """
-    if not (math.isfinite(density_kg_m3) and density_kg_m3 > 0):
-        raise InputError(f"density must be positive and finite, got {density_kg_m3:g} kg/m^3")
+    require_positive("density", density_kg_m3, "kg/m^3")
     faces = mesh.faces.astype(np.int64)
     check_edges(mesh.vertices_m, faces, "the mesh", closed=True)
 

@@ -1,20 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hyperelastic materials of soft bodies, uniform or by tet, checked."""
+"""Hyperelastic materials of soft bodies, uniform or by tet, and their Maxwell branches; checked."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
-from taccel_lab.bodies.maxwell import MaxwellBranch, check_branches
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 
+MOST_BRANCHES = 3
+"""Most branches of a material: each is one more evaluation of all elements, and three span as many
+decades of time."""
+
+
+@dataclass(frozen=True, order=True)
+class MaxwellBranch:
+    """A spring and a dashpot in a row, beside the spring of the relaxed solid.
+
+    With branches g_i, tau_i the modulus of a step of strain falls as E (1 + sum_i g_i
+    exp(-t / tau_i)), E the modulus of the relaxed solid [the generalised Maxwell solid: Simo and
+    Hughes 1998, Computational Inelasticity, 10.2]. Poisson's ratio is that of the solid at all
+    times. A series whose moduli are shares p_i of the instantaneous modulus has
+    g_i = p_i / (1 - sum p), and E is that modulus times 1 - sum p.
+    """
+
+    relative_modulus: float
+    """Modulus of the spring over that of the relaxed solid, g."""
+    time_s: float
+    """Relaxation time tau [s]."""
+
+    def __post_init__(self) -> None:
+        modulus = self.relative_modulus
+        require_range("relative_modulus of a Maxwell branch", modulus, 1e-6, 100.0)
+        require_range("time_s of a Maxwell branch", self.time_s, 1e-6, 1e6, "s")
+
+
+def check_branches(branches: Sequence[MaxwellBranch]) -> tuple[MaxwellBranch, ...]:
+    """Return branches as a tuple, of at most ``MOST_BRANCHES``.
+
+    Raises:
+        InputError: There are more, or something else among them.
+    """
+    for branch in branches:
+        if not isinstance(branch, MaxwellBranch):
+            raise InputError(f"branches must hold MaxwellBranch objects, got {branch!r}")
+    if len(branches) > MOST_BRANCHES:
+        raise InputError(
+            f"a material has at most {MOST_BRANCHES} Maxwell branches, got {len(branches)}"
+        )
+    return tuple(branches)
+
+
+_BY_TET = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
+"""Parameters that a material field may have by tet."""
 _YOUNG_PA = (1e2, 1e12)
-_DENSITY_KG_M3 = (1.0, 3e4)
 
 
 class MaterialModel(StrEnum):
@@ -50,8 +94,7 @@ def check_poisson(value: float, where: str = "") -> None:
 
 def check_density(value: float, where: str = "") -> None:
     """Refuse a density that no solid has."""
-    if not (math.isfinite(value) and _DENSITY_KG_M3[0] <= value <= _DENSITY_KG_M3[1]):
-        raise InputError(f"density{where} must lie in [1, 3e4] kg/m^3, got {value:g}")
+    require_range(f"density{where}", value, 1, 3e4, "kg/m^3")
 
 
 def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
@@ -63,10 +106,7 @@ def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str 
         if ratio != 0:
             raise InputError(f"mooney_ratio is a parameter of mooney_rivlin only, not of {model}")
         return
-    if not (math.isfinite(ratio) and 0 <= ratio <= 1):
-        raise InputError(
-            f"mooney_ratio{where} = c01 / (c10 + c01) must lie in [0, 1], got {ratio:g}"
-        )
+    require_range(f"mooney_ratio{where} = c01 / (c10 + c01)", ratio, 0, 1)
     least = ratio / (1 + 2 * ratio)
     if ratio > 0 and poisson < least:
         raise InputError(
@@ -107,9 +147,8 @@ class Material:
     ) -> Material:
         """Make a Mooney-Rivlin solid from its constants [Pa]: mu = 2 (c10 + c01) and the bulk
         modulus of small strains."""
-        for name, value in (("c10", c10_pa), ("c01", c01_pa)):
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} must be zero or positive, got {value:g} Pa")
+        require_range("c10", c10_pa, 0, math.inf, "Pa")
+        require_range("c01", c01_pa, 0, math.inf, "Pa")
         mu = 2 * (c10_pa + c01_pa)
         if not (mu > 0 and math.isfinite(bulk_modulus_pa) and bulk_modulus_pa > 0):
             raise InputError(
@@ -167,8 +206,7 @@ class MaterialField:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "branches", check_branches(self.branches))
-        names = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
-        arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in names}
+        arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in _BY_TET}
         shapes = {array.shape for array in arrays.values() if array.shape}
         if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
             found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
@@ -187,15 +225,8 @@ class MaterialField:
     @property
     def tet_count(self) -> int | None:
         """Tets the arrays are for, None when all are numbers."""
-        for value in (
-            self.young_modulus_pa,
-            self.poisson_ratio,
-            self.density_kg_m3,
-            self.mooney_ratio,
-        ):
-            if np.ndim(value):
-                return np.size(value)
-        return None
+        values = (getattr(self, name) for name in _BY_TET)
+        return next((np.size(value) for value in values if np.ndim(value)), None)
 
     @property
     def shear_modulus_pa(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from taccel_lab.files.triangle_file import FLAT as FLAT_TRIANGLE
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.connectivity import pieces_of_pairs
 from taccel_lab.geometry.length_units import other_readings
-from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
+from taccel_lab.geometry.tet_checks import check_connectivity, first_of, refuse_any, unique_rows
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""
@@ -38,11 +38,7 @@ def check_surface(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed:
     """
     faces = faces.astype(np.int64)
     unused = np.setdiff1d(np.arange(len(vertices)), faces)
-    if len(unused):
-        raise InputError(
-            f"{what}: {len(unused)} vertices belong to no face: vertices {first_of(unused)}; "
-            "remove them"
-        )
+    refuse_any(unused, what, "vertices belong to no face", "vertices", "; remove them")
     _check_duplicates(vertices, what)
     _check_shape(vertices, faces, what, closed)
 
@@ -67,11 +63,8 @@ def check_tets(mesh: TetMesh, what: str) -> None:
     corners = nodes[tets]
     sides = np.linalg.norm(corners[:, [0, 0, 0, 1, 1, 2]] - corners[:, [1, 2, 3, 2, 3, 3]], axis=2)
     flat = np.flatnonzero(6 * mesh.volumes_m3() <= FLAT * sides.max(axis=1) ** 3)
-    if len(flat):
-        raise InputError(
-            f"{what}: {len(flat)} tets have no volume to speak of: tets {first_of(flat)}; "
-            f"6 V must exceed {FLAT:g} times the longest edge cubed"
-        )
+    hint = f"; 6 V must exceed {FLAT:g} times the longest edge cubed"
+    refuse_any(flat, what, "tets have no volume to speak of", "tets", hint)
     check_connectivity(mesh, what)
     _check_duplicates(nodes, what)
     _check_shape(nodes, mesh.faces.astype(np.int64), f"the surface of {what}", closed=True)
@@ -82,11 +75,8 @@ def _check_faces(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
     longest = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(axis=1)
     doubled = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     flat = np.flatnonzero(doubled <= FLAT * longest**2)
-    if len(flat):
-        raise InputError(
-            f"{what}: {len(flat)} faces have no area to speak of: faces {first_of(flat)}; "
-            f"twice the area must exceed {FLAT:g} times the longest edge squared"
-        )
+    hint = f"; twice the area must exceed {FLAT:g} times the longest edge squared"
+    refuse_any(flat, what, "faces have no area to speak of", "faces", hint)
 
 
 def _check_duplicates(points: np.ndarray, what: str) -> None:
@@ -94,11 +84,8 @@ def _check_duplicates(points: np.ndarray, what: str) -> None:
 
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     pairs = KDTree(points).query_pairs(COINCIDENT * extent, output_type="ndarray")
-    if len(pairs):
-        raise InputError(
-            f"{what}: {len(pairs)} pairs of vertices lie at the same place: "
-            f"pairs {first_of(np.sort(pairs, axis=1))}; merge them"
-        )
+    said = "pairs of vertices lie at the same place"
+    refuse_any(np.sort(pairs, axis=1), what, said, "pairs", "; merge them")
 
 
 def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: bool) -> None:
@@ -106,35 +93,25 @@ def check_edges(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: b
     ``closed``; also faces that name a vertex twice."""
     faces = faces.astype(np.int64)
     repeated = np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))
-    if len(repeated):
-        raise InputError(
-            f"{what}: {len(repeated)} faces name a vertex twice: faces {first_of(repeated)}; "
-            "a face needs three vertices"
-        )
+    hint = "; a face needs three vertices"
+    refuse_any(repeated, what, "faces name a vertex twice", "faces", hint)
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges, inverse, uses = unique_rows(np.sort(directed, axis=1))
-    crowded = edges[uses > 2]
-    if len(crowded):
-        raise InputError(
-            f"{what} is not manifold: {len(crowded)} edges belong to more than two faces: "
-            f"edges (vertex, vertex) {first_of(crowded)}"
-        )
+    crowded, named = edges[uses > 2], "edges (vertex, vertex)"
+    refuse_any(crowded, f"{what} is not manifold", "edges belong to more than two faces", named)
     open_edges = edges[uses == 1]
     if closed and len(open_edges):
         hint = "; close it there"
         if len(np.unique(vertices, axis=0)) < len(vertices):
             hint = "; some vertices coincide: merge them if the surface was meant to be closed"
-        raise InputError(
-            f"{what} is not closed: {len(open_edges)} edges belong to one face only: "
-            f"edges (vertex, vertex) {first_of(open_edges)}{hint}"
-        )
+        said = "edges belong to one face only"
+        refuse_any(open_edges, f"{what} is not closed", said, named, hint)
     ahead = np.bincount(inverse, directed[:, 0] < directed[:, 1], minlength=len(edges))
     turned = edges[(uses == 2) & (ahead != 1)]
     if len(turned):
         raise InputError(
             f"{what}: neighbouring faces are oriented differently at {len(turned)} edges: "
-            f"edges (vertex, vertex) {first_of(turned)}; all faces must be outward by the "
-            "right-hand rule"
+            f"{named} {first_of(turned)}; all faces must be outward by the right-hand rule"
         )
 
 
@@ -161,11 +138,8 @@ def _check_fans(faces: np.ndarray, what: str) -> None:
     fan_nodes = faces.ravel()[np.unique(labels, return_index=True)[1]]
     nodes, fans = np.unique(fan_nodes, return_counts=True)
     pinched = nodes[fans > 1]
-    if len(pinched):
-        raise InputError(
-            f"{what} is not manifold: {len(pinched)} vertices join parts that share no edge: "
-            f"vertices {first_of(pinched)}"
-        )
+    said = "vertices join parts that share no edge"
+    refuse_any(pinched, f"{what} is not manifold", said, "vertices")
 
 
 def _check_folds(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
@@ -181,8 +155,5 @@ def _check_folds(vertices: np.ndarray, faces: np.ndarray, what: str) -> None:
         arms.append(arm / np.linalg.norm(arm, axis=1, keepdims=True))
     # From the chord: the scalar product of nearly equal directions has only eight digits.
     folded = np.flatnonzero(np.linalg.norm(arms[0] - arms[1], axis=1) < 1e-9)
-    if len(folded):
-        raise InputError(
-            f"{what}: {len(folded)} pairs of faces lie on each other: "
-            f"faces {first_of(np.sort(inner[folded] // 3, axis=1))}"
-        )
+    pairs = np.sort(inner[folded] // 3, axis=1)
+    refuse_any(pairs, what, "pairs of faces lie on each other", "faces")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,6 +43,21 @@ class TriangleMesh:
     def edges(self) -> np.ndarray:
         """Unique edges, int32, shape [edge_count, 2]; smaller vertex index first."""
         return unique_edges(self.faces)
+
+
+def checked_pose(name: str, value: np.ndarray, *shapes: tuple[int | str, ...]) -> np.ndarray:
+    """Return poses, position [m] and unit quaternion x, y, z, w, as float64: one of the ``shapes``,
+    [7] or [env_count, 7] where none is given.
+
+    Raises:
+        InputError: Another shape, or a quaternion of another length.
+    """
+    pose = np.array(value, dtype=np.float64)
+    require_shape(name, pose, *(shapes or ((7,), ("env_count", 7))))
+    norm = np.linalg.norm(pose[..., 3:], axis=-1)
+    if (np.abs(norm - 1) > 1e-6).any():
+        raise InputError(f"quaternion (x, y, z, w) of {name} must have unit length, got {norm}")
+    return pose
 
 
 @dataclass(frozen=True)
@@ -91,17 +107,8 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
             if near[i, j] and near[j, k] and near[i, k]
         ]
     )
-    inward = (
-        np.einsum(
-            "ij,ij->i",
-            np.cross(
-                vertices[faces[:, 1]] - vertices[faces[:, 0]],
-                vertices[faces[:, 2]] - vertices[faces[:, 0]],
-            ),
-            vertices[faces[:, 0]],
-        )
-        < 0
-    )
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
     faces[inward] = faces[inward][:, [0, 2, 1]]
     edge = 1.05146 * radius_m
     while edge > edge_m * 1.2:

@@ -21,6 +21,7 @@ from taccel_lab.bodies.bodies import (
 )
 from taccel_lab.bodies.joints import Joint, check_joints
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known, require_range, require_shape
 from taccel_lab.summary import Summary
 
 
@@ -39,8 +40,7 @@ SHORTEST_STEP_S, LONGEST_HOLD_S = 1e-6, 1e5
 
 def check_dt(dt_s: float, longest_s: float = 10.0) -> None:
     """Refuse a length of a step [s] that makes no sense."""
-    if not (math.isfinite(dt_s) and SHORTEST_STEP_S <= dt_s <= longest_s):
-        raise InputError(f"dt must lie in [1e-6, {longest_s:g}] s, got {dt_s}")
+    require_range("dt", dt_s, SHORTEST_STEP_S, longest_s, "s")
 
 
 @dataclass(frozen=True)
@@ -54,14 +54,11 @@ class TimeStepping:
     scheme: TimeScheme = TimeScheme.EULER
 
     def __post_init__(self) -> None:
-        if self.scheme not in list(TimeScheme):
-            names = ", ".join(TimeScheme)
-            raise InputError(f"scheme must be one of {names}, got {self.scheme!r}")
+        require_known("scheme", self.scheme, TimeScheme)
         object.__setattr__(self, "scheme", TimeScheme(self.scheme))
         check_dt(self.dt_s)
         gravity = self.gravity_m_s2
-        if len(gravity) != 3 or not all(math.isfinite(g) for g in gravity):
-            raise InputError(f"gravity_m_s2 must be three finite numbers, got {gravity}")
+        require_shape("gravity_m_s2", gravity, (3,))
         if self.quasi_static and any(gravity):
             raise InputError(
                 f"gravity_m_s2 = {gravity} needs quasi_static=False: otherwise nothing has mass"
@@ -133,8 +130,7 @@ class SceneDescription(Summary):
         object.__setattr__(self, "env_count", env_count)
         object.__setattr__(self, "time", time or TimeStepping())
         object.__setattr__(self, "pair_friction", dict(pair_friction or {}))
-        if self.env_count < 1:
-            raise InputError(f"env_count must be at least 1, got {self.env_count}")
+        require_range("env_count", self.env_count, 1, math.inf)
         if not self.soft_bodies and not self.affine_bodies:
             raise InputError("a scene needs at least one soft or affine body")
         if self.time.quasi_static and self.affine_bodies:

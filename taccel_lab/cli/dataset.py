@@ -65,7 +65,7 @@ class DatasetMake:
         from taccel_lab.files.example_file import file_or_example
         from taccel_lab.files.inner_path import real_path
         from taccel_lab.files.shard import Shard
-        from taccel_lab.model.devices import require_device
+        from taccel_lab.model.launches import require_device
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.progress import stage_progress
 

@@ -48,7 +48,7 @@ class Preview:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.files.output_folder import atomic_directory, require_replaceable
-        from taccel_lab.model.devices import require_device
+        from taccel_lab.model.launches import require_device
         from taccel_lab.processes.start_warp import first_step, start_warp
         from taccel_lab.progress import stage_words
         from taccel_lab.sensors.registry import sensor_family

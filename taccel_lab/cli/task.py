@@ -153,7 +153,7 @@ class TaskRecord:
 def _begin(name: str, device: str, output: Path) -> Task:
     """A task of the package, or of a file; refused with device and output folder before work."""
     from taccel_lab.files.output_folder import require_replaceable
-    from taccel_lab.model.devices import require_device
+    from taccel_lab.model.launches import require_device
     from taccel_lab.processes.start_warp import start_warp
     from taccel_lab.tasks.catalogue import named, read_task
 

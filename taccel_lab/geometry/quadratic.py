@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.geometry.tet_mesh import Region, TetMesh
-from taccel_lab.summary import Summary
+from taccel_lab.geometry.tet_mesh import RegionFaces, TetMesh
 
 TET_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """Ends of the middle nodes 4 to 9 of a tet."""
@@ -24,7 +23,7 @@ MIDDLE_MASS = 4.0 / 27.0
 
 
 @dataclass(frozen=True, repr=False)
-class QuadraticMesh(Summary):
+class QuadraticMesh(RegionFaces):
     """Ten-node tets on a linear mesh; reads like a TetMesh where only nodes and faces matter."""
 
     base: TetMesh
@@ -61,18 +60,6 @@ class QuadraticMesh(Summary):
         k]."""
         middles = 0.5 * (corners[..., self.edges[:, 0], :] + corners[..., self.edges[:, 1], :])
         return np.concatenate([corners, middles], axis=-2)
-
-    def region_faces(self, *regions: Region) -> np.ndarray:
-        """Return the faces of the given regions, int32, shape [n, 3]."""
-        return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
-
-    def region_nodes(self, *regions: Region) -> np.ndarray:
-        """Return sorted node indices that lie on faces of the given regions, shape [n]."""
-        return np.unique(self.region_faces(*regions))
-
-    def bonded_nodes(self) -> np.ndarray:
-        """Return sorted nodes glued to the rigid backing: those of the bond and window faces."""
-        return self.region_nodes(Region.BOND, Region.WINDOW)
 
     def held_with(self, corners: np.ndarray) -> np.ndarray:
         """Return the sorted nodes held when these corners are. The middle of an edge is held with

@@ -20,16 +20,20 @@ def first_of(items: np.ndarray) -> str:
     return text + (", ..." if len(items) > _NAMED else "")
 
 
+def refuse_any(found: np.ndarray, what: str, said: str, named: str, hint: str = "") -> None:
+    """Refuse a mesh in which anything was ``found``: InputError with ``what`` it is, how many,
+    what is ``said`` of them, the first of them as they are ``named``, and a ``hint``."""
+    if len(found):
+        raise InputError(f"{what}: {len(found)} {said}: {named} {first_of(found)}{hint}")
+
+
 def check_connectivity(mesh: TetMesh, what: str) -> None:
     """Refuse nodes of no tet, tets that share a face with several or lie on the same side of it,
     and surfaces that are not just the outward faces of exactly one tet, each once."""
     tets = mesh.tets.astype(np.int64)
     unused = np.setdiff1d(np.arange(len(mesh.nodes_m)), tets)
-    if len(unused):
-        raise InputError(
-            f"{what}: {len(unused)} nodes belong to no tet: nodes {first_of(unused)}; "
-            "such nodes have neither mass nor stiffness and must be removed"
-        )
+    hint = "; such nodes have neither mass nor stiffness and must be removed"
+    refuse_any(unused, what, "nodes belong to no tet", "nodes", hint)
     outward = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
     keys, inverse, uses = unique_rows(np.sort(outward, axis=1))
     owner = np.arange(len(outward)) // 4

@@ -21,8 +21,27 @@ class Region(enum.IntEnum):
     WINDOW = 3
 
 
+class RegionFaces(Summary):
+    """What has surface faces, each of which belongs to a region."""
+
+    faces: np.ndarray
+    face_regions: np.ndarray
+
+    def region_faces(self, *regions: Region) -> np.ndarray:
+        """Return the faces of the given regions, int32, shape [n, 3]."""
+        return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
+
+    def region_nodes(self, *regions: Region) -> np.ndarray:
+        """Return sorted node indices that lie on faces of the given regions, shape [n]."""
+        return np.unique(self.region_faces(*regions))
+
+    def bonded_nodes(self) -> np.ndarray:
+        """Return sorted nodes glued to the rigid backing: those of the bond and window faces."""
+        return self.region_nodes(Region.BOND, Region.WINDOW)
+
+
 @dataclass(frozen=True, repr=False)
-class TetMesh(Summary):
+class TetMesh(RegionFaces):
     """Tetrahedra of one soft body with the region of each surface face.
 
     The gel frame: x right and y down in the tactile image, z out of the gel, origin on the
@@ -104,18 +123,6 @@ class TetMesh(Summary):
     def volumes_m3(self) -> np.ndarray:
         """Return signed tet volumes [m^3], shape [tet_count]."""
         return tet_volumes(self.nodes_m, self.tets)
-
-    def region_faces(self, *regions: Region) -> np.ndarray:
-        """Return the faces of the given regions, int32, shape [n, 3]."""
-        return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
-
-    def region_nodes(self, *regions: Region) -> np.ndarray:
-        """Return sorted node indices that lie on faces of the given regions, shape [n]."""
-        return np.unique(self.region_faces(*regions))
-
-    def bonded_nodes(self) -> np.ndarray:
-        """Return sorted nodes glued to the rigid backing: those of the bond and window faces."""
-        return self.region_nodes(Region.BOND, Region.WINDOW)
 
 
 def _indices(values: np.ndarray, name: str) -> np.ndarray:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element, KinematicBody, Plane, SoftBody
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.bodies.surface_topology import (
@@ -19,13 +18,12 @@ from taccel_lab.bodies.surface_topology import (
     surface_topology,
 )
 from taccel_lab.model.carried import carried_blocks
-from taccel_lab.model.contact_plan import BodySurface, contact_plan
-from taccel_lab.model.devices import require_device
 from taccel_lab.model.elastic import build_element_groups
+from taccel_lab.model.launches import require_device
 from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
-from taccel_lab.model.surface import Put, surface_arrays, surface_trees
+from taccel_lab.model.surface import BodySurface, Put, contact_plan, surface_arrays, surface_trees
 from taccel_lab.model.turns import TURNS
 
 MAX_CONTACT_COUPLES = 400
@@ -113,32 +111,19 @@ def _affine_arrays(
     first = len(layout.soft)
     ranges = [layout.node_range(first + i) for i in range(layout.affine_count)]
     ends = [ranges[-1][1]] if ranges else []
+    solids = list(zip(scene.affine_bodies, layout.properties, strict=True))
+    joined = {name for joint in scene.joints for name in (joint.first, joint.second)}
     return AffineArrays(
         control_starts=put(layout.control_nodes()[:, 0], wp.int32),
-        lengths=put(np.array([s.radius_m for s in layout.properties]), wp.float64),
+        lengths=put(np.array([s.radius_m for _, s in solids]), wp.float64),
         stiffness=put(
-            np.array(
-                [
-                    body.young_modulus_pa * solid.volume_m3
-                    for body, solid in zip(scene.affine_bodies, layout.properties, strict=True)
-                ]
-            ),
-            wp.float64,
+            np.array([body.young_modulus_pa * s.volume_m3 for body, s in solids]), wp.float64
         ),
         vertex_starts=put(np.array([r[0] for r in ranges] + ends), wp.int32),
         carried=put(carried, wp.int32),
         carried_starts=put(carried_starts, wp.int32),
         riders=put(layout.riders(), wp.vec2i),
-        have_joints=put(
-            np.array(
-                [
-                    any(body.name in (joint.first, joint.second) for joint in scene.joints)
-                    for body in scene.affine_bodies
-                ],
-                dtype=np.int32,
-            ),
-            wp.int32,
-        ),
+        have_joints=put(np.array([body.name in joined for body, _ in solids]), wp.int32),
         properties=layout.properties,
         first_control=layout.first_control,
         count=layout.affine_count,
@@ -262,7 +247,8 @@ def build_model(
         [*connectivities, _affine_connectivity(scene, layout), *bonds, couples], free_index
     )
     for group, part in zip(groups, parts, strict=True):
-        group.set_gather(block_gather(pattern, part.first, part.second, free_index, moving), put)
+        gather = block_gather(pattern, part.first, part.second, free_index, moving)
+        group.gather = gather.on(put)
         group.carried = carried_blocks(pattern, part.first, part.second, free_index, parents, put)
 
     bodies = scene.bodies

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.bodies import Element, SoftBody
+from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.model.carried import CarriedBlocks
@@ -77,14 +75,8 @@ class ElementArrays:
     """Range of each of ``gather_nodes`` in ``force_parts``, int32."""
     force_parts: wp.array
     """Forces that add up at it: sums of chunks, or ``node_entries``, int32."""
-    blocks: wp.array
-    """This and the following: see BlockGather; filled in by ``set_gather``."""
-    source_starts: wp.array
-    sources: wp.array
-    rim_rows: wp.array
-    rim_starts: wp.array
-    rim_sources: wp.array
-    rim_nodes: wp.array
+    gather: BlockGather | None = None
+    """Where its parts go in the matrix of the scene, on the device; filled in with the matrix."""
     young_moduli: wp.array | None = None
     """What ``mu`` and ``lam`` come from [Pa], float64, [env_count * element_count], and Poisson's
     ratios; None until moduli differ by environment."""
@@ -110,16 +102,6 @@ class ElementArrays:
     @property
     def nodes_per_element(self) -> int:
         return self.elements.shape[1]
-
-    def set_gather(self, gather: BlockGather, put: Put) -> None:
-        """Say where the element blocks go in the matrix of the scene."""
-        self.blocks = put(gather.blocks, wp.int32)
-        self.source_starts = put(gather.source_starts, wp.int32)
-        self.sources = put(gather.sources, wp.int32)
-        self.rim_rows = put(gather.rim_rows, wp.int32)
-        self.rim_starts = put(gather.rim_starts, wp.int32)
-        self.rim_sources = put(gather.rim_sources, wp.int32)
-        self.rim_nodes = put(gather.rim_nodes, wp.int32)
 
 
 def shape_gradients(rest: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -224,7 +206,7 @@ def build_element_groups(
 
     ``starts``: first node of each body. ``free``, ``moving``: nodes that have a row in the matrix
     or follow rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
-    ``ElementArrays.set_gather`` comes later, with the matrix.
+    ``ElementArrays.gather`` comes later, with the matrix.
     """
     members: dict[tuple[MaterialModel, Element, tuple[MaxwellBranch, ...]], list[int]] = {}
     for index, body in enumerate(bodies):
@@ -263,7 +245,6 @@ def build_element_groups(
                 lanes, connectivity, free, moving, put
             )
             _, force_starts, force_parts = node_gather(force_nodes[:, None])
-        none = put(np.zeros(0), wp.int32)
         groups.append(
             ElementArrays(
                 law=law,
@@ -285,13 +266,6 @@ def build_element_groups(
                 chunks=chunks,
                 force_starts=put(force_starts, wp.int32),
                 force_parts=put(force_parts, wp.int32),
-                blocks=none,
-                source_starts=none,
-                sources=none,
-                rim_rows=none,
-                rim_starts=none,
-                rim_sources=none,
-                rim_nodes=none,
             )
         )
         written.append(BlockParts(connectivity, first, second))

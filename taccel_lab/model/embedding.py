@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.mass_properties import MassProperties
+from taccel_lab.model.launches import launch
 from taccel_lab.model.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -101,13 +102,8 @@ def embed_vertices(model: Model, values: wp.array) -> None:
     first, end = vertex_range(model)
     if end > first:
         carried = model.affine.carried
-        wp.launch(
-            _embed_kernel,
-            dim=(model.env_count, end - first + len(carried)),
-            inputs=[first, end - first, carried, model.parents, model.weights],
-            outputs=[values],
-            device=model.device,
-        )
+        inputs = [first, end - first, carried, model.parents, model.weights, values]
+        launch(_embed_kernel, (model.env_count, end - first + len(carried)), *inputs)
 
 
 def control_positions(solid: MassProperties, pose: np.ndarray) -> np.ndarray:

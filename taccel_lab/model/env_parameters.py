@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.quadratic import CORNER_MASS, MIDDLE_MASS
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.env_rows import device_array, on_device
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -32,7 +33,7 @@ def _widen_rows_kernel(source: wp.array(dtype=wp.float64), result: wp.array(dtyp
 
 
 @wp.kernel
-def _moduli_kernel(
+def moduli_kernel(
     mask: wp.array(dtype=wp.int32),
     given_young: wp.array2d(dtype=wp.float64),
     given_poisson: wp.array2d(dtype=wp.float64),
@@ -43,6 +44,8 @@ def _moduli_kernel(
     mu: wp.array(dtype=wp.float64),
     lam: wp.array(dtype=wp.float64),
 ):
+    """Moduli [Pa] and ratios of elements from ``first`` on, as ``env_values`` gives them; what is
+    not given stays."""
     env, k = wp.tid()
     if mask[env] == 0:
         return
@@ -60,12 +63,13 @@ def _moduli_kernel(
 
 
 @wp.kernel
-def _largest_kernel(
+def largest_kernel(
     mask: wp.array(dtype=wp.int32),
     given_young: wp.array2d(dtype=wp.float64),
     body: int,
     largest: wp.array2d(dtype=wp.float64),
 ):
+    """Keeps ``Model.largest_moduli`` with the moduli of a body [Pa]."""
     env = wp.tid()
     if mask[env] == 0:
         return
@@ -128,13 +132,14 @@ def _scale_kernel(
 
 
 @wp.kernel
-def _set_friction_kernel(
+def set_friction_kernel(
     mask: wp.array(dtype=wp.int32),
     given: wp.array2d(dtype=wp.float64),
     first: int,
     second: int,
     pair_friction: wp.array3d(dtype=wp.float64),
 ):
+    """Coefficient of a pair of bodies."""
     env = wp.tid()
     if mask[env] != 0:
         pair_friction[env, first, second] = given[env, 0]
@@ -145,7 +150,7 @@ def widened(shared: wp.array, shape: tuple[int, ...]) -> wp.array:
     """A copy of float64 with as many rows as ``shape`` says; ``shared`` has them or has one."""
     result = wp.empty(shape, dtype=wp.float64, device=shared.device)
     flat = [shared.flatten(), result.flatten()]
-    wp.launch(_widen_rows_kernel, dim=result.size, inputs=flat, device=shared.device)
+    launch(_widen_rows_kernel, result.size, *flat)
     return result
 
 
@@ -212,31 +217,6 @@ def _check_rows(values: np.ndarray, check: Callable[[float, str], None], mask: A
         check(float(rows.flat[place]), f" of environment {chosen[row]}")
 
 
-def write_moduli(
-    group: ElementArrays,
-    member: tuple[int, int, int],
-    mask: wp.array,
-    young: wp.array | None,
-    poisson: wp.array | None,
-) -> None:
-    """Young's moduli [Pa] and Poisson's ratios, as ``env_values`` gives them, of one body of a
-    group whose moduli are those of each environment; what is None stays."""
-    _, first, last = member
-    wp.launch(
-        _moduli_kernel,
-        dim=(len(mask), last - first),
-        inputs=[mask, young, poisson, first, group.element_count],
-        outputs=[group.young_moduli, group.poisson_ratios, group.mu, group.lam],
-        device=mask.device,
-    )
-
-
-def write_largest(mask: wp.array, young: wp.array, body: int, largest: wp.array) -> None:
-    """Keep ``Model.largest_moduli`` with the moduli of a body [Pa]."""
-    inputs = [mask, young, body]
-    wp.launch(_largest_kernel, len(mask), inputs=inputs, outputs=[largest], device=mask.device)
-
-
 def write_densities(
     group: ElementArrays,
     member: tuple[int, int, int],
@@ -248,15 +228,9 @@ def write_densities(
     """Lumped masses [kg] of the nodes of one body of a group, from its densities [kg/m^3]."""
     quadratic = group.element is Element.QUADRATIC
     shares = wp.vec2d(CORNER_MASS, MIDDLE_MASS) if quadratic else wp.vec2d(0.25, 0.25)
-    wp.launch(
-        _density_kernel,
-        dim=(len(mask), len(group.gather_nodes)),
-        inputs=[mask, densities, group.volumes, member[1]]
-        + [group.gather_nodes, group.node_starts, group.node_entries, group.nodes_per_element]
-        + [shares, *nodes],
-        outputs=[masses],
-        device=mask.device,
-    )
+    inputs = [mask, densities, group.volumes, member[1], group.gather_nodes, group.node_starts]
+    inputs += [group.node_entries, group.nodes_per_element, shares, *nodes, masses]
+    launch(_density_kernel, (len(mask), len(group.gather_nodes)), *inputs)
 
 
 def write_scaled(
@@ -270,20 +244,5 @@ def write_scaled(
     """Masses [kg] of a range of nodes: those of the scene times ``given`` over ``of_scene``, one
     for all environments or one for each."""
     reference = wp.array(np.asarray(of_scene), dtype=wp.float64, device=mask.device)
-    wp.launch(
-        _scale_kernel,
-        dim=(len(mask), nodes[1] - nodes[0]),
-        inputs=[mask, given, reference, scene_masses, nodes[0]],
-        outputs=[masses],
-        device=mask.device,
-    )
-
-
-def write_friction(
-    mask: wp.array, given: wp.array, first: int, second: int, pair_friction: wp.array
-) -> None:
-    """Coefficient of a pair of bodies."""
-    inputs = [mask, given, first, second]
-    wp.launch(
-        _set_friction_kernel, len(mask), inputs=inputs, outputs=[pair_friction], device=mask.device
-    )
+    inputs = [mask, given, reference, scene_masses, nodes[0], masses]
+    launch(_scale_kernel, (len(mask), nodes[1] - nodes[0]), *inputs)

@@ -10,6 +10,8 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -76,13 +78,7 @@ def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None
         source = source.to(result.device)
         into = _as_rows(result)
         lanes = lane_count(result.device, *into.shape)
-        wp.launch(
-            _copy_rows_kernel,
-            dim=(len(into), lanes),
-            inputs=[mask, lanes, _as_rows(source)],
-            outputs=[into],
-            device=result.device,
-        )
+        launch(_copy_rows_kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
 
 
 def zero_rows(mask: wp.array, values: wp.array) -> None:
@@ -91,7 +87,7 @@ def zero_rows(mask: wp.array, values: wp.array) -> None:
         rows = _as_rows(values)
         lanes = lane_count(values.device, *rows.shape)
         dim, inputs = (len(rows), lanes), [mask, lanes, rows]
-        wp.launch(_zero_rows_kernel, dim=dim, inputs=inputs, device=values.device)
+        launch(_zero_rows_kernel, dim, *inputs)
 
 
 @wp.kernel
@@ -156,10 +152,7 @@ def host_values(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
         InputError: Of another shape, or not finite.
     """
     found = np.asarray(value, dtype=np.float64)
-    if found.shape != shape:
-        raise InputError(f"{name} have shape {found.shape}, expected {shape}")
-    if not np.isfinite(found).all():
-        raise InputError(f"{name} hold NaN or infinite values")
+    require_shape(name, found, shape)
     return found
 
 
@@ -216,7 +209,7 @@ def device_mask(mask: Any, env_count: int, device: wp.Device) -> wp.array:
         if found.dtype is wp.int32:
             return found
         result = wp.empty(env_count, dtype=wp.int32, device=device)
-        wp.launch(_as_int_kernel, env_count, inputs=[found, result], device=device)
+        launch(_as_int_kernel, env_count, found, result)
         return result
     value = checked_mask(mask, env_count)
     return wp.array(value.astype(np.int32), dtype=wp.int32, device=device)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from taccel_lab.model.launches import launch
 from taccel_lab.model.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -88,13 +89,7 @@ def place_poses_between(
     """Poses part of the way (float64, [env_count]) in the environments of ``mask``; transformd,
     [env_count, kinematic_count]."""
     if result.size:
-        wp.launch(
-            _interpolate_kernel,
-            dim=result.shape,
-            inputs=[mask, start, end, fractions],
-            outputs=[result],
-            device=result.device,
-        )
+        launch(_interpolate_kernel, result.shape, mask, start, end, fractions, result)
 
 
 def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:
@@ -130,13 +125,8 @@ def _place(
 ) -> None:
     nodes, frames = what
     if len(nodes):
-        wp.launch(
-            _place_kinematic_kernel,
-            dim=(model.env_count, len(nodes)),
-            inputs=[mask, nodes, frames, model.rest_positions, poses],
-            outputs=[positions],
-            device=model.device,
-        )
+        inputs = [mask, nodes, frames, model.rest_positions, poses, positions]
+        launch(_place_kinematic_kernel, (model.env_count, len(nodes)), *inputs)
 
 
 def place_kinematic_nodes(

@@ -9,10 +9,12 @@ scene and shared by all environments; only the values are per environment, shape
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 
 @dataclass(frozen=True)
@@ -59,23 +61,28 @@ class BlockPattern:
 class BlockGather:
     """Which parts of one group of elements add up in which block of the matrix, in a fixed order.
 
-    A part is d^2E / dx_first dx_second of some of its elements: one, or all of a chunk.
+    A part is d^2E / dx_first dx_second of some of its elements: one, or all of a chunk. Arrays are
+    the host's or, ``on`` it, a device's.
     """
 
-    blocks: np.ndarray
+    blocks: Any
     """Entries of the pattern that the group touches, ascending, int32, shape [touched]."""
-    source_starts: np.ndarray
+    source_starts: Any
     """Range of each of them in ``sources``, int32, shape [touched + 1]."""
-    sources: np.ndarray
+    sources: Any
     """Parts as 2 part + transposed, int32."""
-    rim_rows: np.ndarray
+    rim_rows: Any
     """Rows whose right-hand side feels prescribed nodes that move, ascending, int32."""
-    rim_starts: np.ndarray
+    rim_starts: Any
     """Range of each of them in the next two, int32, shape [rim + 1]."""
-    rim_sources: np.ndarray
+    rim_sources: Any
     """Parts d^2E / dx_row dx_node, coded like ``sources``, int32."""
-    rim_nodes: np.ndarray
+    rim_nodes: Any
     """The prescribed nodes, int32."""
+
+    def on(self, put: Callable[[np.ndarray, Any], Any]) -> BlockGather:
+        """The same with arrays that ``put`` has copied to a device."""
+        return BlockGather(**{name: put(value, wp.int32) for name, value in vars(self).items()})
 
 
 def block_pattern(groups: Sequence[np.ndarray], free_index: np.ndarray) -> BlockPattern:

@@ -34,21 +34,21 @@ from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.bodies.material import check_density, check_mooney, check_poisson, check_young
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.errors import InputError
-from taccel_lab.model.contact_plan import ContactPlan
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.env_parameters import (
     check_mass,
     env_values,
+    largest_kernel,
+    moduli_kernel,
+    set_friction_kernel,
     widened,
     write_densities,
-    write_friction,
-    write_largest,
-    write_moduli,
     write_scaled,
 )
 from taccel_lab.model.env_rows import device_mask
+from taccel_lab.model.launches import launch
 from taccel_lab.model.matrix_pattern import BlockPattern
-from taccel_lab.model.surface import SurfaceArrays, SurfaceTrees
+from taccel_lab.model.surface import ContactPlan, SurfaceArrays, SurfaceTrees
 from taccel_lab.summary import Summary
 
 
@@ -280,7 +280,7 @@ class Model(Summary):
         value = env_values(coefficient, name, self.env_count, self.device, check, mask)
         if self.pair_friction.shape[0] < self.env_count:
             self.pair_friction = self._widened(self.pair_friction)
-        write_friction(chosen, value, a, b, self.pair_friction)
+        launch(set_friction_kernel, len(chosen), chosen, value, a, b, self.pair_friction)
         self.changes += 1
 
     def _set_soft(
@@ -323,11 +323,13 @@ class Model(Summary):
         young, poisson = values.get("young_modulus_pa"), values.get("poisson_ratio")
         if young is not None or poisson is not None:
             self._widen_moduli(group)
-            write_moduli(group, member, chosen, young, poisson)
+            inputs = [chosen, young, poisson, member[1], group.element_count, group.young_moduli]
+            inputs += [group.poisson_ratios, group.mu, group.lam]
+            launch(moduli_kernel, (len(chosen), tet_count), *inputs)
         if young is not None:
             if self.largest_moduli.shape[0] < self.env_count:
                 self.largest_moduli = self._widened(self.largest_moduli)
-            write_largest(chosen, young, index, self.largest_moduli)
+            launch(largest_kernel, len(chosen), chosen, young, index, self.largest_moduli)
         if "density_kg_m3" in values:
             self._widen_masses()
             densities = values["density_kg_m3"]

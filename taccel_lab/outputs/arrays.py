@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from taccel_lab.model.launches import launch
+
 if TYPE_CHECKING:
     import torch
 
@@ -22,13 +24,7 @@ def _negate_nodes_kernel(values: wp.array2d(dtype=wp.vec3d), result: wp.array2d(
 def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
     """Minus the vectors, vec3d, two axes; written to ``into`` if that is given."""
     result = wp.empty_like(values) if into is None else into
-    wp.launch(
-        _negate_nodes_kernel,
-        dim=values.shape,
-        inputs=[values],
-        outputs=[result],
-        device=values.device,
-    )
+    launch(_negate_nodes_kernel, values.shape, values, result)
     return result
 
 

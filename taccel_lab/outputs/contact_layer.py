@@ -27,6 +27,7 @@ from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.contact import mollifier
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,12 +62,8 @@ def gap_work(collisions: Collisions, positions: wp.array) -> wp.array:
     env_count, device = len(collisions.counts), collisions.device
     lanes = lane_count(device, env_count, collisions.largest_room)
     work = wp.empty((env_count, lanes), dtype=wp.float64, device=device)
-    wp.launch(
-        _gap_work_kernel,
-        dim=(env_count, lanes),
-        inputs=[lanes, collisions.lists, collisions.geometry, positions, work],
-        device=device,
-    )
+    inputs = [lanes, collisions.lists, collisions.geometry, positions, work]
+    launch(_gap_work_kernel, (env_count, lanes), *inputs)
     return work
 
 
@@ -116,13 +113,8 @@ def mean_gaps(collisions: Collisions, positions: wp.array, nodes: tuple[int, int
     env_count, device = len(collisions.counts), collisions.device
     lanes = lane_count(device, env_count, collisions.largest_room)
     work, forces, gaps = (wp.zeros(env_count, dtype=wp.float64, device=device) for _ in range(3))
-    wp.launch(
-        _add_gaps_kernel,
-        dim=(env_count, lanes),
-        inputs=[lanes, collisions.lists, collisions.geometry, positions, *nodes],
-        outputs=[work, forces],
-        device=device,
-    )
+    inputs = [lanes, collisions.lists, collisions.geometry, positions, *nodes, work, forces]
+    launch(_add_gaps_kernel, (env_count, lanes), *inputs)
     inputs = [work, forces]
-    wp.launch(_mean_gap_kernel, env_count, inputs=inputs, outputs=[gaps], device=device)
+    launch(_mean_gap_kernel, env_count, *inputs, gaps)
     return gaps

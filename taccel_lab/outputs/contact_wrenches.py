@@ -26,7 +26,7 @@ from taccel_lab.ipc.contact.collision_lists import (
 from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.contact.friction import friction_gradient
 from taccel_lab.ipc.device.matrices import mat43d
-from taccel_lab.ipc.distance.derivatives import pair_normal
+from taccel_lab.ipc.distance.derivatives import outer_rows, pair_normal
 from taccel_lab.ipc.potentials.contact import contact_rows, stencil_size
 from taccel_lab.ipc.potentials.friction import (
     FrictionPotential,
@@ -35,6 +35,7 @@ from taccel_lab.ipc.potentials.friction import (
     sliding,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -95,7 +96,7 @@ def as_interaction(
     result.second = geometry.node_bodies[nodes[3]]
     result.gap = gap
     for i in range(size):
-        force = -wp.vec3d(gradient[i, 0], gradient[i, 1], gradient[i, 2])
+        force = -gradient[i]
         place = touched_at(env, nodes, i, normal, positions, geometry)
         torque = wp.cross(place - center, force)
         wrench = vec6d(force[0], force[1], force[2], torque[0], torque[1], torque[2])
@@ -122,16 +123,11 @@ def _contact_kernel(
     nodes = lists.stencils[at]
     kind = lists.kinds[at]
     pair = closest_pair(env, kind, nodes, positions, geometry)
+    gap = collision_gap(pair, nodes, lists.insets[at], geometry)
+    rows = contact_rows(env, at, pair, lists, geometry, positions)
+    size = stencil_size(kind)
     interactions[starts[env] + slot] = as_interaction(
-        env,
-        nodes,
-        stencil_size(kind),
-        pair_normal(pair),
-        collision_gap(pair, nodes, lists.insets[at], geometry),
-        contact_rows(env, at, pair, lists, geometry, positions),
-        center,
-        positions,
-        geometry,
+        env, nodes, size, pair_normal(pair), gap, rows, center, positions, geometry
     )
 
 
@@ -151,23 +147,12 @@ def _friction_kernel(
     at = frozen.room.starts[env] + slot
     nodes = frozen.stencils[at]
     normal = frozen.normals[at]
-    w = frozen.weights[at]
     u = sliding(env, at, frozen, motion)
     force = friction_gradient(u, frozen.mu_lambdas[at], eps_u[env])
-    rows = mat43d()
-    for i in range(4):
-        for k in range(3):
-            rows[i, k] = w[i] * force[k]
+    rows = outer_rows(frozen.weights[at], force)
+    none = wp.float64(wp.inf)
     interactions[starts[env] + slot] = as_interaction(
-        env,
-        nodes,
-        4,
-        normal,
-        wp.float64(wp.inf),
-        rows,
-        center,
-        motion.positions,
-        geometry,
+        env, nodes, 4, normal, none, rows, center, motion.positions, geometry
     )
 
 
@@ -224,13 +209,7 @@ class PairWrenches:
     def totals(self) -> wp.array:
         """Wrench on each body by all others, six float64, shape [env_count, body_count]."""
         totals = wp.zeros(self.wrenches.shape[:2], dtype=vec6d, device=self.wrenches.device)
-        wp.launch(
-            _total_kernel,
-            dim=totals.shape,
-            inputs=[self.wrenches],
-            outputs=[totals],
-            device=totals.device,
-        )
+        launch(_total_kernel, totals.shape, self.wrenches, totals)
         return totals
 
 
@@ -241,20 +220,10 @@ def _added(model: Model, kernel: wp.Kernel, counts: wp.array, inputs: list) -> P
     starts = np.concatenate([[0], np.cumsum(numbers, dtype=np.int32)])
     places = wp.array(starts, dtype=wp.int32, device=model.device)
     interactions = wp.zeros(int(starts[-1]), dtype=Interaction, device=model.device)
-    wp.launch(
-        kernel,
-        dim=(model.env_count, int(numbers.max(initial=0))),
-        inputs=[*inputs, places],
-        outputs=[interactions],
-        device=model.device,
-    )
+    launch(kernel, (model.env_count, int(numbers.max(initial=0))), *inputs, places, interactions)
     result = PairWrenches.none(model)
-    wp.launch(
-        _add_kernel,
-        dim=result.wrenches.shape[:2],
-        inputs=[places, interactions],
-        outputs=[result.wrenches, result.gaps],
-        device=model.device,
+    launch(
+        _add_kernel, result.wrenches.shape[:2], places, interactions, result.wrenches, result.gaps
     )
     return result
 

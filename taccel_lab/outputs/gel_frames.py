@@ -14,6 +14,7 @@ import warp as wp
 from taccel_lab.ipc.affine.rigidity import affine_map
 from taccel_lab.ipc.device.matrices import signed_svd_3x3
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 from taccel_lab.model.turns import in_turn
 from taccel_lab.state import State, check_state
 
@@ -94,14 +95,8 @@ class GelFrames:
         result = wp.empty(shape, dtype=wp.transformd, device=model.device)
         affine = model.affine
         if result.size:
-            wp.launch(
-                _gel_frames_kernel,
-                dim=shape,
-                inputs=[self._mounts, affine.control_starts, affine.lengths]
-                + [state.positions, state.poses],
-                outputs=[result],
-                device=model.device,
-            )
+            inputs = [self._mounts, affine.control_starts, affine.lengths, state.positions]
+            launch(_gel_frames_kernel, shape, *inputs, state.poses, result)
         return result
 
     def of(self, gel: int, state: State) -> wp.array | None:

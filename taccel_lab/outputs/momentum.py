@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model import BodyKind, Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -111,26 +112,17 @@ class MomentumReader:
             wp.zeros(shape, dtype=wp.vec3d, device=m.device),
             wp.zeros(shape, dtype=wp.float64, device=m.device),
         )
-        wp.launch(
-            _momentum_kernel,
-            dim=shape,
-            inputs=[self._first, self._last, m.masses, m.gravity_scale]
-            + [positions, velocities, wp.vec3d(*center_m)],
-            outputs=[result.linear, result.angular, result.kinetic_energy],
-            device=m.device,
-        )
+        inputs = [self._first, self._last, m.masses, m.gravity_scale, positions, velocities]
+        inputs += [wp.vec3d(*center_m), result.linear, result.angular, result.kinetic_energy]
+        launch(_momentum_kernel, shape, *inputs)
         return result
 
     def read_weight_energy(self, positions: wp.array) -> wp.array:
         """Potential energy -sum m g . x in the scene's gravity [J], float64, [env, body]."""
         m = self.model
         energies = wp.zeros((m.env_count, len(m.bodies)), dtype=wp.float64, device=m.device)
-        wp.launch(
-            _height_kernel,
-            dim=energies.shape,
-            inputs=[self._first, self._last, m.masses, m.gravity_scale, positions]
-            + [wp.vec3d(*m.scene.time.gravity_m_s2)],
-            outputs=[energies],
-            device=m.device,
+        inputs = [self._first, self._last, m.masses, m.gravity_scale, positions]
+        launch(
+            _height_kernel, energies.shape, *inputs, wp.vec3d(*m.scene.time.gravity_m_s2), energies
         )
         return energies

@@ -124,7 +124,7 @@ class Outputs:
         s, state = self._solver, self._latest
         if s.friction is None:
             return PairWrenches.none(self._model)
-        motion = s.friction.motion(state.positions, s.origin, state.poses, s.origin_poses)
+        motion = s.motion_to(state.positions, state.poses)
         geometry = s.collisions.geometry
         return friction_wrenches(self._model, s.friction, geometry, motion, center_m)
 

@@ -23,6 +23,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.friction import FrozenContacts, StepMotion, sliding
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 from taccel_lab.model.turns import in_turn
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
@@ -112,19 +113,9 @@ def read_sliding(solver: SolverIPC, state: State, into: Sliding | None = None) -
     result.limits.zero_()
     device, env_count = solver.model.device, solver.model.env_count
     lanes = lane_count(device, env_count, solver.collisions.largest_room)
-    motion = friction.motion(state.positions, solver.origin, state.poses, solver.origin_poses)
-    wp.launch(
-        _add_sliding_kernel,
-        dim=(env_count, lanes),
-        inputs=[lanes, friction.frozen, motion],
-        outputs=[result.slips, result.limits],
-        device=device,
-    )
-    wp.launch(
-        _mean_sliding_kernel,
-        dim=result.slips.shape,
-        inputs=[friction.eps_u_m],
-        outputs=[result.slips, result.limits, result.slipping],
-        device=device,
-    )
+    motion = solver.motion_to(state.positions, state.poses)
+    inputs = [lanes, friction.frozen, motion, result.slips, result.limits]
+    launch(_add_sliding_kernel, (env_count, lanes), *inputs)
+    inputs = [friction.eps_u_m, result.slips, result.limits, result.slipping]
+    launch(_mean_sliding_kernel, result.slips.shape, *inputs)
     return result

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model.env_rows import chosen_env, chosen_envs
+from taccel_lab.model.launches import launch
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.contact_wrenches import vec6d
 from taccel_lab.outputs.gel_frames import GelFrames
@@ -83,12 +84,8 @@ class SoftWrenchReader:
         count = model.env_count if who is None else len(envs)
         poses = self._frames.read(state) if self._on_affine else state.poses
         wrenches = wp.empty((count, len(self._mounts)), dtype=vec6d, device=model.device)
-        wp.launch(
-            _soft_wrench_kernel,
-            dim=wrenches.shape,
-            inputs=[solver.contact_gradient, solver.friction_gradient, state.positions]
-            + [poses, self._starts, self._mounts, envs],
-            outputs=[wrenches],
-            device=model.device,
+        inputs = [solver.contact_gradient, solver.friction_gradient, state.positions, poses]
+        launch(
+            _soft_wrench_kernel, wrenches.shape, *inputs, self._starts, self._mounts, envs, wrenches
         )
         return wrenches

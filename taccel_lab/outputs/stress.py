@@ -15,14 +15,15 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
-from taccel_lab.ipc.potentials.elements.data import ElementData, modulus_index
+from taccel_lab.ipc.elasticity.laws import LAWS
+from taccel_lab.ipc.potentials.elements.data import ElementData, element_data, modulus_index
 from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.elements.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -170,16 +171,7 @@ class StressReader:
     def __init__(self, model: Model, group: ElementArrays) -> None:
         self.model = model
         self.group = group
-        data = ElementData()
-        data.nodes, data.gradients, data.volumes = (
-            group.elements,
-            group.shape_gradients,
-            group.volumes,
-        )
-        data.moduli = Moduli()
-        data.moduli.mu, data.moduli.lam = group.mu, group.lam
-        data.moduli.ratio = group.mooney_ratio
-        self._data = data
+        self._data = element_data(group)
         shape, device = (model.env_count, group.element_count), model.device
         self.stresses = wp.zeros(shape, dtype=wp.mat33d, device=device)
         """Cauchy stress of each element [Pa], mat33d, shape [env_count, element_count]."""
@@ -199,38 +191,22 @@ class StressReader:
     def _add(
         self, positions: wp.array, inverses: wp.array | None, first: int, share: float
     ) -> None:
-        wp.launch(
-            _stress_kernel(self.group.law, self.group.element),
-            dim=self.stresses.shape,
-            inputs=[positions, inverses, first, share, self._data],
-            outputs=[self.stresses, self.volumes],
-            device=self.model.device,
-        )
+        inputs = [positions, inverses, first, share, self._data, self.stresses, self.volumes]
+        launch(_stress_kernel(self.group.law, self.group.element), self.stresses.shape, *inputs)
 
     def add_to_nodes(self, nodal: wp.array) -> None:
         """Write the mean of the last ``stresses`` around each node of the group into ``nodal``,
         mat33d, shape [env_count, node_count]."""
         g = self.group
-        wp.launch(
-            _nodal_stress_kernel,
-            dim=(self.model.env_count, len(g.gather_nodes)),
-            inputs=[g.gather_nodes, g.node_starts, g.node_entries, g.nodes_per_element]
-            + [self.stresses, self.volumes],
-            outputs=[nodal],
-            device=self.model.device,
-        )
+        inputs = [g.gather_nodes, g.node_starts, g.node_entries, g.nodes_per_element]
+        inputs += [self.stresses, self.volumes, nodal]
+        launch(_nodal_stress_kernel, (self.model.env_count, len(g.gather_nodes)), *inputs)
 
 
 def von_mises(stresses: wp.array) -> wp.array:
     """Equivalent stress sqrt(3/2 s : s) of the deviators [Pa], float64, same shape."""
     equivalent = wp.zeros(stresses.shape, dtype=wp.float64, device=stresses.device)
-    wp.launch(
-        _von_mises_kernel,
-        dim=stresses.shape,
-        inputs=[stresses],
-        outputs=[equivalent],
-        device=stresses.device,
-    )
+    launch(_von_mises_kernel, stresses.shape, stresses, equivalent)
     return equivalent
 
 
@@ -244,11 +220,5 @@ def peak_at(nodes: np.ndarray, values: wp.array) -> tuple[wp.array, wp.array]:
     peaks = wp.zeros(values.shape[0], dtype=wp.float64, device=device)
     places = wp.zeros(values.shape[0], dtype=wp.int32, device=device)
     chosen = wp.array(np.asarray(nodes, dtype=np.int32), dtype=wp.int32, device=device)
-    wp.launch(
-        _peak_kernel,
-        dim=values.shape[0],
-        inputs=[chosen, values],
-        outputs=[peaks, places],
-        device=device,
-    )
+    launch(_peak_kernel, values.shape[0], chosen, values, peaks, places)
     return peaks, places

@@ -27,6 +27,7 @@ import warp as wp
 
 from taccel_lab.geometry import QuadraticMesh
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 from taccel_lab.scene import SoftBody
 
 wp.set_module_options({"enable_backward": False})
@@ -199,26 +200,11 @@ class SurfaceLoadReader:
             self._sums = [wp.empty(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
         sums = self._sums
         for values, result in zip((normal_forces, friction_forces), sums, strict=True):
-            wp.launch(
-                _gather_kernel,
-                dim=shape,
-                inputs=[self.middles, values],
-                outputs=[result],
-                device=device,
-            )
-        wp.launch(
-            _area_kernel,
-            dim=shape,
-            inputs=[s.node_face_starts, s.node_faces, s.faces, self.middles, positions, sums[0]],
-            outputs=[load.areas, load.normals],
-            device=device,
-        )
-        wp.launch(
-            _traction_kernel,
-            dim=shape,
-            inputs=[self.middles, *sums, load.areas],
-            outputs=[load.tractions, load.pressures],
-            device=device,
+            launch(_gather_kernel, shape, self.middles, values, result)
+        inputs = [s.node_face_starts, s.node_faces, s.faces, self.middles, positions, sums[0]]
+        launch(_area_kernel, shape, *inputs, load.areas, load.normals)
+        launch(
+            _traction_kernel, shape, self.middles, *sums, load.areas, load.tractions, load.pressures
         )
         return load
 

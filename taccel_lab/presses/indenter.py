@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_edges, check_surface
-from taccel_lab.bodies.surface_parts import turned_outward
+from taccel_lab.bodies.surface_topology import turned_outward
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.triangle_file import read_triangle_file
 from taccel_lab.geometry.connectivity import piece_of_cells

@@ -148,7 +148,7 @@ _TABLE: dict[str, dict[str, Bound]] = {
     },
 }
 MOST_BRANCHES = 3
-"""Most branches of a viscoelastic gel, as the solver has it (``bodies.maxwell``)."""
+"""Most branches of a viscoelastic gel, as the solver has it (``bodies.material``)."""
 BOUNDS: Mapping[str, Mapping[str, Bound]] = MappingProxyType(_TABLE)
 """Bounds by the table of ``profile.toml`` and the key in it; of lists and triples each entry."""
 # Residuals, spreads and intervals. Names carry the unit (``heldout_crop_psnr_db``), and what has a

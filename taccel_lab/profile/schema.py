@@ -207,7 +207,7 @@ class LayerMaterial(_Solid):
 
 
 class BranchEntry(StrictModel):
-    """A Maxwell branch of the gel (``bodies.maxwell.MaxwellBranch``)."""
+    """A Maxwell branch of the gel (``bodies.material.MaxwellBranch``)."""
 
     relative_modulus: Number
     """Modulus over that of the relaxed gel."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from taccel_lab.bodies.bodies import check_pose
 from taccel_lab.bodies.joints import JointKind
+from taccel_lab.bodies.primitives import checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
@@ -70,10 +70,7 @@ class Robot:
 
     def __post_init__(self) -> None:
         _ = self.tree  # Refuses what is no tree.
-        pose = check_pose(np.asarray(self.world_from_base, dtype=np.float64), "the robot's base")
-        assert pose is not None
-        if pose.ndim != 1:
-            raise InputError(f"world_from_base must have shape [7], got {pose.shape}")
+        pose = checked_pose("world_from_base", self.world_from_base, (7,))
         object.__setattr__(self, "world_from_base", pose)
 
     # What it is ----------------------------------------------------------------------------------
@@ -177,8 +174,7 @@ class Robot:
             The coordinates, and for each pose whether they reach it: one out of reach is no error.
         """
         self.link_id(link)
-        wanted = check_pose(np.atleast_2d(np.asarray(poses, dtype=np.float64)), "the link")
-        assert wanted is not None
+        wanted = checked_pose("poses of the link", np.atleast_2d(poses), ("n", 7))
         begin = self._rows(self.rest_q if start is None else start, True)
         if len(begin) not in (1, len(wanted)):
             raise InputError(f"start has {len(begin)} rows, expected {len(wanted)} or one")
@@ -203,7 +199,7 @@ class Robot:
             prefix: "left/" makes of its link "tip" a "left/tip".
         """
         self.link_id(link)
-        pose = _one_pose(link_from_base, f"{other.name!r} on {link!r}")
+        pose = checked_pose(f"pose of {other.name!r} on {link!r}", link_from_base, (7,))
         joints = [
             replace(
                 joint,
@@ -321,7 +317,9 @@ class Robot:
         """
         self.link_id(link)
         name = name or f"gel of {link}"
-        made = make_mount(self.name, link, gel, _one_pose(pose, f"the gel on {link!r}"), name)
+        made = make_mount(
+            self.name, link, gel, checked_pose(f"pose of the gel on {link!r}", pose, (7,)), name
+        )
         check_names("gels", [mount.gel.name for mount in (*self.mounts, made)])
         return replace(self, mounts=(*self.mounts, made))
 
@@ -423,13 +421,6 @@ class Robot:
         if check and not bool(xp.isfinite(rows).all()):
             raise InputError(f"coordinates of {self.name!r} hold NaN or infinite values")
         return rows
-
-
-def _one_pose(value: Any, whose: str) -> np.ndarray:
-    pose = check_pose(np.asarray(value, dtype=np.float64), whose)
-    if pose is None or pose.ndim != 1:
-        raise InputError(f"pose of {whose} must have shape [7], got {np.shape(value)}")
-    return pose
 
 
 def _hulls(link: Link) -> Link:

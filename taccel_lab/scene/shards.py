@@ -7,6 +7,7 @@ them: in several processes, each of which takes the part of its rank and its own
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -16,6 +17,7 @@ import numpy as np
 from taccel_lab.bodies.bodies import Body, Surface
 from taccel_lab.bodies.joints import Drive, Joint
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.scene.scene import Scene
 
 T = TypeVar("T")
@@ -37,10 +39,8 @@ def shard_slice(env_count: int, rank: int, world_size: int) -> slice:
 
     For arrays of the whole scene: ``targets[shard_slice(env_count, rank, world_size)]``.
     """
-    if world_size < 1:
-        raise InputError(f"a scene is split into at least 1 part, got {world_size}")
-    if not 0 <= rank < world_size:
-        raise InputError(f"rank must lie in [0, {world_size - 1}], got {rank}")
+    require_range("world_size", world_size, 1, math.inf)
+    require_range("rank", rank, 0, world_size - 1)
     if world_size > env_count:
         raise InputError(
             f"{env_count} environments cannot be split into {world_size} parts: each part needs "

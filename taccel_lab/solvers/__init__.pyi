@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public names and their modules; read by type checkers and by ``lazy_names``."""
 
+from taccel_lab.solvers.config import Control as Control
 from taccel_lab.solvers.config import SolverConfig as SolverConfig
-from taccel_lab.solvers.control import Control as Control
 from taccel_lab.solvers.plan import Plan as Plan
 from taccel_lab.solvers.plan import PlanEntry as PlanEntry
 from taccel_lab.solvers.ready_steps import ReadySteps as ReadySteps

@@ -14,20 +14,8 @@ from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_syst
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Clearance,
-    Counts,
-    Curvature,
-    Flags,
-    Following,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-    lower_flags,
-)
-from taccel_lab.solvers.follow_friction import follow_friction, follows_friction
+from taccel_lab.solvers.env_progress import Progress, lower_flags
+from taccel_lab.solvers.friction_lag import follow_friction, follows_friction
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -55,15 +43,7 @@ STUCK_ABOVE = 0.7
 
 
 @wp.func
-def projection(
-    env: int,
-    prescribed: Prescribed,
-    balance: Balance,
-    following: Following,
-    curvature: Curvature,  # out
-    search: Search,
-    r: Rules,
-) -> int:
+def projection(env: int, p: Progress) -> int:
     """Whether the next matrix is projected to a positive definite one (PSD_*).
 
     Far from the solution it has to be, or directions would lead up. Near it the projection is what
@@ -72,53 +52,40 @@ def projection(
     a saddle, where a bar buckles or a gel snaps over an edge, projected matrices are so much
     stiffer than the body that whole steps hardly lower the residual.
     """
-    if curvature.projected[env] > 0:
-        curvature.projected[env] -= 1
+    if p.curvature.projected[env] > 0:
+        p.curvature.projected[env] -= 1
         return PSD_CLAMP
     one = wp.float64(1.0)
-    cut = search.alpha[env] < one or search.cuts[env] > 0
-    if prescribed.progress[env] < one or (cut and following.follows[env] == 0):
+    cut = p.search.alpha[env] < one or p.search.cuts[env] > 0
+    if p.prescribed.progress[env] < one or (cut and p.following.follows[env] == 0):
         return PSD_CLAMP
-    near = r.relative_tolerance * balance.excess[env] < wp.float64(EXACT_BELOW)
-    stuck = balance.residual[env] > wp.float64(STUCK_ABOVE) * balance.last_residual[env]
+    near = p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(EXACT_BELOW)
+    stuck = p.balance.residual[env] > wp.float64(STUCK_ABOVE) * p.balance.last_residual[env]
     if near or stuck:
         return PSD_NONE
     return PSD_CLAMP
 
 
 @wp.func
-def boosted(
-    env: int, prescribed: Prescribed, balance: Balance, curvature: Curvature, search: Search
-) -> wp.float64:
+def boosted(env: int, p: Progress) -> wp.float64:
     """Multiple of the next direction: one, but on the way down from a saddle.
 
     There the exact matrix was not positive definite, and the projected one is so much stiffer than
     the body that whole steps lead away by a few percent more each, up to twenty times in a row.
     """
     one = wp.float64(1.0)
-    if curvature.projected[env] == 0 or prescribed.progress[env] < one:
+    if p.curvature.projected[env] == 0 or p.prescribed.progress[env] < one:
         return one
-    if search.alpha[env] < one or search.cuts[env] > 0:
+    if p.search.alpha[env] < one or p.search.cuts[env] > 0:
         return one
-    if balance.residual[env] < wp.float64(STUCK_ABOVE) * balance.last_residual[env]:
+    if p.balance.residual[env] < wp.float64(STUCK_ABOVE) * p.balance.last_residual[env]:
         return one
-    return wp.min(wp.float64(BOOST) * curvature.boost[env], wp.float64(LARGEST_BOOST))
+    return wp.min(wp.float64(BOOST) * p.curvature.boost[env], wp.float64(LARGEST_BOOST))
 
 
 @wp.kernel
 def _aim_step_kernel(
-    phases: Phases,
-    counts: Counts,
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    balance: Balance,  # out
-    following: Following,  # out
-    curvature: Curvature,  # out
-    search: Search,
-    flags: Flags,  # out
-    r: Rules,
-    linear_tolerances: wp.array(dtype=wp.float64),  # out
-    renewed: wp.array(dtype=wp.int32),  # out
+    linear_tolerances: wp.array(dtype=wp.float64), renewed: wp.array(dtype=wp.int32), p: Progress
 ):
     """How far the frames try to go next, and how well the system has to be solved.
 
@@ -128,67 +95,63 @@ def _aim_step_kernel(
     """
     env = wp.tid()
     if env == 0:
-        flags.rounds[0] += 1
-        lower_flags(flags)
-    prescribed.moving[env] = 0
-    clearance.bend[env] = wp.float64(0.0)
-    clearance.reach[env] = clearance.margin[env]
-    if phases.active[env] == 0:
+        p.flags.rounds[0] += 1
+        lower_flags(p)
+    p.prescribed.moving[env] = 0
+    p.clearance.bend[env] = wp.float64(0.0)
+    p.clearance.reach[env] = p.clearance.margin[env]
+    if p.phases.active[env] == 0:
         return
     one = wp.float64(1.0)
-    progress = prescribed.progress[env]
+    progress = p.prescribed.progress[env]
     goal = one
-    if prescribed.stride[env] < one:
-        goal = progress + prescribed.stride[env] * (one - progress)
-    gap = wp.min(balance.min_distance[env], r.dhat)
-    for body in range(prescribed.turns.shape[1]):
-        turn = wp.max(prescribed.turns[env, body], wp.float64(1.0e-300))
-        share = turn_within(prescribed.radii[env, body], gap) / turn
+    if p.prescribed.stride[env] < one:
+        goal = progress + p.prescribed.stride[env] * (one - progress)
+    gap = wp.min(p.balance.min_distance[env], p.rules.dhat)
+    for body in range(p.prescribed.turns.shape[1]):
+        turn = wp.max(p.prescribed.turns[env, body], wp.float64(1.0e-300))
+        share = turn_within(p.prescribed.radii[env, body], gap) / turn
         goal = wp.min(goal, progress + share)
-    prescribed.goal[env] = goal
+    p.prescribed.goal[env] = goal
     if progress < one:
-        prescribed.moving[env] = 1
-    follows_friction(env, counts, prescribed, balance, following, curvature, r)
-    curvature.boost[env] = boosted(env, prescribed, balance, curvature, search)
-    curvature.psd_mode[env] = projection(env, prescribed, balance, following, curvature, search, r)
-    renewed[env] = 1 - counts.newton[env] % 2
+        p.prescribed.moving[env] = 1
+    follows_friction(env, p)
+    p.curvature.boost[env] = boosted(env, p)
+    p.curvature.psd_mode[env] = projection(env, p)
+    renewed[env] = 1 - p.counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
-    if progress < one or counts.newton[env] == 0:
-        whole = wp.float64(0.3) / wp.max(balance.excess[env], wp.float64(1.0e-300))
+    if progress < one or p.counts.newton[env] == 0:
+        whole = wp.float64(0.3) / wp.max(p.balance.excess[env], wp.float64(1.0e-300))
         linear_tolerances[env] = wp.clamp(whole, wp.float64(1.0e-6), LINEAR_TOLERANCE)
-    balance.last_residual[env] = balance.residual[env]
+    p.balance.last_residual[env] = p.balance.residual[env]
 
 
 @wp.kernel
 def _count_solve_kernel(
     iterations: wp.array(dtype=wp.int32),
     breakdown: wp.array(dtype=wp.int32),
-    extra: ListRoom,  # out
-    phases: Phases,  # out
-    counts: Counts,  # out
-    following: Following,  # out
-    curvature: Curvature,  # out
-    flags: Flags,  # out
+    extra: ListRoom,
+    p: Progress,
 ):
     """Counts the solve. After a breakdown the last iterate still descends, unless there is none.
     Then an exact matrix is projected in the next iteration, and this one stays where it is."""
     env = wp.tid()
-    if phases.active[env] == 0:
+    if p.phases.active[env] == 0:
         return
     if overflows(env, extra):
-        stop(env, _CONTACT_OVERFLOW, phases)
+        stop(env, _CONTACT_OVERFLOW, p)
         return
-    counts.cg[env] += iterations[env]
-    counts.newton[env] += 1
+    p.counts.cg[env] += iterations[env]
+    p.counts.newton[env] += 1
     if breakdown[env] == 0:
-        if following.follows[env] != 0:
-            flags.following[0] = 1
+        if p.following.follows[env] != 0:
+            p.flags.following[0] = 1
         return
-    following.follows[env] = 0
-    if curvature.psd_mode[env] == PSD_NONE:
-        curvature.projected[env] = PROJECTED_AFTER
+    p.following.follows[env] = 0
+    if p.curvature.psd_mode[env] == PSD_NONE:
+        p.curvature.projected[env] = PROJECTED_AFTER
     elif iterations[env] == 0:
-        stop(env, _LINE_SEARCH, phases)
+        stop(env, _LINE_SEARCH, p)
 
 
 def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] = ()) -> None:
@@ -200,9 +163,7 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
     linear.solve(p.phases.active, s.config.max_cg_iterations)
 
     def count() -> None:
-        solved = [linear.iterations, linear.breakdown, linear.extra.room]
-        parts = [p.phases, p.counts, p.following, p.curvature, p.flags]
-        run.decide(_count_solve_kernel, *solved, *parts)
+        run.decide(_count_solve_kernel, linear.iterations, linear.breakdown, linear.extra.room)
 
     def spread() -> None:
         # Not by ``active``, from which counting takes those that stop.
@@ -223,21 +184,7 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     bits_count = s.linear.in_any_order
 
     def aim() -> None:
-        run.decide(
-            _aim_step_kernel,
-            p.phases,
-            p.counts,
-            p.prescribed,
-            p.clearance,
-            p.balance,
-            p.following,
-            p.curvature,
-            p.search,
-            p.flags,
-            run.rules,
-            s.linear.tolerances,
-            s.linear.renewed,
-        )
+        run.decide(_aim_step_kernel, s.linear.tolerances, s.linear.renewed)
         path = (s.start_poses, s.end_poses)
         s.frame_nodes.aim(
             p.phases.active,

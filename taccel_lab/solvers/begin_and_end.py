@@ -11,22 +11,9 @@ from taccel_lab.ipc.potentials.friction import ToolWays
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import STEPPING, forget_gain, stop
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Clearance,
-    Counts,
-    Curvature,
-    Flags,
-    Following,
-    Gain,
-    Phases,
-    Prescribed,
-    Roster,
-    Rules,
-    Search,
-    lower_flags,
-)
+from taccel_lab.solvers.env_progress import Progress, lower_flags
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -44,159 +31,141 @@ _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 def _begin_step_kernel(
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
-    start_poses: wp.array2d(dtype=wp.transformd),  # out
-    origin_poses: wp.array2d(dtype=wp.transformd),  # out
-    roster: Roster,  # out
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    balance: Balance,  # out
-    following: Following,  # out
-    curvature: Curvature,  # out
-    search: Search,  # out
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
+    start_poses: wp.array2d(dtype=wp.transformd),
+    origin_poses: wp.array2d(dtype=wp.transformd),
+    p: Progress,
 ):
     """Nothing is done yet; how far frames go and turn. What is underway goes on."""
     env = wp.tid()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     if env == 0:
-        flags.rounds[0] = 0
-        lower_flags(flags)
-    phases.fresh[env] = 0
-    if roster.underway[env] != 0:
+        p.flags.rounds[0] = 0
+        lower_flags(p)
+    p.phases.fresh[env] = 0
+    if p.roster.underway[env] != 0:
         return
-    phases.status[env] = _SKIPPED
-    phases.phase[env] = 0
-    phases.fresh[env] = roster.who[env]
-    roster.underway[env] = roster.who[env]
-    phases.active[env] = roster.who[env]
-    phases.inner[env] = 0
-    phases.flying[env] = 0
-    prescribed.turning[env] = 0
-    counts.newton[env] = 0
-    counts.cg[env] = 0
-    counts.lags[env] = 0
-    counts.searches[env] = 0
-    counts.ccd_passes[env] = 0
-    counts.starts_tried[env] = 0
-    counts.starts_taken[env] = 0
-    counts.joint_rounds[env] = 0
-    search.cuts[env] = 0
-    balance.residual[env] = wp.float64(wp.inf)
-    balance.excess[env] = wp.float64(wp.inf)
-    balance.contact_force[env] = zero
-    balance.min_distance[env] = wp.float64(wp.inf)
-    balance.violation[env] = zero
-    search.smallest_step[env] = one
-    prescribed.progress[env] = one
-    prescribed.goal[env] = one
-    prescribed.stride[env] = one
-    search.alpha[env] = one
-    clearance.bend[env] = zero
-    balance.lag_change[env] = wp.float64(wp.inf)
-    balance.damping[env] = one
-    following.follows[env] = 0
-    following.pause[env] = 0
-    following.left[env] = wp.float64(0.0)
-    clearance.margin[env] = r.dhat
-    search.before[env] = zero
-    search.after[env] = wp.float64(wp.inf)
-    forget_gain(env, gain)
-    gain.counted[env] = zero
-    curvature.projected[env] = 0
-    curvature.boost[env] = one
-    curvature.sharpness[env] = one
-    balance.last_residual[env] = wp.float64(wp.inf)
-    if roster.who[env] == 0:
+    p.phases.status[env] = _SKIPPED
+    p.phases.phase[env] = 0
+    p.phases.fresh[env] = p.roster.who[env]
+    p.roster.underway[env] = p.roster.who[env]
+    p.phases.active[env] = p.roster.who[env]
+    p.phases.inner[env] = 0
+    p.phases.flying[env] = 0
+    p.prescribed.turning[env] = 0
+    p.counts.newton[env] = 0
+    p.counts.cg[env] = 0
+    p.counts.lags[env] = 0
+    p.counts.searches[env] = 0
+    p.counts.ccd_passes[env] = 0
+    p.counts.starts_tried[env] = 0
+    p.counts.starts_taken[env] = 0
+    p.counts.joint_rounds[env] = 0
+    p.search.cuts[env] = 0
+    p.balance.residual[env] = wp.float64(wp.inf)
+    p.balance.excess[env] = wp.float64(wp.inf)
+    p.balance.contact_force[env] = zero
+    p.balance.min_distance[env] = wp.float64(wp.inf)
+    p.balance.violation[env] = zero
+    p.search.smallest_step[env] = one
+    p.prescribed.progress[env] = one
+    p.prescribed.goal[env] = one
+    p.prescribed.stride[env] = one
+    p.search.alpha[env] = one
+    p.clearance.bend[env] = zero
+    p.balance.lag_change[env] = wp.float64(wp.inf)
+    p.balance.damping[env] = one
+    p.following.follows[env] = 0
+    p.following.pause[env] = 0
+    p.following.left[env] = wp.float64(0.0)
+    p.clearance.margin[env] = p.rules.dhat
+    p.search.before[env] = zero
+    p.search.after[env] = wp.float64(wp.inf)
+    forget_gain(env, p)
+    p.gain.counted[env] = zero
+    p.curvature.projected[env] = 0
+    p.curvature.boost[env] = one
+    p.curvature.sharpness[env] = one
+    p.balance.last_residual[env] = wp.float64(wp.inf)
+    if p.roster.who[env] == 0:
         return
-    phases.status[env] = _RUNNING
-    phases.phase[env] = STEPPING
+    p.phases.status[env] = _RUNNING
+    p.phases.phase[env] = STEPPING
     widest = zero
     for body in range(poses.shape[1]):
         start = poses[env, body]
         end = end_poses[env, body]
         start_poses[env, body] = start
-        if roster.again[env] == 0:
+        if p.roster.again[env] == 0:
             origin_poses[env, body] = start
         for k in range(7):
             if start[k] != end[k]:
-                prescribed.progress[env] = zero
+                p.prescribed.progress[env] = zero
         turn = turn_between(wp.transform_get_rotation(start), wp.transform_get_rotation(end))
-        prescribed.turns[env, body] = turn
+        p.prescribed.turns[env, body] = turn
         if turn > wp.float64(1.0e-9):
-            prescribed.turning[env] = 1
-        widest = wp.max(widest, chord_error(prescribed.radii[env, body], turn))
-    if prescribed.turning[env] != 0:
-        clearance.margin[env] = r.dhat + widest
+            p.prescribed.turning[env] = 1
+        widest = wp.max(widest, chord_error(p.prescribed.radii[env, body], turn))
+    if p.prescribed.turning[env] != 0:
+        p.clearance.margin[env] = p.rules.dhat + widest
 
 
 @wp.kernel
 def _begin_nodes_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     velocities: wp.array2d(dtype=wp.vec3d),
-    previous: wp.array2d(dtype=wp.vec3d),  # out
-    origin: wp.array2d(dtype=wp.vec3d),  # out
-    roster: Roster,
-    phases: Phases,  # out
+    previous: wp.array2d(dtype=wp.vec3d),
+    origin: wp.array2d(dtype=wp.vec3d),
+    p: Progress,
 ):
     """Keep where the nodes are, all of them: a number that is not finite is noted in the status."""
     env, node = wp.tid()
-    if phases.fresh[env] == 0:
+    if p.phases.fresh[env] == 0:
         return
     x = positions[env, node]
     v = velocities[env, node]
     previous[env, node] = x
-    if roster.again[env] == 0:
+    if p.roster.again[env] == 0:
         origin[env, node] = x
     if not wp.isfinite(x) or not wp.isfinite(v):
-        phases.status[env] = _NOT_A_NUMBER
+        p.phases.status[env] = _NOT_A_NUMBER
 
 
 @wp.kernel
-def _stop_unfit_kernel(
-    phases: Phases,  # out
-    search: Search,
-):
+def _stop_unfit_kernel(p: Progress):
     """Stop what cannot step; an infinite elastic energy (``before``) tells an inverted element."""
     env = wp.tid()
-    if phases.fresh[env] == 0:
+    if p.phases.fresh[env] == 0:
         return
-    if phases.status[env] == _NOT_A_NUMBER:
-        stop(env, _NOT_A_NUMBER, phases)
-    elif wp.isinf(search.before[env]):
-        stop(env, _INVERSION, phases)
+    if p.phases.status[env] == _NOT_A_NUMBER:
+        stop(env, _NOT_A_NUMBER, p)
+    elif wp.isinf(p.search.before[env]):
+        stop(env, _INVERSION, p)
 
 
 @wp.kernel
-def _close_kernel(
-    roster: Roster,  # out
-    phases: Phases,  # out
-):
+def _close_kernel(p: Progress):
     """Tell ``done`` from ``failed``.
 
     What has converged with an element turned inside out by this step is no result, nor is a step of
     BDF2 that met an impact.
     """
     env = wp.tid()
-    roster.done[env] = 0
-    roster.failed[env] = 0
-    if roster.underway[env] != 0 and phases.status[env] != _RUNNING:
-        roster.underway[env] = 0
+    p.roster.done[env] = 0
+    p.roster.failed[env] = 0
+    if p.roster.underway[env] != 0 and p.phases.status[env] != _RUNNING:
+        p.roster.underway[env] = 0
         if (
-            phases.status[env] == _CONVERGED
-            and roster.inverted_after[env] > roster.inverted_before[env]
+            p.phases.status[env] == _CONVERGED
+            and p.roster.inverted_after[env] > p.roster.inverted_before[env]
         ):
-            phases.status[env] = _INVERSION
-        if phases.status[env] == _CONVERGED and roster.refused[env] != 0:
-            phases.status[env] = _IMPACT
-        if phases.status[env] == _CONVERGED:
-            roster.done[env] = 1
+            p.phases.status[env] = _INVERSION
+        if p.phases.status[env] == _CONVERGED and p.roster.refused[env] != 0:
+            p.phases.status[env] = _IMPACT
+        if p.phases.status[env] == _CONVERGED:
+            p.roster.done[env] = 1
         else:
-            roster.failed[env] = 1
+            p.roster.failed[env] = 1
 
 
 def begin_step(run: StepLaunches) -> None:
@@ -204,32 +173,13 @@ def begin_step(run: StepLaunches) -> None:
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.roster.reads)
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
-    run.decide(
-        _begin_step_kernel,
-        *poses,
-        p.roster,
-        p.phases,
-        p.counts,
-        p.prescribed,
-        p.clearance,
-        p.balance,
-        p.following,
-        p.curvature,
-        p.search,
-        p.gain,
-        p.flags,
-        run.rules,
-    )
-    wp.launch(
-        _begin_nodes_kernel,
-        dim=state.positions.shape,
-        inputs=[state.positions, state.velocities, s.previous, s.origin, p.roster, p.phases],
-        device=run.model.device,
-    )
+    run.decide(_begin_step_kernel, *poses)
+    inputs = [state.positions, state.velocities, s.previous, s.origin, p.struct]
+    launch(_begin_nodes_kernel, state.positions.shape, *inputs)
     _begin_potentials(run)
     for part in s.elastic:
         part.add_energy(p.phases.fresh, state.positions, p.search.before)
-    run.decide(_stop_unfit_kernel, p.phases, p.search)
+    run.decide(_stop_unfit_kernel)
     if s.invertible:
         zero_rows(p.phases.fresh, p.roster.inverted_before)
         find_inversions(s.invertible, p.phases.fresh, state.positions, p.roster.inverted_before)
@@ -269,7 +219,7 @@ def end_step(run: StepLaunches) -> None:
     if s.inertia is not None and state.history is not None:
         least = s.config.absolute_tolerance_n
         s.inertia.find_jumps(p.balance.body_forces, state.history, least, p.roster.refused)
-    run.decide(_close_kernel, p.roster, p.phases)
+    run.decide(_close_kernel)
     run.commit(p.roster.failed, s.previous, s.start_poses)
     embed_vertices(run.model, state.positions)
     if s.joints is not None:

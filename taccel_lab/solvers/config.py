@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the IPC solver, checked."""
+"""Settings of the IPC solver, checked, and what a user asks of a step."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.scene import TimeStepping
 
 
@@ -68,33 +70,19 @@ class SolverConfig:
             ("absolute_tolerance_n", 1e-15, 1e3),
             ("friction_speed_m_s", 1e-12, 1e2),
             ("friction_eps_m", 1e-12, 1e-2),
+            ("friction_step_share", 0, 1),
+            ("max_newton_iterations", 1, math.inf),
+            ("max_step_iterations", 1, math.inf),
+            ("max_cg_iterations", 1, math.inf),
+            ("max_line_search_cuts", 1, math.inf),
+            ("max_friction_lags", 1, math.inf),
+            ("max_joint_rounds", 1, math.inf),
+            ("max_collisions", 1, math.inf),
+            ("max_substep_halvings", 0, 20),
         ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise InputError(f"{name} must lie in [{low:g}, {high:g}], got {value:g}")
-        if not 0 <= self.friction_step_share <= 1:
-            raise InputError(
-                f"friction_step_share must lie in [0, 1], got {self.friction_step_share:g}"
-            )
-        if self.kappa_pa is not None and not (
-            math.isfinite(self.kappa_pa) and 1.0 <= self.kappa_pa <= 1e13
-        ):
-            raise InputError(f"kappa_pa must lie in [1, 1e13] Pa, got {self.kappa_pa:g}")
-        for name in (
-            "max_newton_iterations",
-            "max_step_iterations",
-            "max_cg_iterations",
-            "max_line_search_cuts",
-            "max_friction_lags",
-            "max_joint_rounds",
-            "max_collisions",
-        ):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.max_substep_halvings <= 20:
-            raise InputError(
-                f"max_substep_halvings must lie in [0, 20], got {self.max_substep_halvings}"
-            )
+            require_range(name, getattr(self, name), low, high)
+        if self.kappa_pa is not None:
+            require_range("kappa_pa", self.kappa_pa, 1, 1e13, "Pa")
 
     def static_range_m(self, time: TimeStepping) -> float:
         """Sliding in a whole step below which friction is static [m].
@@ -102,14 +90,37 @@ class SolverConfig:
         Raises:
             InputError: the range of the other kind of scene was set.
         """
-        kind, unused = (
-            ("quasi-static", "friction_speed_m_s")
-            if time.quasi_static
-            else ("dynamic", "friction_eps_m")
-        )
+        kind, used, unused = "quasi-static", "friction_eps_m", "friction_speed_m_s"
+        if not time.quasi_static:
+            kind, used, unused = "dynamic", unused, used
         if getattr(self, unused) != getattr(SolverConfig, unused):
-            used = "friction_eps_m" if time.quasi_static else "friction_speed_m_s"
             raise InputError(
                 f"{unused} means nothing in a {kind} scene; its static friction goes by {used}"
             )
         return self.friction_eps_m if time.quasi_static else self.friction_speed_m_s * time.dt_s
+
+
+@dataclass
+class Control:
+    """Targets and loads of a step; what is None stays as it is.
+
+    Arrays of numpy are checked. Arrays on the solver's device, such as torch tensors of float64
+    (through DLPack) and arrays of Warp, are read where they are. Their values are not checked, as
+    that would wait for the device.
+    """
+
+    target_poses: Any = None
+    """Where the kinematic bodies are at the end of the step: position [m], quaternion x, y, z, w,
+    [env_count, kinematic_count, 7]."""
+    joint_targets: Any = None
+    """Targets of the drives of joints [rad, m, rad/s or m/s], [env_count, joint_count], in the
+    order of the scene; they stay until changed, as ``state.joints.targets``."""
+    dt_s: float | None = None
+    """Length of the step [s]; the scene's when None. Steps of a quasi-static scene have one only
+    where a material relaxes."""
+    forces: Any = None
+    """Forces on nodes [N], [env_count, node_count, 3]; they stay until changed, see
+    ``State.load``."""
+    wrenches: Any = None
+    """Forces [N] and torques [N m] on affine bodies, [env_count, affine_count, 2, 3]; they stay
+    until changed."""

@@ -14,17 +14,7 @@ from taccel_lab.solvers.env_phase import (
     leave,
     stop,
 )
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Counts,
-    Flags,
-    Following,
-    Gain,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.friction_lag import refreeze_friction
 from taccel_lab.solvers.measure import bound_rounding, element_rounding, evaluate_gradient, weigh
 from taccel_lab.solvers.step_launches import StepLaunches
@@ -42,15 +32,7 @@ before friction is frozen anew."""
 
 
 @wp.func
-def settle(
-    env: int,
-    phases: Phases,  # out
-    prescribed: Prescribed,
-    balance: Balance,
-    following: Following,
-    flags: Flags,  # out
-    r: Rules,
-):
+def settle(env: int, p: Progress):
     """Stop what has converged; with friction, choose where it is frozen anew.
 
     Not where joints are open. While freezing anew still changes forces, solving in between to the
@@ -59,121 +41,84 @@ def settle(
     frames on their way squeeze what lies ahead, up to 34 times as much as in the end, and friction
     frozen then holds it there.
     """
-    if phases.active[env] != 0:
-        settled = prescribed.progress[env] >= wp.float64(1.0) and phases.phase[env] != CLOSING
-        leave(env, phases)
+    if p.phases.active[env] != 0:
+        settled = p.prescribed.progress[env] >= wp.float64(1.0) and p.phases.phase[env] != CLOSING
+        leave(env, p)
         if settled:
             enough = wp.float64(1.0)
-            if r.has_friction == 0:
-                if balance.excess[env] <= enough:
-                    stop(env, _CONVERGED, phases)
+            if p.rules.has_friction == 0:
+                if p.balance.excess[env] <= enough:
+                    stop(env, _CONVERGED, p)
             else:
-                change = wp.min(balance.lag_change[env], enough / r.relative_tolerance)
+                change = wp.min(p.balance.lag_change[env], enough / p.rules.relative_tolerance)
                 enough = wp.max(enough, wp.float64(FREEZE_BELOW) * change)
-                if balance.damping[env] < wp.float64(1.0) or following.follows[env] != 0:
+                if p.balance.damping[env] < wp.float64(1.0) or p.following.follows[env] != 0:
                     enough = wp.float64(wp.inf)
-                if balance.excess[env] <= enough:
-                    enter(env, FREEZING, phases)
-                    flags.freezing[0] = 1
+                if p.balance.excess[env] <= enough:
+                    enter(env, FREEZING, p)
+                    p.flags.freezing[0] = 1
 
 
 @wp.func
-def judge(
-    env: int,
-    elements: wp.array2d(dtype=wp.float64),
-    phases: Phases,  # out
-    prescribed: Prescribed,
-    balance: Balance,  # out
-    following: Following,
-    flags: Flags,  # out
-    r: Rules,
-):
+def judge(env: int, elements: wp.array2d(dtype=wp.float64), p: Progress):
     """See ``_judge_kernel``."""
-    leave(env, phases)
-    weigh(env, elements, balance, r)
-    if not (balance.min_distance[env] > wp.float64(0.0)):
-        stop(env, _TOUCHING, phases)
-    elif not wp.isfinite(balance.residual[env]):
-        stop(env, _NOT_A_NUMBER, phases)
-    elif r.has_joints != 0:
-        if prescribed.progress[env] >= wp.float64(1.0) and balance.excess[env] <= wp.float64(1.0):
-            enter(env, CLOSING, phases)
-            flags.closing[0] = 1
+    leave(env, p)
+    weigh(env, elements, p)
+    if not (p.balance.min_distance[env] > wp.float64(0.0)):
+        stop(env, _TOUCHING, p)
+    elif not wp.isfinite(p.balance.residual[env]):
+        stop(env, _NOT_A_NUMBER, p)
+    elif p.rules.has_joints != 0:
+        one = wp.float64(1.0)
+        if p.prescribed.progress[env] >= one and p.balance.excess[env] <= one:
+            enter(env, CLOSING, p)
+            p.flags.closing[0] = 1
     else:
-        settle(env, phases, prescribed, balance, following, flags, r)
+        settle(env, p)
 
 
 @wp.kernel
 def _judge_kernel(
-    mask: wp.array(dtype=wp.int32),
-    last: int,
-    elements: wp.array2d(dtype=wp.float64),
-    phases: Phases,  # out
-    counts: Counts,
-    prescribed: Prescribed,
-    balance: Balance,  # out
-    following: Following,
-    search: Search,
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
+    mask: wp.array(dtype=wp.int32), last: int, elements: wp.array2d(dtype=wp.float64), p: Progress
 ):
     """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
 
     ``last``: without joints, all that follows is decided at once.
     """
     env = wp.tid()
-    if phases.active[env] != 0 and mask[env] != 0:
-        judge(env, elements, phases, prescribed, balance, following, flags, r)
+    if p.phases.active[env] != 0 and mask[env] != 0:
+        judge(env, elements, p)
     if last != 0:
-        go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
+        go_on(env, p)
 
 
 @wp.kernel
-def _judge_joints_kernel(
-    violations: wp.array(dtype=wp.float64),
-    phases: Phases,  # out
-    counts: Counts,  # out
-    balance: Balance,  # out
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
-):
+def _judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: Progress):
     """Where Newton has converged: those whose joints are not open go on."""
     env = wp.tid()
-    if phases.phase[env] != CLOSING:
+    if p.phases.phase[env] != CLOSING:
         return
-    balance.violation[env] = violations[env]
-    if not (violations[env] > r.joint_tolerance):
-        leave(env, phases)
+    p.balance.violation[env] = violations[env]
+    if not (violations[env] > p.rules.joint_tolerance):
+        leave(env, p)
         return
-    counts.joint_rounds[env] += 1
-    flags.reopened[0] = 1
-    forget_gain(env, gain)
-    if counts.joint_rounds[env] > r.max_joint_rounds:
-        stop(env, _JOINT, phases)
+    p.counts.joint_rounds[env] += 1
+    p.flags.reopened[0] = 1
+    forget_gain(env, p)
+    if p.counts.joint_rounds[env] > p.rules.max_joint_rounds:
+        stop(env, _JOINT, p)
 
 
 @wp.kernel
 def _settle_kernel(
-    mask: wp.array(dtype=wp.int32),
-    elements: wp.array2d(dtype=wp.float64),
-    phases: Phases,  # out
-    counts: Counts,
-    prescribed: Prescribed,
-    balance: Balance,  # out
-    following: Following,
-    search: Search,
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
+    mask: wp.array(dtype=wp.int32), elements: wp.array2d(dtype=wp.float64), p: Progress
 ):
     """Settles environments after the joints were looked at."""
     env = wp.tid()
-    if phases.active[env] != 0 and mask[env] != 0:
-        weigh(env, elements, balance, r)
-        settle(env, phases, prescribed, balance, following, flags, r)
-    go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
+    if p.phases.active[env] != 0 and mask[env] != 0:
+        weigh(env, elements, p)
+        settle(env, p)
+    go_on(env, p)
 
 
 def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
@@ -184,37 +129,10 @@ def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
         bound_rounding(run)
     evaluate_gradient(run, mask, take_trial)
     elements = element_rounding(run)
-    run.decide(
-        _judge_kernel,
-        mask,
-        int(s.joints is None),
-        elements,
-        p.phases,
-        p.counts,
-        p.prescribed,
-        p.balance,
-        p.following,
-        p.search,
-        p.gain,
-        p.flags,
-        run.rules,
-    )
+    run.decide(_judge_kernel, mask, int(s.joints is None), elements)
     if s.joints is not None:
         wp.capture_if(p.flags.closing, on_true=lambda: _close_joints(run))
-        run.decide(
-            _settle_kernel,
-            mask,
-            elements,
-            p.phases,
-            p.counts,
-            p.prescribed,
-            p.balance,
-            p.following,
-            p.search,
-            p.gain,
-            p.flags,
-            run.rules,
-        )
+        run.decide(_settle_kernel, mask, elements)
     if s.friction is not None:
         wp.capture_if(p.flags.freezing, on_true=lambda: refreeze_friction(run))
 
@@ -224,14 +142,5 @@ def _close_joints(run: StepLaunches) -> None:
     s, p = run.s, run.p
     assert s.joints is not None
     s.joints.update_multipliers(p.phases.inner, run.state.positions)
-    run.decide(
-        _judge_joints_kernel,
-        s.joints.violations,
-        p.phases,
-        p.counts,
-        p.balance,
-        p.gain,
-        p.flags,
-        run.rules,
-    )
+    run.decide(_judge_joints_kernel, s.joints.violations)
     wp.capture_if(p.flags.reopened, on_true=lambda: evaluate_gradient(run, p.phases.inner))

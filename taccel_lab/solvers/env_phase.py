@@ -7,16 +7,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Counts,
-    Flags,
-    Gain,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -65,104 +56,74 @@ _MORE_PROGRESS = 1e-3
 
 
 @wp.func
-def enter(
-    env: int,
-    phase: int,
-    phases: Phases,  # out
-):
+def enter(env: int, phase: int, p: Progress):
     """Take part in what only some environments do."""
-    phases.phase[env] = phase
-    phases.inner[env] = 1
+    p.phases.phase[env] = phase
+    p.phases.inner[env] = 1
 
 
 @wp.func
-def leave(
-    env: int,
-    phases: Phases,  # out
-):
+def leave(env: int, p: Progress):
     """Go on like all others."""
-    phases.phase[env] = STEPPING
-    phases.inner[env] = 0
+    p.phases.phase[env] = STEPPING
+    p.phases.inner[env] = 0
 
 
 @wp.func
-def stop(
-    env: int,
-    status: int,
-    phases: Phases,  # out
-):
+def stop(env: int, status: int, p: Progress):
     """End the step of an environment."""
-    phases.status[env] = status
-    phases.phase[env] = _RESTING
-    phases.active[env] = 0
-    phases.inner[env] = 0
-    phases.fresh[env] = 0
+    p.phases.status[env] = status
+    p.phases.phase[env] = _RESTING
+    p.phases.active[env] = 0
+    p.phases.inner[env] = 0
+    p.phases.fresh[env] = 0
 
 
 @wp.func
-def forget_gain(
-    env: int,
-    gain: Gain,  # out
-):
+def forget_gain(env: int, p: Progress):
     """What was reached before says nothing of what follows."""
-    gain.least_excess[env] = wp.float64(wp.inf)
-    gain.least_energy[env] = wp.float64(wp.inf)
-    gain.idle[env] = 0
+    p.gain.least_excess[env] = wp.float64(wp.inf)
+    p.gain.least_energy[env] = wp.float64(wp.inf)
+    p.gain.idle[env] = 0
 
 
 @wp.func
-def gains(
-    env: int,
-    prescribed: Prescribed,
-    balance: Balance,
-    search: Search,
-    gain: Gain,  # out
-) -> bool:
+def gains(env: int, p: Progress) -> bool:
     """Whether the last iteration has brought the step on: the frames, or the residual, or, as on
     the plateau around a saddle where the residual rises and falls, the energy."""
-    progress = prescribed.progress[env]
+    progress = p.prescribed.progress[env]
     if progress < wp.float64(1.0):
-        on = progress > gain.counted[env] + wp.float64(_MORE_PROGRESS)
+        on = progress > p.gain.counted[env] + wp.float64(_MORE_PROGRESS)
         if on:
-            gain.counted[env] = progress
+            p.gain.counted[env] = progress
         return on
     on = bool(False)
-    excess = balance.excess[env]
-    if excess < wp.float64(_LESS_EXCESS) * gain.least_excess[env]:
-        gain.least_excess[env] = excess
+    excess = p.balance.excess[env]
+    if excess < wp.float64(_LESS_EXCESS) * p.gain.least_excess[env]:
+        p.gain.least_excess[env] = excess
         on = True
-    energy = search.after[env]
-    least = gain.least_energy[env]
+    energy = p.search.after[env]
+    least = p.gain.least_energy[env]
     if wp.isfinite(energy) and (
         not wp.isfinite(least) or energy < least - wp.float64(_LESS_ENERGY) * wp.abs(least)
     ):
-        gain.least_energy[env] = energy
+        p.gain.least_energy[env] = energy
         on = True
     return on
 
 
 @wp.func
-def go_on(
-    env: int,
-    phases: Phases,  # out
-    counts: Counts,
-    prescribed: Prescribed,
-    balance: Balance,
-    search: Search,
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
-):
+def go_on(env: int, p: Progress):
     """Stop where the iterations are used up, or lead nowhere; ``running`` says whether anything
     goes on. Not where friction is frozen anew first, or a step taken back."""
-    if phases.active[env] != 0 and phases.phase[env] < FREEZING:
-        if gains(env, prescribed, balance, search, gain):
-            gain.idle[env] = 0
+    if p.phases.active[env] != 0 and p.phases.phase[env] < FREEZING:
+        if gains(env, p):
+            p.gain.idle[env] = 0
         else:
-            gain.idle[env] += 1
-        if counts.newton[env] >= r.max_newton:
-            stop(env, _NO_CONVERGENCE, phases)
-        elif gain.idle[env] > STALL_AFTER:
-            stop(env, _STALLED, phases)
-        elif flags.rounds[0] < flags.most_rounds[0]:
-            flags.running[0] = 1
+            p.gain.idle[env] += 1
+        if p.counts.newton[env] >= p.rules.max_newton:
+            stop(env, _NO_CONVERGENCE, p)
+        elif p.gain.idle[env] > STALL_AFTER:
+            stop(env, _STALLED, p)
+        elif p.flags.rounds[0] < p.flags.most_rounds[0]:
+            p.flags.running[0] = 1

@@ -177,7 +177,7 @@ class Balance:
 
 @wp.struct
 class Following:
-    """Steps whose direction counts how friction follows the contacts (``follow_friction``)."""
+    """Steps whose direction counts how friction follows the contacts (``friction_lag``)."""
 
     follows: wp.array(dtype=wp.int32)
     """Mask of those that take such a step."""
@@ -285,34 +285,34 @@ NO_LIMIT = 2**30
 """Rounds of a call that ends when all environments have finished."""
 
 
+@wp.struct
+class Progress:
+    """All of it, for kernels: what the host has by the same names in ``EnvProgress``."""
+
+    roster: Roster
+    phases: Phases
+    counts: Counts
+    prescribed: Prescribed
+    clearance: Clearance
+    balance: Balance
+    following: Following
+    curvature: Curvature
+    search: Search
+    gain: Gain
+    flags: Flags
+    rules: Rules
+
+
 @wp.func
-def lower_flags(
-    flags: Flags,  # out
-):
+def lower_flags(p: Progress):
     """No environment has asked for anything yet; a kernel that does this raises none of them."""
-    flags.running[0] = 0
-    flags.searching[0] = 0
-    flags.freezing[0] = 0
-    flags.following[0] = 0
-    flags.retreating[0] = 0
-    flags.closing[0] = 0
-    flags.reopened[0] = 0
-
-
-PARTS = {
-    "roster": Roster,
-    "phases": Phases,
-    "counts": Counts,
-    "prescribed": Prescribed,
-    "clearance": Clearance,
-    "balance": Balance,
-    "following": Following,
-    "curvature": Curvature,
-    "search": Search,
-    "gain": Gain,
-    "flags": Flags,
-}
-"""Structs by name; a kernel takes those that it uses, under these names and in this order."""
+    p.flags.running[0] = 0
+    p.flags.searching[0] = 0
+    p.flags.freezing[0] = 0
+    p.flags.following[0] = 0
+    p.flags.retreating[0] = 0
+    p.flags.closing[0] = 0
+    p.flags.reopened[0] = 0
 
 
 class EnvProgress:
@@ -324,12 +324,14 @@ class EnvProgress:
         body_count: int,
         carriers: list[int],
         radii_m: np.ndarray,
+        rules: Rules,
         device: wp.Device,
     ) -> None:
         self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
         self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
         self.following, self.gain = Following(), Gain()
         self.curvature, self.search, self.flags = Curvature(), Search(), Flags()
+        self.rules = rules
         self.report = ReportBlock.zeros(env_count, device)
         """What a report needs, on the memory of the parts."""
         reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
@@ -342,13 +344,17 @@ class EnvProgress:
             "body_residuals": wp.zeros(sums, dtype=wp.float64, device=device),
             "body_forces": wp.zeros(sums, dtype=wp.float64, device=device),
         }
-        for part, kind in PARTS.items():
-            length = 1 if kind is Flags else env_count
-            for name, member in kind.vars.items():
+        self.struct = Progress()
+        """The parts for kernels."""
+        for part, member in Progress.vars.items():
+            mine = getattr(self, part)
+            for name, entry in member.type.vars.items() if part != "rules" else ():
                 array = given.get(name)
                 if array is None:
-                    array = wp.zeros(length, dtype=member.type.dtype, device=device)
-                setattr(getattr(self, part), name, array)
+                    length = 1 if part == "flags" else env_count
+                    array = wp.zeros(length, dtype=entry.type.dtype, device=device)
+                setattr(mine, name, array)
+            setattr(self.struct, part, mine)
         self.flags.most_rounds.fill_(NO_LIMIT)
         self.underway = np.zeros(env_count, dtype=bool)
         """Environments whose step goes on in the next call (``ready_steps``), on the host."""

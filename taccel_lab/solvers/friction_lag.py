@@ -1,27 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction frozen anew where an environment is, what that says of its last step, and the way back.
+"""Friction within a step: frozen anew where an environment is, or followed by the direction.
 
-A step that followed friction (``follow_friction``) is judged here: only the residual with friction
-frozen where it led says whether it led anywhere. If not, a quarter of it is tried, and then none.
+Frozen friction makes the matrix symmetric and the step a minimum; freezing anew is a fixed-point
+iteration. Where edges rub it leaves 0.92 of the residual each time, or alternates. Once a freezing
+was slow, friction is frozen where an environment is, and the residual has come down to a part of
+the contact force, the direction is that of the whole derivative instead (``friction_change``),
+which leaves a tenth of the residual near the solution. ``CorrectedSolve`` finds it by systems with
+frozen friction. No energy falls along it: only the residual with friction frozen where it led says
+whether it led anywhere. If not, a quarter of it is tried, and then none.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.ipc.motion.unknowns import reduce_gradient, spread_solution
+from taccel_lab.ipc.potentials.friction_change import add_friction_change
+from taccel_lab.model.env_rows import copy_rows, zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Counts,
-    Flags,
-    Following,
-    Gain,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.measure import (
     add_friction,
     element_rounding,
@@ -34,6 +32,63 @@ from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 
+
+SLOW = 0.3
+"""Part of the residual that some freezing of the step has left where directions follow friction.
+Those cost several solves, and under balls freezing leaves less."""
+FOLLOW_BELOW = 0.1
+"""Residual over contact force below which directions follow friction."""
+
+
+@wp.func
+def follows_friction(env: int, p: Progress):
+    """Choose whether the next direction follows friction: where that is frozen at the positions,
+    and matrices are not projected. With joints it does not: their forces have rounds of their own.
+    """
+    p.following.follows[env] = 0
+    if (
+        p.rules.has_friction == 0
+        or p.rules.has_joints != 0
+        or p.counts.lags[env] < p.rules.follow_after
+    ):
+        return
+    if p.following.left[env] < wp.float64(SLOW):
+        return
+    if p.following.pause[env] > 0:
+        p.following.pause[env] -= 1
+        return
+    if p.prescribed.progress[env] < wp.float64(1.0) or p.curvature.projected[env] > 0:
+        return
+    if wp.isfinite(p.balance.last_residual[env]):
+        return
+    if p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(FOLLOW_BELOW):
+        p.following.follows[env] = 1
+        p.following.share[env] = wp.float64(1.0)
+        p.following.excess_before[env] = p.balance.excess[env]
+
+
+def follow_friction(run: StepLaunches) -> None:
+    """Turn the directions with frozen friction, where they shall follow it, into those of the whole
+    derivative."""
+    s, p = run.s, run.p
+    assert s.friction is not None and s.corrected is not None
+    friction, corrected, displacements = s.friction, s.corrected, s.displacements
+    follows = p.following.follows
+    copy_rows(follows, run.state.positions, s.follow_start)
+
+    def change(mask: wp.array) -> None:
+        spread_solution(run.model, mask, s.linear.solution, displacements)
+        zero_rows(mask, s.friction_change)
+        sharpness = p.curvature.sharpness
+        add_friction_change(
+            friction, mask, run.motion(), sharpness, displacements, s.friction_change
+        )
+        reduce_gradient(run.model, mask, [s.friction_change], corrected.changes)
+
+    corrected.solve(follows, change, s.config.max_cg_iterations, p.counts.cg)
+    spread_solution(run.model, follows, s.linear.solution, displacements)
+
+
 _CONVERGED = wp.constant(int(EnvStatus.CONVERGED))
 _FRICTION = wp.constant(int(EnvStatus.FRICTION))
 GAIN = 0.9
@@ -45,93 +100,74 @@ PAUSE = 2
 
 
 @wp.func
-def retreats(
-    env: int,
-    phases: Phases,  # out
-    balance: Balance,
-    following: Following,  # out
-    flags: Flags,  # out
-) -> bool:
+def retreats(env: int, p: Progress) -> bool:
     """Whether a step that followed friction is taken back: a part of it, or all."""
-    if following.follows[env] == 0:
+    if p.following.follows[env] == 0:
         return False
-    if following.share[env] == wp.float64(0.0):
-        following.pause[env] = PAUSE
+    if p.following.share[env] == wp.float64(0.0):
+        p.following.pause[env] = PAUSE
         return False
-    if balance.excess[env] < wp.float64(GAIN) * following.excess_before[env]:
+    if p.balance.excess[env] < wp.float64(GAIN) * p.following.excess_before[env]:
         return False
     share = wp.float64(SHARE)
-    if following.share[env] < wp.float64(1.0):
+    if p.following.share[env] < wp.float64(1.0):
         share = wp.float64(0.0)
-    following.share[env] = share
-    enter(env, RETREATING, phases)
-    flags.retreating[0] = 1
+    p.following.share[env] = share
+    enter(env, RETREATING, p)
+    p.flags.retreating[0] = 1
     return True
 
 
 @wp.kernel
-def _judge_friction_kernel(
-    elements: wp.array2d(dtype=wp.float64),
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,
-    balance: Balance,  # out
-    following: Following,  # out
-    search: Search,
-    gain: Gain,  # out
-    flags: Flags,  # out
-    r: Rules,
-):
+def _judge_friction_kernel(elements: wp.array2d(dtype=wp.float64), p: Progress):
     """Only the residual with the friction that was frozen anew counts as converged.
 
     Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
     two faces in turn) the steps between are damped until it shrinks again.
     """
     env = wp.tid()
-    if phases.phase[env] < FREEZING:
+    if p.phases.phase[env] < FREEZING:
         return
-    if phases.phase[env] == FREEZING:
-        counts.lags[env] += 1
-    leave(env, phases)
+    if p.phases.phase[env] == FREEZING:
+        p.counts.lags[env] += 1
+    leave(env, p)
     one = wp.float64(1.0)
-    weigh(env, elements, balance, r)
-    if retreats(env, phases, balance, following, flags):
+    weigh(env, elements, p)
+    if retreats(env, p):
         return
-    excess = balance.excess[env]
-    damping = balance.damping[env]
-    if following.follows[env] == 0:
-        following.left[env] = wp.max(following.left[env], excess / balance.lag_change[env])
-    if following.follows[env] != 0:
-        balance.damping[env] = one
-    elif excess > (one - wp.float64(0.1) * damping) * balance.lag_change[env]:
-        balance.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
+    excess = p.balance.excess[env]
+    damping = p.balance.damping[env]
+    if p.following.follows[env] == 0:
+        p.following.left[env] = wp.max(p.following.left[env], excess / p.balance.lag_change[env])
+    if p.following.follows[env] != 0:
+        p.balance.damping[env] = one
+    elif excess > (one - wp.float64(0.1) * damping) * p.balance.lag_change[env]:
+        p.balance.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
     else:
-        balance.damping[env] = wp.min(wp.float64(1.5) * damping, one)
-    balance.lag_change[env] = excess
-    balance.last_residual[env] = wp.float64(wp.inf)
+        p.balance.damping[env] = wp.min(wp.float64(1.5) * damping, one)
+    p.balance.lag_change[env] = excess
+    p.balance.last_residual[env] = wp.float64(wp.inf)
     if excess <= one:
-        stop(env, _CONVERGED, phases)
-    elif counts.lags[env] >= r.max_lags:
-        stop(env, _FRICTION, phases)
-    go_on(env, phases, counts, prescribed, balance, search, gain, flags, r)
+        stop(env, _CONVERGED, p)
+    elif p.counts.lags[env] >= p.rules.max_lags:
+        stop(env, _FRICTION, p)
+    go_on(env, p)
 
 
 @wp.kernel
 def _retreat_kernel(
     trial: wp.array2d(dtype=wp.vec3d),
     start: wp.array2d(dtype=wp.vec3d),
-    positions: wp.array2d(dtype=wp.vec3d),  # out
-    phases: Phases,
-    following: Following,
-    flags: Flags,  # out
+    positions: wp.array2d(dtype=wp.vec3d),
+    p: Progress,
 ):
     """Positions between the start of a step and where it led."""
     env, node = wp.tid()
     if env == 0 and node == 0:
-        flags.retreating[0] = 0
-    if phases.phase[env] == RETREATING:
+        p.flags.retreating[0] = 0
+    if p.phases.phase[env] == RETREATING:
         displacement = trial[env, node] - start[env, node]
-        positions[env, node] = start[env, node] + following.share[env] * displacement
+        positions[env, node] = start[env, node] + p.following.share[env] * displacement
 
 
 def refreeze_friction(run: StepLaunches) -> None:
@@ -145,25 +181,8 @@ def refreeze_friction(run: StepLaunches) -> None:
     )
     add_friction(run, p.phases.inner)
     measure_residual(run, p.phases.inner)
-    _judge(run)
+    run.decide(_judge_friction_kernel, element_rounding(run))
     wp.capture_while(p.flags.retreating, lambda: _retreat(run))
-
-
-def _judge(run: StepLaunches) -> None:
-    p = run.p
-    run.decide(
-        _judge_friction_kernel,
-        element_rounding(run),
-        p.phases,
-        p.counts,
-        p.prescribed,
-        p.balance,
-        p.following,
-        p.search,
-        p.gain,
-        p.flags,
-        run.rules,
-    )
 
 
 def _retreat(run: StepLaunches) -> None:
@@ -172,14 +191,9 @@ def _retreat(run: StepLaunches) -> None:
     s, p, state = run.s, run.p, run.state
     assert s.friction is not None
     x, mask = state.positions, p.phases.inner
-    wp.launch(
-        _retreat_kernel,
-        dim=x.shape,
-        inputs=[s.trial, s.follow_start, x, p.phases, p.following, p.flags],
-        device=run.model.device,
-    )
+    launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.struct)
     run.collide(mask, x)
     s.friction.lag(mask, x, s.origin)
     evaluate_gradient(run, mask)
     run.energy(mask, x, state.poses, p.search.base, p.search.before)
-    _judge(run)
+    run.decide(_judge_friction_kernel, element_rounding(run))

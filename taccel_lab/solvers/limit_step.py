@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 3 of an iteration: how far the way ahead is free of collisions (CCD)."""
+"""Stages 2 and 3 of an iteration: pairs that may meet on the way ahead, and how far it is free.
+
+Pairs are searched for only where those that are known may no longer be all (``kept_pairs``).
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,49 @@ from collections.abc import Callable, Sequence
 import warp as wp
 
 from taccel_lab.ipc.contact.step_limit import limit_checks
-from taccel_lab.solvers.env_progress import Balance, Clearance, Counts
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
+from taccel_lab.solvers.env_phase import stop
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
+
+
+_CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
+
+
+@wp.kernel
+def _count_search_kernel(
+    searched: wp.array(dtype=wp.int32),
+    node_faces: ListRoom,
+    edge_edges: ListRoom,
+    covered: wp.array(dtype=wp.float64),
+    p: Progress,
+):
+    """Count a search; stop environments whose pairs did not fit: the host makes room."""
+    env = wp.tid()
+    if searched[env] == 0:
+        return
+    p.counts.searches[env] += 1
+    # Both, as a list that was too short is emptied.
+    first = overflows(env, node_faces)
+    second = overflows(env, edge_edges)
+    if first or second:
+        covered[env] = wp.float64(0.0)
+        stop(env, _CONTACT_OVERFLOW, p)
+
+
+def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.array) -> None:
+    """Pairs within ``reach`` [m] of the way of ``displacements`` and of the frames to ``poses``, in
+    the environments of ``mask``."""
+    s, state = run.s, run.state
+
+    def count() -> None:
+        rooms = [part.room for part in s.candidates.lists]
+        run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered)
+
+    s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)
 
 
 @wp.kernel
@@ -19,21 +61,19 @@ def _choose_kernel(
     mask: wp.array(dtype=wp.int32),
     travels: wp.array(dtype=wp.float64),
     gap_limit: wp.float64,
-    counts: Counts,  # out
-    clearance: Clearance,  # out
-    balance: Balance,
+    p: Progress,
 ):
     """A way of less than half of the smallest gap meets nothing; ``min_distance`` knows no gap
     above ``gap_limit``."""
     env = wp.tid()
-    clearance.near[env] = 0
+    p.clearance.near[env] = 0
     if mask[env] == 0:
         return
-    clearance.limit[env] = wp.float64(1.0)
-    gap = wp.min(balance.min_distance[env], gap_limit)
+    p.clearance.limit[env] = wp.float64(1.0)
+    gap = wp.min(p.balance.min_distance[env], gap_limit)
     if not (wp.float64(2.0) * travels[env] < gap):
-        clearance.near[env] = 1
-        counts.ccd_passes[env] += 1
+        p.clearance.near[env] = 1
+        p.counts.ccd_passes[env] += 1
 
 
 def limit_step(
@@ -47,7 +87,7 @@ def limit_step(
     the positions. ``beside``: what else may be launched meanwhile."""
     s, p = run.s, run.p
     gap_limit = s.shortest_range_m if gaps_known else 0.0
-    run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit, p.counts, p.clearance, p.balance)
+    run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit)
     x, displacements = run.state.positions, s.displacements
     checks = limit_checks(
         run.model, p.clearance.near, s.candidates, x, displacements, p.clearance.limit

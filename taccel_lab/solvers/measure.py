@@ -9,19 +9,15 @@ from taccel_lab.ipc.device.sums import force_sums
 from taccel_lab.ipc.motion.unknowns import reduce_gradient
 from taccel_lab.ipc.potentials.elements.data import ElementSum
 from taccel_lab.model.env_rows import zero_rows
-from taccel_lab.solvers.env_progress import Balance, Rules
+from taccel_lab.model.launches import launch
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def weigh(
-    env: int,
-    elements: wp.array2d(dtype=wp.float64),
-    balance: Balance,  # out
-    r: Rules,
-):
+def weigh(env: int, elements: wp.array2d(dtype=wp.float64), p: Progress):
     """Find the largest force residual of a body, the largest one over what is allowed that body (at
     most 1 where all have converged), and the contact force of the environment.
 
@@ -32,36 +28,36 @@ def weigh(
     [env_count, body_count], where they are stiff.
     """
     total = wp.float64(0.0)
-    for body in range(balance.body_forces.shape[1]):
-        total += balance.body_forces[env, body]
+    for body in range(p.balance.body_forces.shape[1]):
+        total += p.balance.body_forces[env, body]
     # Action and reaction: half of the sum over both sides of all contacts.
     total = wp.float64(0.5) * total
-    shared = r.affine_rounding + balance.rounding[env]
+    shared = p.rules.affine_rounding + p.balance.rounding[env]
     residual = wp.float64(0.0)
     excess = wp.float64(0.0)
-    for body in range(balance.body_forces.shape[1]):
-        found = balance.body_residuals[env, body]
-        force = balance.body_forces[env, body]
+    for body in range(p.balance.body_forces.shape[1]):
+        found = p.balance.body_residuals[env, body]
+        force = p.balance.body_forces[env, body]
         rounding = wp.float64(shared)
         if elements:
             rounding += elements[env, body]
-        for gel in range(balance.carriers.shape[0]):
+        for gel in range(p.balance.carriers.shape[0]):
             # What presses on a gel presses on the body that carries it.
-            if balance.carriers[gel] == body:
-                force += balance.body_forces[env, gel]
+            if p.balance.carriers[gel] == body:
+                force += p.balance.body_forces[env, gel]
                 if elements:
                     rounding += elements[env, gel]
         force = wp.min(force, total)
-        allowed = wp.max(r.absolute_tolerance, r.relative_tolerance * force)
+        allowed = wp.max(p.rules.absolute_tolerance, p.rules.relative_tolerance * force)
         ratio = found / wp.max(allowed, rounding)
         # What is not a number is worse than anything, and stays.
         if not (found <= residual) and not wp.isnan(residual):
             residual = found
         if not (ratio <= excess) and not wp.isnan(excess):
             excess = ratio
-    balance.contact_force[env] = total
-    balance.residual[env] = residual
-    balance.excess[env] = excess
+    p.balance.contact_force[env] = total
+    p.balance.residual[env] = residual
+    p.balance.excess[env] = excess
 
 
 @wp.kernel
@@ -70,12 +66,12 @@ def _begin_gradient_kernel(
     take_trial: int,
     trial: wp.array2d(dtype=wp.vec3d),
     trial_poses: wp.array2d(dtype=wp.transformd),
-    positions: wp.array2d(dtype=wp.vec3d),  # out
-    poses: wp.array2d(dtype=wp.transformd),  # out
-    gradient: wp.array2d(dtype=wp.vec3d),  # out
-    contact_gradient: wp.array2d(dtype=wp.vec3d),  # out
-    friction_gradient: wp.array2d(dtype=wp.vec3d),  # out
-    balance: Balance,  # out
+    positions: wp.array2d(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
+    gradient: wp.array2d(dtype=wp.vec3d),
+    contact_gradient: wp.array2d(dtype=wp.vec3d),
+    friction_gradient: wp.array2d(dtype=wp.vec3d),
+    p: Progress,
 ):
     """Nothing is added up yet; positions and poses become those of the trial, or stay."""
     env, i = wp.tid()
@@ -92,12 +88,12 @@ def _begin_gradient_kernel(
         if friction_gradient:
             friction_gradient[env, i] = wp.vec3d()
     if i == 0:
-        balance.min_distance[env] = wp.float64(wp.inf)
+        p.balance.min_distance[env] = wp.float64(wp.inf)
 
 
 def _stiff(run: StepLaunches) -> list[ElementSum]:
     """Elements of whose forces rounding may make more than the tolerance."""
-    return [part for part in run.s.elements if part.rounds_above(run.rules.absolute_tolerance)]
+    return [part for part in run.s.elements if part.rounds_above(run.p.rules.absolute_tolerance)]
 
 
 def element_rounding(run: StepLaunches) -> wp.array | None:
@@ -122,13 +118,10 @@ def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
     """
     s, state, x = run.s, run.state, run.state.positions
     friction_gradient = s.friction_gradient if s.friction is not None else None
-    wp.launch(
-        _begin_gradient_kernel,
-        dim=(run.model.env_count, max(x.shape[1], state.poses.shape[1])),
-        inputs=[mask, int(take_trial), s.trial, s.trial_poses, x, state.poses]
-        + [s.gradient, s.contact_gradient, friction_gradient, run.p.balance],
-        device=run.model.device,
-    )
+    inputs = [mask, int(take_trial), s.trial, s.trial_poses, x, state.poses, s.gradient]
+    inputs += [s.contact_gradient, friction_gradient, run.p.struct]
+    most = max(x.shape[1], state.poses.shape[1])
+    launch(_begin_gradient_kernel, (run.model.env_count, most), *inputs)
     if s.joints is not None:
         s.joints.set_frames(state.poses)
 

@@ -65,87 +65,68 @@ def make_plan(solver: SolverParts) -> Plan:
         f"{_count(group.element_count, 'tets')} ({group.law}, {group.element})"
         for group in model.elastic
     )
-    entries = [
-        ("unknowns", True, f"{3 * model.free_count:,} an environment, {model.env_count} of them"),
-        (
-            "prescribed motion",
-            len(model.frame_nodes) > 0,
-            f"{_count(len(prescribed), 'bodies')} and {_count(bonded, 'bonded nodes')} carry no "
-            "unknowns" + (f"; {', '.join(mounted)} on a mount" if mounted else ""),
-        ),
-        ("elasticity", bool(model.elastic), groups or "no soft body"),
+    absent = any(body.surface.environments is not None for body in scene.bodies)
+    faces, nodes = len(jobs.ball_face), len(jobs.node_plane)
+    frames = f"{_count(len(prescribed), 'bodies')} and {_count(bonded, 'bonded nodes')} carry no "
+    frames += "unknowns" + (f"; {', '.join(mounted)} on a mount" if mounted else "")
+    affine = _count(model.affine.count, "bodies")
+    affine += f" that carry {_count(carried, 'bonded nodes')}" if carried else ""
+    unknowns = f"{3 * model.free_count:,} an environment, {model.env_count} of them"
+    joints = _count(len(scene.joints), "joints")
+    capture = solver.config.capture
+    parts: list[tuple[str, object, str, str]] = [
+        # Name, what it runs for, why it does and why it does not.
+        ("unknowns", True, unknowns, ""),
+        ("prescribed motion", len(model.frame_nodes), frames, frames),
+        ("elasticity", model.elastic, groups, "no soft body"),
         (
             "relaxation",
-            bool(solver.maxwell),
-            _count(len(solver.maxwell), "Maxwell branches") if solver.maxwell else "no branch",
+            solver.maxwell,
+            _count(len(solver.maxwell), "Maxwell branches"),
+            "no branch",
         ),
-        (
-            "inertia",
-            solver.inertia is not None,
-            f"{time.scheme}, dt {time.dt_s:g} s" if solver.inertia else "quasi-static",
-        ),
-        (
-            "affine bodies",
-            model.affine.count > 0,
-            _count(model.affine.count, "bodies")
-            + (f" that carry {_count(carried, 'bonded nodes')}" if carried else ""),
-        ),
-        ("joints", solver.joints is not None, _count(len(scene.joints), "joints")),
+        ("inertia", solver.inertia, f"{time.scheme}, dt {time.dt_s:g} s", "quasi-static"),
+        ("affine bodies", model.affine.count, affine, affine),
+        ("joints", solver.joints, joints, joints),
         (
             "external loads",
-            solver.load is not None,
-            "the state has forces" if solver.load else "no force or wrench was set so far",
+            solver.load,
+            "the state has forces",
+            "no force or wrench was set so far",
         ),
         (
             "search in body frames",
-            stiff > 0,
-            f"{stiff:,} primitives against trees that are never rebuilt"
-            if stiff
-            else "no pair with an affine or kinematic mesh may touch",
+            stiff,
+            f"{stiff:,} primitives against trees that are never rebuilt",
+            "no pair with an affine or kinematic mesh may touch",
         ),
-        (
-            "search of balls",
-            len(jobs.ball_face) > 0,
-            _count(len(jobs.ball_face), "faces") if len(jobs.ball_face) else "no ball",
-        ),
-        (
-            "planes",
-            len(jobs.node_plane) > 0,
-            _count(len(jobs.node_plane), "nodes") if len(jobs.node_plane) else "no plane",
-        ),
+        ("search of balls", faces, _count(faces, "faces"), "no ball"),
+        ("planes", nodes, _count(nodes, "nodes"), "no plane"),
         (
             "search among soft bodies",
             jobs.soft_to_soft,
-            f"{_count(len(jobs.soft_faces), 'faces')} in refitted trees"
-            if jobs.soft_to_soft
-            else "no two soft bodies may touch, none itself",
+            f"{_count(len(jobs.soft_faces), 'faces')} in refitted trees",
+            "no two soft bodies may touch, none itself",
         ),
-        (
-            "self-contact",
-            bool(selves),
-            ", ".join(selves) if selves else "asked of no soft body",
-        ),
+        ("self-contact", selves, ", ".join(selves), "asked of no soft body"),
         (
             "friction",
-            solver.friction is not None,
-            "a pair that may touch has a coefficient"
-            if solver.friction
-            else "no pair that may touch has a coefficient",
+            solver.friction,
+            "a pair that may touch has a coefficient",
+            "no pair that may touch has a coefficient",
         ),
         (
             "absent bodies",
-            any(body.surface.environments is not None for body in scene.bodies),
-            "objects differ by environment"
-            if any(body.surface.environments is not None for body in scene.bodies)
-            else "all bodies are in all environments",
+            absent,
+            "objects differ by environment",
+            "all bodies are in all environments",
         ),
-        ("linear solver", True, solver.linear.describe()),
+        ("linear solver", True, solver.linear.describe(), ""),
         (
             "captured graph",
-            solver.config.capture,
-            "a step is one launch, from the second with the same state on"
-            if solver.config.capture
-            else "SolverConfig.capture is off",
+            capture,
+            "a step is one launch, from the second with the same state on",
+            "SolverConfig.capture is off",
         ),
     ]
-    return Plan(tuple(PlanEntry(*entry) for entry in entries))
+    return Plan(tuple(PlanEntry(n, bool(on), yes if on else no) for n, on, yes, no in parts))

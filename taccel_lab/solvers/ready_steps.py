@@ -8,6 +8,7 @@ slowest 40. Here a call does a few iterations of whatever step each environment 
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.model.env_rows import checked_mask, device_mask
-from taccel_lab.solvers.control import Control
+from taccel_lab.solvers.config import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport
@@ -31,8 +33,7 @@ class ReadySteps:
 
     def __init__(self, solver: SolverIPC, state: State, iterations: int = 4) -> None:
         """``iterations``: Newton iterations a call, at most."""
-        if iterations < 1:
-            raise InputError(f"iterations must be at least 1, got {iterations}")
+        require_range("iterations", iterations, 1, math.inf)
         self.solver, self.state, self.iterations = solver, state, iterations
 
     @property

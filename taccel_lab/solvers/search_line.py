@@ -16,22 +16,12 @@ from taccel_lab.ipc.affine.bent_step import (
 )
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
-from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope, launch_rows
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope
 from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
+from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Clearance,
-    Counts,
-    Curvature,
-    Flags,
-    Following,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -46,46 +36,31 @@ SHARPENING = 0.5
 
 
 @wp.func
-def begin_trial(
-    env: int,
-    collisions: ListRoom,  # out
-    prescribed: Prescribed,  # out
-    search: Search,
-):
+def begin_trial(env: int, collisions: ListRoom, p: Progress):
     """How far the frames are in the next trial, whose collisions are not known yet."""
     collisions.counts[env] = 0
-    progress = prescribed.progress[env] + search.alpha[env] * (
-        prescribed.goal[env] - prescribed.progress[env]
+    progress = p.prescribed.progress[env] + p.search.alpha[env] * (
+        p.prescribed.goal[env] - p.prescribed.progress[env]
     )
     if progress > wp.float64(1.0 - 1.0e-12):
         progress = wp.float64(1.0)
-    prescribed.trial_progress[env] = progress
+    p.prescribed.trial_progress[env] = progress
 
 
 @wp.func
-def is_curved(
-    env: int, smallest_bend: wp.float64, prescribed: Prescribed, clearance: Clearance
-) -> bool:
+def is_curved(env: int, smallest_bend: wp.float64, p: Progress) -> bool:
     """Whether trials leave the chord that CCD checked."""
-    return prescribed.turning[env] != 0 or clearance.bend[env] > smallest_bend
+    return p.prescribed.turning[env] != 0 or p.clearance.bend[env] > smallest_bend
 
 
 @wp.func
-def search_on(
-    env: int,
-    collisions: ListRoom,  # out
-    smallest_bend: wp.float64,
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    search: Search,
-):
+def search_on(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: Progress):
     """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
-    begin_trial(env, collisions, prescribed, search)
-    if is_curved(env, smallest_bend, prescribed, clearance):
-        clearance.near[env] = 1
-        clearance.limit[env] = wp.float64(1.0)
-        counts.ccd_passes[env] += 1
+    begin_trial(env, collisions, p)
+    if is_curved(env, smallest_bend, p):
+        p.clearance.near[env] = 1
+        p.clearance.limit[env] = wp.float64(1.0)
+        p.counts.ccd_passes[env] += 1
 
 
 @wp.kernel
@@ -97,17 +72,10 @@ def _open_search_kernel(
     direction: wp.array2d(dtype=wp.vec3d),
     energies: WrittenEnergies,
     base_known: int,
-    collisions: ListRoom,  # out
+    collisions: ListRoom,
     largest_turn: wp.float64,
     smallest_bend: wp.float64,
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    balance: Balance,
-    following: Following,
-    search: Search,  # out
-    flags: Flags,  # out
+    p: Progress,
 ):
     """Slope and energy where the search starts; the first trial takes the collision-free fraction.
 
@@ -120,28 +88,28 @@ def _open_search_kernel(
     if base_known == 0:
         base = block_base(env, lane, energies)
         if lane == 0:
-            search.base[env] = base
+            p.search.base[env] = base
     friction = block_friction(env, lane, energies)
     if lane == 0:
-        search.derivative[env] = slope
-        search.before[env] = search.base[env] + friction
-        clearance.near[env] = 0
-        search.cuts[env] = 0
-        alpha = wp.min(clearance.limit[env], balance.damping[env])
-        if following.follows[env] != 0:
-            alpha = clearance.limit[env]
+        p.search.derivative[env] = slope
+        p.search.before[env] = p.search.base[env] + friction
+        p.clearance.near[env] = 0
+        p.search.cuts[env] = 0
+        alpha = wp.min(p.clearance.limit[env], p.balance.damping[env])
+        if p.following.follows[env] != 0:
+            alpha = p.clearance.limit[env]
             if alpha < wp.float64(1.0):
                 # A direction that meets something is far too long.
                 alpha *= wp.float64(FREE_SHARE)
-        alpha = wp.min(alpha, largest_turn / wp.max(clearance.bend[env], wp.float64(1.0e-300)))
-        search.alpha[env] = alpha
+        alpha = wp.min(alpha, largest_turn / wp.max(p.clearance.bend[env], wp.float64(1.0e-300)))
+        p.search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
-            enter(env, SEARCHING, phases)
-            search_on(env, collisions, smallest_bend, counts, prescribed, clearance, search)
-            wp.atomic_add(flags.searching, 0, 1)
+            enter(env, SEARCHING, p)
+            search_on(env, collisions, smallest_bend, p)
+            wp.atomic_add(p.flags.searching, 0, 1)
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
-            stop(env, _LINE_SEARCH, phases)
+            stop(env, _LINE_SEARCH, p)
 
 
 @wp.func
@@ -159,15 +127,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.func
-def is_good(
-    env: int,
-    smallest_bend: wp.float64,
-    prescribed: Prescribed,
-    clearance: Clearance,
-    following: Following,
-    search: Search,
-    r: Rules,
-) -> bool:
+def is_good(env: int, smallest_bend: wp.float64, p: Progress) -> bool:
     """Whether a trial lowers the energy.
 
     While frames are still on their way the energy may rise: they do work. So it may along
@@ -179,92 +139,67 @@ def is_good(
     body is the square of one.
     """
     one = wp.float64(1.0)
-    before = search.before[env]
-    after = search.after[env]
-    rounding = search.energy_rounding[env] + search.joint_energy_rounding[env]
+    before = p.search.before[env]
+    after = p.search.after[env]
+    rounding = p.search.energy_rounding[env] + p.search.joint_energy_rounding[env]
     rounding += wp.float64(1.0e-13) * wp.abs(before)
-    rounding += r.affine_energy_rounding * wp.sqrt(wp.abs(before))
+    rounding += p.rules.affine_energy_rounding * wp.sqrt(wp.abs(before))
     descent = (
-        wp.float64(1.0e-4) * search.alpha[env] * wp.min(search.derivative[env], wp.float64(0.0))
+        wp.float64(1.0e-4) * p.search.alpha[env] * wp.min(p.search.derivative[env], wp.float64(0.0))
     )
     good = wp.isfinite(after)
-    minimises = prescribed.progress[env] >= one and following.follows[env] == 0
+    minimises = p.prescribed.progress[env] >= one and p.following.follows[env] == 0
     if minimises and not (after <= before + descent + rounding):
         good = False
-    if is_curved(env, smallest_bend, prescribed, clearance) and clearance.limit[env] < one:
+    if is_curved(env, smallest_bend, p) and p.clearance.limit[env] < one:
         good = False
     return good
 
 
 @wp.func
-def accept(
-    env: int,
-    phases: Phases,  # out
-    prescribed: Prescribed,  # out
-    curvature: Curvature,  # out
-    search: Search,  # out
-):
+def accept(env: int, p: Progress):
     """Take over a trial."""
     one = wp.float64(1.0)
-    alpha = search.alpha[env]
-    leave(env, phases)
-    search.base[env] = search.base_after[env]
-    prescribed.progress[env] = prescribed.trial_progress[env]
-    search.smallest_step[env] = wp.min(search.smallest_step[env], alpha)
-    prescribed.stride[env] = adapted_stride(prescribed.stride[env], alpha)
-    if search.cuts[env] > 0 and prescribed.progress[env] >= one:
-        curvature.sharpness[env] = wp.float64(0.0)
+    alpha = p.search.alpha[env]
+    leave(env, p)
+    p.search.base[env] = p.search.base_after[env]
+    p.prescribed.progress[env] = p.prescribed.trial_progress[env]
+    p.search.smallest_step[env] = wp.min(p.search.smallest_step[env], alpha)
+    p.prescribed.stride[env] = adapted_stride(p.prescribed.stride[env], alpha)
+    if p.search.cuts[env] > 0 and p.prescribed.progress[env] >= one:
+        p.curvature.sharpness[env] = wp.float64(0.0)
     else:
-        curvature.sharpness[env] = wp.min(curvature.sharpness[env] + wp.float64(SHARPENING), one)
+        p.curvature.sharpness[env] = wp.min(
+            p.curvature.sharpness[env] + wp.float64(SHARPENING), one
+        )
 
 
 @wp.func
-def judge_trial(
-    env: int,
-    collisions: ListRoom,  # out
-    smallest_bend: wp.float64,
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    following: Following,
-    curvature: Curvature,  # out
-    search: Search,  # out
-    flags: Flags,  # out
-    r: Rules,
-):
+def judge_trial(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: Progress):
     """Accept a trial, or halve its fraction."""
-    clearance.near[env] = 0
+    p.clearance.near[env] = 0
     if overflows(env, collisions):
-        stop(env, _CONTACT_OVERFLOW, phases)
-    elif is_good(env, smallest_bend, prescribed, clearance, following, search, r):
-        accept(env, phases, prescribed, curvature, search)
+        stop(env, _CONTACT_OVERFLOW, p)
+    elif is_good(env, smallest_bend, p):
+        accept(env, p)
     else:
-        search.alpha[env] = wp.float64(0.5) * search.alpha[env]
-        search.cuts[env] += 1
-        if search.cuts[env] >= r.max_cuts:
-            stop(env, _LINE_SEARCH, phases)
+        p.search.alpha[env] = wp.float64(0.5) * p.search.alpha[env]
+        p.search.cuts[env] += 1
+        if p.search.cuts[env] >= p.rules.max_cuts:
+            stop(env, _LINE_SEARCH, p)
         else:
-            search_on(env, collisions, smallest_bend, counts, prescribed, clearance, search)
-    if phases.phase[env] != SEARCHING:
-        wp.atomic_sub(flags.searching, 0, 1)
+            search_on(env, collisions, smallest_bend, p)
+    if p.phases.phase[env] != SEARCHING:
+        wp.atomic_sub(p.flags.searching, 0, 1)
 
 
 @wp.kernel
 def _judge_trial_kernel(
     searching: wp.array(dtype=wp.int32),
     energies: WrittenEnergies,
-    collisions: ListRoom,  # out
+    collisions: ListRoom,
     smallest_bend: wp.float64,
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    following: Following,
-    curvature: Curvature,  # out
-    search: Search,  # out
-    flags: Flags,  # out
-    r: Rules,
+    p: Progress,
 ):
     """The energy of a trial, and its outcome; threads as in ``_open_search_kernel``."""
     env, lane = wp.tid()
@@ -273,22 +208,9 @@ def _judge_trial_kernel(
     base = block_base(env, lane, energies)
     friction = block_friction(env, lane, energies)
     if lane == 0:
-        search.base_after[env] = base
-        search.after[env] = base + friction
-        judge_trial(
-            env,
-            collisions,
-            smallest_bend,
-            phases,
-            counts,
-            prescribed,
-            clearance,
-            following,
-            curvature,
-            search,
-            flags,
-            r,
-        )
+        p.search.base_after[env] = base
+        p.search.after[env] = base + friction
+        judge_trial(env, collisions, smallest_bend, p)
 
 
 def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
@@ -337,19 +259,13 @@ def search_line(run: StepLaunches) -> None:
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
     rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN]
-    parts = [p.phases, p.counts, p.prescribed, p.clearance, p.balance, p.following]
-    parts += [p.search, p.flags]
     start = [p.phases.active, *gradients, s.displacements, run.energies, known]
-    launch_rows(_open_search_kernel, [*start, *rules, *parts], [])
+    launch_blocks(_open_search_kernel, len(p.phases.active), *start, *rules, p.struct)
 
     def judge() -> None:
         evaluate_trial(run)
-        rules = [s.collisions.room, SMALLEST_TURN]
-        parts = [p.phases, p.counts, p.prescribed, p.clearance, p.following, p.curvature]
-        parts += [p.search, p.flags]
-        launch_rows(
-            _judge_trial_kernel, [p.phases.inner, run.energies, *rules, *parts, run.rules], []
-        )
+        inputs = [p.phases.inner, run.energies, s.collisions.room, SMALLEST_TURN, p.struct]
+        launch_blocks(_judge_trial_kernel, len(p.phases.inner), *inputs)
 
     # All that search have a first trial: a loop around it would only have to be entered.
     judge()

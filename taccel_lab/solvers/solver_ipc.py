@@ -29,8 +29,7 @@ from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
 from taccel_lab.model.turns import TURNS, in_turn
-from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.control import Control
+from taccel_lab.solvers.config import Control, SolverConfig
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.measure import evaluate_forces
 from taccel_lab.solvers.one_writer import writing
@@ -437,13 +436,7 @@ class SolverIPC(SolverParts):
         mask = run.p.phases.active
         mask.assign(who.astype(np.int32))
         self.rows.read(mask)
-        self.displacements.zero_()
-        dhat = self.config.dhat_m
-        self.candidates.update(
-            mask, work.positions, self.displacements, work.poses, work.poses, dhat
-        )
-        self.pairs.forget(mask)
-        self.collisions.update(mask, work.positions, self.candidates)
+        self.find_contacts(mask, work)
         if self.friction is not None:
             self.friction.lag(mask, work.positions, self.origin)
         evaluate_forces(run, mask)

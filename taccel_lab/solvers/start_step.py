@@ -23,17 +23,8 @@ from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
-from taccel_lab.solvers.env_progress import (
-    Clearance,
-    Counts,
-    Flags,
-    Phases,
-    Prescribed,
-    Roster,
-    Search,
-)
-from taccel_lab.solvers.find_pairs import find_pairs
-from taccel_lab.solvers.limit_step import limit_step
+from taccel_lab.solvers.env_progress import Progress
+from taccel_lab.solvers.limit_step import find_pairs, limit_step
 from taccel_lab.solvers.search_line import begin_trial, evaluate_trial
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
@@ -48,114 +39,87 @@ _SMALL_TURN_SQ = 1e-6
 
 
 @wp.kernel
-def _choose_momentum_kernel(
-    roster: Roster,
-    phases: Phases,  # out
-    prescribed: Prescribed,
-    flags: Flags,  # out
-):
+def _choose_momentum_kernel(p: Progress):
     """Choose the environments whose frames have yet to move; not in a step that is taken again,
     which has had its momentum."""
     env = wp.tid()
     if env == 0:
-        flags.any_flight[0] = 0
-    fresh = phases.fresh[env] != 0 and roster.again[env] == 0
-    if fresh and prescribed.progress[env] < wp.float64(1.0):
-        enter(env, STARTING, phases)
+        p.flags.any_flight[0] = 0
+    fresh = p.phases.fresh[env] != 0 and p.roster.again[env] == 0
+    if fresh and p.prescribed.progress[env] < wp.float64(1.0):
+        enter(env, STARTING, p)
 
 
 @wp.kernel
-def _choose_flight_kernel(
-    turns: wp.array(dtype=wp.float64),
-    least: wp.float64,
-    phases: Phases,  # out
-    flags: Flags,  # out
-):
+def _choose_flight_kernel(turns: wp.array(dtype=wp.float64), least: wp.float64, p: Progress):
     """Where frames are not in a steady motion, choose the environments in which a body flies."""
     env = wp.tid()
-    if phases.fresh[env] != 0 and phases.inner[env] == 0 and turns[env] > least:
-        enter(env, STARTING, phases)
-        phases.flying[env] = 1
-        flags.any_flight[0] = 1
+    if p.phases.fresh[env] != 0 and p.phases.inner[env] == 0 and turns[env] > least:
+        enter(env, STARTING, p)
+        p.phases.flying[env] = 1
+        p.flags.any_flight[0] = 1
 
 
 @wp.kernel
-def _keep_free_kernel(
-    collisions: ListRoom,  # out
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    clearance: Clearance,  # out
-    search: Search,
-):
+def _keep_free_kernel(collisions: ListRoom, p: Progress):
     """Keeps those of the chosen with nothing in the way; aims their frames at the end. Where frames
     turned out not to be steady the mask alone was cleared."""
     env = wp.tid()
-    if phases.fresh[env] == 0:
+    if p.phases.fresh[env] == 0:
         return
-    clearance.near[env] = 0
-    if phases.inner[env] == 0:
-        leave(env, phases)
+    p.clearance.near[env] = 0
+    if p.phases.inner[env] == 0:
+        leave(env, p)
         return
-    counts.starts_tried[env] += 1
-    prescribed.goal[env] = wp.float64(1.0)
-    if phases.flying[env] != 0:
-        prescribed.goal[env] = prescribed.progress[env]
-    if clearance.limit[env] < wp.float64(1.0):
-        leave(env, phases)
+    p.counts.starts_tried[env] += 1
+    p.prescribed.goal[env] = wp.float64(1.0)
+    if p.phases.flying[env] != 0:
+        p.prescribed.goal[env] = p.prescribed.progress[env]
+    if p.clearance.limit[env] < wp.float64(1.0):
+        leave(env, p)
         return
-    begin_trial(env, collisions, prescribed, search)
+    begin_trial(env, collisions, p)
 
 
 @wp.kernel
-def _accept_kernel(
-    collisions: ListRoom,  # out
-    phases: Phases,  # out
-    counts: Counts,  # out
-    prescribed: Prescribed,  # out
-    search: Search,  # out
-):
+def _accept_kernel(collisions: ListRoom, p: Progress):
     """Keeps those of the chosen without an inverted element; free flight must lower the energy."""
     env = wp.tid()
-    if phases.inner[env] == 0:
+    if p.phases.inner[env] == 0:
         return
     if overflows(env, collisions):
-        stop(env, _CONTACT_OVERFLOW, phases)
+        stop(env, _CONTACT_OVERFLOW, p)
         return
-    good = wp.isfinite(search.after[env])
-    if phases.flying[env] != 0 and not (search.after[env] < search.before[env]):
+    good = wp.isfinite(p.search.after[env])
+    if p.phases.flying[env] != 0 and not (p.search.after[env] < p.search.before[env]):
         good = False
     if not good:
-        leave(env, phases)
+        leave(env, p)
         return
-    counts.starts_taken[env] += 1
-    prescribed.progress[env] = prescribed.trial_progress[env]
-    search.base[env] = search.base_after[env]
-    search.before[env] = search.after[env]
+    p.counts.starts_taken[env] += 1
+    p.prescribed.progress[env] = p.prescribed.trial_progress[env]
+    p.search.base[env] = p.search.base_after[env]
+    p.search.before[env] = p.search.after[env]
 
 
 @wp.kernel
-def _choose_others_kernel(
-    phases: Phases,  # out
-):
+def _choose_others_kernel(p: Progress):
     """``inner`` becomes those that have not taken a start."""
     env = wp.tid()
-    if phases.fresh[env] == 0:
+    if p.phases.fresh[env] == 0:
         return
-    if phases.phase[env] == STARTING:
-        leave(env, phases)
+    if p.phases.phase[env] == STARTING:
+        leave(env, p)
     else:
-        enter(env, STAYING, phases)
+        enter(env, STAYING, p)
 
 
 @wp.kernel
-def _go_on_kernel(
-    phases: Phases,  # out
-):
+def _go_on_kernel(p: Progress):
     env = wp.tid()
-    if phases.fresh[env] != 0:
-        phases.flying[env] = 0
-        leave(env, phases)
+    if p.phases.fresh[env] != 0:
+        p.phases.flying[env] = 0
+        leave(env, p)
 
 
 def start_step(run: StepLaunches) -> None:
@@ -182,30 +146,22 @@ def start_step(run: StepLaunches) -> None:
     limit_step(run, p.phases.inner, gaps_known=False)
     if s.affine is not None and s.inertia is not None:
         wp.capture_if(p.flags.any_flight, on_true=energy_before)
-    run.decide(
-        _keep_free_kernel,
-        s.collisions.room,
-        p.phases,
-        p.counts,
-        p.prescribed,
-        p.clearance,
-        p.search,
-    )
+    run.decide(_keep_free_kernel, s.collisions.room)
     evaluate_trial(run)
     sum_energies(p.phases.inner, run.energies, p.search.base_after, p.search.after)
-    run.decide(_accept_kernel, s.collisions.room, p.phases, p.counts, p.prescribed, p.search)
+    run.decide(_accept_kernel, s.collisions.room)
     run.commit(p.phases.inner, s.trial, s.trial_poses)
-    run.decide(_choose_others_kernel, p.phases)
+    run.decide(_choose_others_kernel)
     run.collide(p.phases.inner, x)
     run.energy(p.phases.inner, x, state.poses, p.search.base, p.search.before)
-    run.decide(_go_on_kernel, p.phases)
+    run.decide(_go_on_kernel)
 
 
 def plan_start(run: StepLaunches) -> None:
     """The way to the start, in ``displacements``; ``inner`` are those that have one."""
     s, p, state = run.s, run.p, run.state
     model, displacements = run.model, s.displacements
-    run.decide(_choose_momentum_kernel, p.roster, p.phases, p.prescribed, p.flags)
+    run.decide(_choose_momentum_kernel)
     if model.kinematic:
         path = (state.poses, s.end_poses)
         s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, displacements)
@@ -216,7 +172,7 @@ def plan_start(run: StepLaunches) -> None:
         forces, inertial = p.balance.body_forces, s.inertia.predictions
         turn = p.clearance.flight_turn_sq
         predict_affine(model, p.phases.fresh, inertial, s.trial, turn, forces)
-        run.decide(_choose_flight_kernel, turn, _SMALL_TURN_SQ, p.phases, p.flags)
+        run.decide(_choose_flight_kernel, turn, _SMALL_TURN_SQ)
         wp.capture_if(p.flags.any_flight, on_true=lambda: _fly(run))
     embed_vertices(model, displacements)
 

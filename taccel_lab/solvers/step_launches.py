@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import side_by_side
 from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
+from taccel_lab.model.launches import launch, side_by_side
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import Phases
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -22,15 +22,11 @@ _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 
 
 @wp.kernel
-def _stop_overflowed_kernel(
-    mask: wp.array(dtype=wp.int32),
-    room: ListRoom,  # out
-    phases: Phases,  # out
-):
+def _stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: Progress):
     """Stop environments of ``mask`` whose list was too short."""
     env = wp.tid()
     if mask[env] != 0 and overflows(env, room):
-        stop(env, _CONTACT_OVERFLOW, phases)
+        stop(env, _CONTACT_OVERFLOW, p)
 
 
 @wp.kernel
@@ -59,20 +55,17 @@ class StepLaunches:
         self.model = solver.model
         self.state = solver.work
         self.p = solver.progress
-        self.rules = solver.rules
 
     def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
-        """Launch one thread an environment."""
-        wp.launch(kernel, dim=self.model.env_count, inputs=list(inputs), device=self.model.device)
+        """Launch one thread an environment, with what is known of the step as the last argument."""
+        launch(kernel, self.model.env_count, *inputs, self.p.struct, device=self.model.device)
 
     def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
         state = self.state
-        wp.launch(
-            _commit_kernel,
-            dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
-            inputs=[mask, positions, poses, state.positions, state.poses],
-            device=self.model.device,
+        inputs = [mask, positions, poses, state.positions, state.poses]
+        launch(
+            _commit_kernel, (self.model.env_count, max(positions.shape[1], poses.shape[1])), *inputs
         )
 
     def collide(self, mask: wp.array, positions: wp.array) -> None:
@@ -82,20 +75,14 @@ class StepLaunches:
     def check_room(self, mask: wp.array, part: GrowingList) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         if part.capacity:
-            self.decide(_stop_overflowed_kernel, mask, part.room, self.p.phases)
+            self.decide(_stop_overflowed_kernel, mask, part.room)
 
     def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None
     ) -> StepMotion:
         """Motion since the start of the step, to the state or to a trial."""
-        s, state = self.s, self.state
-        assert s.friction is not None
-        return s.friction.motion(
-            state.positions if positions is None else positions,
-            s.origin,
-            state.poses if poses is None else poses,
-            s.origin_poses,
-        )
+        positions = self.state.positions if positions is None else positions
+        return self.s.motion_to(positions, self.state.poses if poses is None else poses)
 
     def together(self, parts: Sequence[Callable[[], None]]) -> None:
         side_by_side(self.model.device, parts)

@@ -206,37 +206,13 @@ class StepReport:
     def followed_by(self, later: StepReport) -> StepReport:
         """Append ``later``, with the work of both; environments it skipped stay as they are."""
 
-        def newer(name: str) -> np.ndarray:
-            skipped = later.status == EnvStatus.SKIPPED
-            return np.where(skipped, getattr(self, name), getattr(later, name))
-
+        skipped = later.status == EnvStatus.SKIPPED
+        newest = ["status", *(name for name in _FLOATS if name != "smallest_step")]
+        sums = [*_INTS[1:], "substeps", "seconds"]
         return replace(
             self,
-            **{
-                name: newer(name)
-                for name in (
-                    "status",
-                    "residual_n",
-                    "residual_ratio",
-                    "contact_force_n",
-                    "min_distance_m",
-                    "joint_violation_m",
-                )
-            },
-            **{
-                name: getattr(self, name) + getattr(later, name)
-                for name in (
-                    "newton_iterations",
-                    "cg_iterations",
-                    "friction_lags",
-                    "searches",
-                    "ccd_passes",
-                    "starts_tried",
-                    "starts_taken",
-                    "substeps",
-                    "seconds",
-                )
-            },
+            **{n: np.where(skipped, getattr(self, n), getattr(later, n)) for n in newest},
+            **{n: getattr(self, n) + getattr(later, n) for n in sums},
             smallest_step=np.minimum(self.smallest_step, later.smallest_step),
         )
 

@@ -87,22 +87,12 @@ class Tangent:
         self.solver, self.state, self.who = solver, state, who
         self.active = wp.array(who.astype(np.int32), dtype=wp.int32, device=model.device)
         self._exact = wp.full(model.env_count, PSD_NONE, dtype=wp.int32, device=model.device)
-        self._find_contacts()
-        shape = (model.env_count, model.node_count, 3)
-        solver.displacements.assign(np.zeros(shape) if moves is None else moves)
-
-    def _find_contacts(self) -> None:
-        solver, state = self.solver, self.state
         room = [part.capacity for part in solver.lists]
-        solver.displacements.zero_()
-        solver.candidates.update(
-            self.active, state.positions, solver.displacements, state.poses, state.poses,
-            solver.config.dhat_m,
-        )  # fmt: skip
-        solver.pairs.forget(self.active)
-        solver.collisions.update(self.active, state.positions, solver.candidates)
+        solver.find_contacts(self.active, state)
         if [part.capacity for part in solver.lists] != room:
             solver.graph.clear()
+        shape = (model.env_count, model.node_count, 3)
+        solver.displacements.assign(np.zeros(shape) if moves is None else moves)
 
     def add_elements(self) -> None:
         """The elements' part of the matrix, and of the right-hand side what moves pull."""

@@ -11,7 +11,7 @@ import pytest
 import torch
 import warp as wp
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.geometry.block import block_mesh, free_block
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs

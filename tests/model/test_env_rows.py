@@ -12,8 +12,8 @@ import torch
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.model.devices import require_device
 from taccel_lab.model.env_rows import copy_rows, device_mask, given_array, zero_rows
+from taccel_lab.model.launches import require_device
 
 CPU = wp.get_device("cpu")
 

@@ -97,7 +97,7 @@ pwd.getpwuid = nobody  # As for a user whom a container does not know.
 import warp as wp
 from taccel_lab.processes.cache_place import cache_folder
 from taccel_lab.errors import InputError
-from taccel_lab.model.devices import require_device
+from taccel_lab.model.launches import require_device
 
 wp.config.log_level = wp.LOG_ERROR
 for place in (lambda: require_device("cpu") and wp.config.kernel_cache_dir, cache_folder):

@@ -175,8 +175,8 @@ def test_stated_mass_of_an_even_solid_is_that_of_its_density() -> None:
     [
         (0.0, np.zeros(3), np.eye(3), "mass must be positive and finite, got 0 kg"),
         (np.nan, np.zeros(3), np.eye(3), "mass must be positive"),
-        (1.0, np.zeros(2), np.eye(3), "shapes"),
-        (1.0, np.array([0, np.nan, 0]), np.eye(3), "must be finite"),
+        (1.0, np.zeros(2), np.eye(3), "shape"),
+        (1.0, np.array([0, np.nan, 0]), np.eye(3), "NaN or infinite"),
         (1.0, np.zeros(3), np.diag([1.0, 2.0, 3.0]), "that of no solid"),
         (1.0, np.zeros(3), np.diag([0.0, 2.0, 2.0]), "that of no solid"),
         (1.0, np.zeros(3), np.eye(3) + np.eye(3, k=1) / 9, "must be symmetric"),

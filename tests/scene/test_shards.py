@@ -180,7 +180,7 @@ def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -
 
 def test_wrong_parts_are_refused() -> None:
     scene = Scene(SoftBody(MESH, GEL, element=Element.LINEAR), env_count=3)
-    with pytest.raises(InputError, match="at least 1 part, got 0"):
+    with pytest.raises(InputError, match="world_size must be at least 1"):
         shard_of(scene, 0, 0)
     with pytest.raises(InputError, match="3 environments cannot be split into 4 parts"):
         shard_of(scene, 0, 4)

@@ -150,10 +150,10 @@ def test_forces_are_those_of_the_state() -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        ({"dt_s": 0.0}, r"dt must lie in \[1e-6, 10\] s, got 0.0"),
+        ({"dt_s": 0.0}, r"dt must lie in \[1e-06, 10\] s, got 0"),
         ({"dt_s": float("nan")}, "dt must lie in"),
-        ({"joint_targets": np.zeros(2)}, r"joint_targets have shape \(2,\), expected \(2, 1\)"),
-        ({"joint_targets": [[np.nan], [0.0]]}, "joint_targets hold NaN"),
+        ({"joint_targets": np.zeros(2)}, r"joint_targets must have shape \[2, 1\], got \[2\]"),
+        ({"joint_targets": [[np.nan], [0.0]]}, "joint_targets holds NaN"),
         ({"joint_targets": torch.zeros(2, 1)}, r"joint_targets on the device are float32 .*"),
         ({"wrenches": torch.zeros(2, 2, 3).double()}, r"expected float64 of shape \[2, 2, 2, 3\]"),
         ({"target_poses": np.zeros((2, 1, 7))}, "must have unit length"),
@@ -162,7 +162,7 @@ def test_forces_are_those_of_the_state() -> None:
             r"of shape \[2, 2\]",
         ),
         ({"target_poses": torch.zeros(2, 1, 7)}, "expected float64 of shape"),
-        ({"forces": np.zeros((2, 3))}, "forces have shape"),
+        ({"forces": np.zeros((2, 3))}, "forces must have shape"),
     ],
 )
 def test_bad_requests_are_refused_and_change_nothing(

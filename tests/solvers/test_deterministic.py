@@ -16,9 +16,9 @@ import pytest
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.device.launches import Branches
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.friction import FrictionPotential
+from taccel_lab.model.launches import Branches
 from taccel_lab.scene import Element, KinematicBody, Plane, Scene, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state

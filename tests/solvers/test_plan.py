@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -126,7 +126,7 @@ def test_modules_that_nobody_launches_are_not_compiled() -> None:
     line = next(line for line in run.stdout.splitlines() if line.startswith("LOADED"))
     loaded = " ".join(line.split()[1:])
     for needed in (
-        "ball_targets",
+        "broad_phase.candidates",
         "quadratic_kernels.neo_hookean",
         "linear.cpu",
         "potentials.contact",

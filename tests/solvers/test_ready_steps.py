@@ -308,11 +308,11 @@ def test_a_mechanism_that_fails_is_where_it_began() -> None:
 
 def test_a_bad_control_begins_nothing() -> None:
     solver, state = finger()
-    with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
+    with pytest.raises(InputError, match="iterations must be at least 1 and finite, got 0"):
         ReadySteps(solver, state, 0)
     ready = ReadySteps(solver, state)
     good = asked(solver, np.full(ENVS, 1))
-    with pytest.raises(InputError, match="wrenches hold NaN"):
+    with pytest.raises(InputError, match="wrenches holds NaN"):
         ready.step_ready(replace(good, wrenches=np.full((ENVS, 2, 2, 3), np.nan)))
     assert not ready.underway.any()
     assert state.joints is not None and not state.joints.targets.numpy().any()

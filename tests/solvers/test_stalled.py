@@ -10,38 +10,20 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.solvers import EnvStatus, SolverIPC
 from taccel_lab.solvers.env_phase import STALL_AFTER, STEPPING, forget_gain, go_on
-from taccel_lab.solvers.env_progress import (
-    Balance,
-    Counts,
-    Flags,
-    Gain,
-    Phases,
-    Prescribed,
-    Rules,
-    Search,
-)
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.solver_ipc import HALVING_HELPS
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def _begin_kernel(gain: Gain):
-    forget_gain(wp.tid(), gain)
+def _begin_kernel(p: Progress):
+    forget_gain(wp.tid(), p)
 
 
 @wp.kernel
-def _go_on_kernel(
-    phases: Phases,
-    counts: Counts,
-    prescribed: Prescribed,
-    balance: Balance,
-    search: Search,
-    gain: Gain,
-    flags: Flags,
-    r: Rules,
-):
-    go_on(wp.tid(), phases, counts, prescribed, balance, search, gain, flags, r)
+def _go_on_kernel(p: Progress):
+    go_on(wp.tid(), p)
 
 
 K = np.arange(400)
@@ -63,16 +45,14 @@ def test_a_step_ends_after_so_many_iterations_without_a_gain() -> None:
     gel = SoftBody(block_mesh((1, 1, 1), (1e-2, 1e-2, 1e-2)), Material(1e5, 0.4))
     model = Scene(gel, KinematicBody(Ball(1e-3)), len(COURSES)).finalize("cpu")
     p = SolverIPC(model).progress
-    rules = SolverIPC(model).rules
     p.phases.active.fill_(1)
     p.phases.phase.fill_(STEPPING)
-    wp.launch(_begin_kernel, len(COURSES), inputs=[p.gain])
+    wp.launch(_begin_kernel, len(COURSES), inputs=[p.struct])
     ended: list[int | None] = [None] * len(COURSES)
     for k in K:
         for i, array in enumerate((p.balance.excess, p.search.after, p.prescribed.progress)):
             array.assign(np.array([course[i][k] for course in COURSES.values()], dtype=float))
-        parts = [p.phases, p.counts, p.prescribed, p.balance, p.search, p.gain, p.flags, rules]
-        wp.launch(_go_on_kernel, len(COURSES), inputs=parts)
+        wp.launch(_go_on_kernel, len(COURSES), inputs=[p.struct])
         for env in np.flatnonzero(p.phases.status.numpy() == EnvStatus.STALLED):
             ended[env] = int(k) if ended[env] is None else ended[env]
     for name, found in zip(COURSES, ended, strict=True):

@@ -25,8 +25,7 @@ from taccel_lab.bodies.crossings import (
 )
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, unique_edges
-from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
-from taccel_lab.bodies.surface_topology import ball_insets
+from taccel_lab.bodies.surface_topology import ball_insets, is_closed, one_node_of_each_part
 from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.model import BodyKind, Model

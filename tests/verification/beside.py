@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.solvers import SolverIPC, StepReport
-from taccel_lab.solvers.control import Control
+from taccel_lab.solvers.config import Control
 from taccel_lab.state import JointState, State, StepHistory
 
 FORCES_WITHIN = 10.0

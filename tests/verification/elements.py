@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
-from taccel_lab.ipc.potentials.elements.data import ElementSum
-from taccel_lab.ipc.potentials.elements.elastic import PSD_CLAMP, ElasticPotential
+from taccel_lab.ipc.potentials.elements.data import ElasticPotential, ElementSum
 from taccel_lab.model import Model
 
 

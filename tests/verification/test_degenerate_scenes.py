@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import (
     AffineBody,

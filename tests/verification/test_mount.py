@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import (
     Ball,

@@ -166,7 +166,7 @@ class CalibrateMaterial(BlockCommand):
 
     def check(self) -> None:
         """Refuse an unknown device and parameters that cannot be held."""
-        from taccel_lab.model.devices import require_device
+        from taccel_lab.model.launches import require_device
 
         require_device(self.device)
         self.options()

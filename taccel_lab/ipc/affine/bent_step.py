@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.rigidity import affine_map
-from taccel_lab.ipc.device.launches import launch
+from taccel_lab.ipc.affine.rigidity import body_map
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch, launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -35,14 +35,6 @@ LARGEST_TURN = 0.1
 for contact, and it leads off the straight one by the square of the angle."""
 SMALLEST_TURN = 1e-5
 """Angle below which steps stay straight [rad]: they strain by 5e-11."""
-
-
-@wp.func
-def body_map(
-    env: int, start: int, length: wp.float64, nodes: wp.array2d(dtype=wp.vec3d)
-) -> wp.mat33d:
-    """Linear map of a body, or its change, from control nodes [m]."""
-    return affine_map(nodes[env, start + 1], nodes[env, start + 2], nodes[env, start + 3], length)
 
 
 @wp.func
@@ -238,14 +230,8 @@ def find_pivots(
     """Set ``pivots`` [m], vec3d, [env_count, affine_count]: from the centre of each body to the
     mean of its contact points, weighted with their forces; zero where nothing touches it."""
     affine = model.affine
-    wp.launch_tiled(
-        _pivot_kernel,
-        dim=[model.env_count, affine.count],
-        inputs=[active, affine.control_starts, affine.vertex_starts, positions, contact_gradient],
-        outputs=[pivots],
-        block_dim=BLOCK_THREADS,
-        device=model.device,
-    )
+    inputs = [active, affine.control_starts, affine.vertex_starts, positions, contact_gradient]
+    launch_blocks(_pivot_kernel, (model.env_count, affine.count), *inputs, pivots)
 
 
 def measure_turns(
@@ -261,14 +247,8 @@ def measure_turns(
     where it exceeds SMALLEST_TURN, a bound of how far any vertex of a bent step leaves the straight
     one is added to ``reaches`` [m]. Both float64, [env_count]."""
     affine = model.affine
-    launch(
-        _measure_kernel,
-        dim=model.env_count,
-        inputs=[active, affine.control_starts, affine.lengths, affine.have_joints, pivots]
-        + [positions, displacements, SMALLEST_TURN],
-        outputs=[turns, reaches],
-        device=model.device,
-    )
+    inputs = [active, affine.control_starts, affine.lengths, affine.have_joints, pivots, positions]
+    launch(_measure_kernel, model.env_count, *inputs, displacements, SMALLEST_TURN, turns, reaches)
 
 
 def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) -> None:
@@ -279,10 +259,6 @@ def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) 
     ranges = [body.nodes for body in model.bodies[first : first + affine.count]]
     most = max(end - start for start, end in ranges) + len(affine.carried)
     lanes = lane_count(model.device, model.env_count, most)
-    launch(
-        _place_affine_kernel,
-        dim=(model.env_count, affine.count, lanes),
-        inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
-        + [affine.have_joints, pivots, embedded(model), trial],
-        device=model.device,
-    )
+    inputs = [turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
+    inputs += [affine.have_joints, pivots, embedded(model), trial]
+    launch(_place_affine_kernel, (model.env_count, affine.count, lanes), *inputs)

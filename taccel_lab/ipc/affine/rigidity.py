@@ -23,8 +23,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import WARP_THREADS, launch
-from taccel_lab.ipc.device.matrices import signed_svd_3x3
+from taccel_lab.ipc.device.matrices import matrix_column, signed_svd_3x3
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian, principal_block
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import (
     st_venant_kirchhoff_energy,
@@ -32,6 +31,7 @@ from taccel_lab.ipc.elasticity.st_venant_kirchhoff import (
     st_venant_kirchhoff_piola,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
@@ -40,6 +40,14 @@ wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 def affine_map(y1: wp.vec3d, y2: wp.vec3d, y3: wp.vec3d, length: wp.float64) -> wp.mat33d:
     """A of control vectors y_k = length * a_k [m]."""
     return wp.matrix_from_cols(y1, y2, y3) * (wp.float64(1.0) / length)
+
+
+@wp.func
+def body_map(
+    env: int, start: int, length: wp.float64, nodes: wp.array2d(dtype=wp.vec3d)
+) -> wp.mat33d:
+    """Linear map of a body, or its change, from control nodes [m]."""
+    return affine_map(nodes[env, start + 1], nodes[env, start + 2], nodes[env, start + 3], length)
 
 
 @wp.func
@@ -69,11 +77,6 @@ def orthogonality_block(h: PrincipalHessian, length: wp.float64, i: int, j: int)
     beta_i = wp.vec3d(h.v[i, 0], h.v[i, 1], h.v[i, 2])
     beta_j = wp.vec3d(h.v[j, 0], h.v[j, 1], h.v[j, 2])
     return principal_block(h, beta_i, beta_j) * (wp.float64(1.0) / (length * length))
-
-
-@wp.func
-def _column(m: wp.mat33d, k: int) -> wp.vec3d:
-    return wp.vec3d(m[0, k], m[1, k], m[2, k])
 
 
 @wp.kernel
@@ -107,7 +110,7 @@ def _predict_affine_kernel(
     predicted[env, start] = inertial[env, start]
     bend = wp.float64(0.0)
     for k in range(3):
-        y = lengths[body] * _column(r, k)
+        y = lengths[body] * matrix_column(r, k)
         bend = wp.max(bend, wp.length(inertial[env, start + 1 + k] - y) / lengths[body])
         predicted[env, start + 1 + k] = y
     wp.atomic_max(bends, env, bend)
@@ -130,14 +133,9 @@ def predict_affine(
     """
     affine = model.affine
     bends.zero_()
-    launch(
-        _predict_affine_kernel,
-        dim=(model.env_count, affine.count),
-        inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial]
-        + [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))],
-        outputs=[predicted, bends],
-        device=model.device,
-    )
+    inputs = [active, affine.control_starts, affine.lengths, model.masses, inertial]
+    inputs += [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))]
+    launch(_predict_affine_kernel, (model.env_count, affine.count), *inputs, predicted, bends)
 
 
 @wp.kernel
@@ -167,10 +165,5 @@ def ride_along(model: Model, active: wp.array, positions: wp.array, predicted: w
     where the control nodes of the bodies are already: they keep their places on the bodies."""
     affine = model.affine
     if len(affine.riders):
-        launch(
-            _ride_kernel,
-            dim=(model.env_count, len(affine.riders)),
-            inputs=[active, affine.riders, affine.control_starts, affine.lengths, positions],
-            outputs=[predicted],
-            device=model.device,
-        )
+        inputs = [active, affine.riders, affine.control_starts, affine.lengths, positions]
+        launch(_ride_kernel, (model.env_count, len(affine.riders)), *inputs, predicted)

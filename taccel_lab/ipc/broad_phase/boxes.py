@@ -10,8 +10,9 @@ import warp as wp
 
 from taccel_lab.ipc.device.ragged_lists import ListRoom, claim_place
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
+from taccel_lab.model.launches import launch_blocks
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 
 @wp.struct
@@ -176,11 +177,5 @@ def find_body_boxes(
     ``body_nodes``: range of the nodes of each body, vec2i, [body_count]; ``displacements``:
     straight ways that the boxes hold, too.
     """
-    wp.launch_tiled(
-        _body_boxes_kernel,
-        dim=list(lower.shape),
-        inputs=[mask, body_nodes, positions, displacements],
-        outputs=[lower, upper],
-        block_dim=BLOCK_THREADS,
-        device=positions.device,
-    )
+    inputs = [mask, body_nodes, positions, displacements, lower, upper]
+    launch_blocks(_body_boxes_kernel, lower.shape, *inputs)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Broad phase: which pairs may come within a margin while all nodes move along straight lines.
 
-Each kind of body has its own search (``stiff_targets``, ``soft_targets``, ``ball_targets``); planes
-need none, as each node is checked. What is searched against what is the model's contact plan, so a
-pair of bodies that can never touch costs nothing. Margins must include how far the arc of a turning
-kinematic body leaves the chord.
+Each kind of body has its own search (``stiff_targets``, ``soft_targets``); one against a ball needs
+no tree, only a bound of the distance of each face, and planes need none, as each node is checked.
+What is searched against what is the model's contact plan, so a pair of bodies that can never touch
+costs nothing. Margins must include how far the arc of a turning kinematic body leaves the chord.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.ball_targets import BALL_JOBS
+from taccel_lab.ipc.broad_phase.boxes import append
 from taccel_lab.ipc.broad_phase.soft_targets import SoftTrees
 from taccel_lab.ipc.broad_phase.stiff_targets import (
     make_frames,
@@ -21,10 +21,52 @@ from taccel_lab.ipc.broad_phase.stiff_targets import (
     stiff_search,
     update_frames,
 )
-from taccel_lab.ipc.device.ragged_lists import GrowingList, clear_all, initial_capacity
+from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, clear_all, initial_capacity
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _ball_face_kernel(
+    active: wp.array(dtype=wp.int32),
+    jobs: wp.array(dtype=wp.vec2i),
+    node_bodies: wp.array(dtype=wp.int32),
+    node_radii: wp.array(dtype=wp.float64),
+    present: wp.array2d(dtype=wp.int32),
+    faces: wp.array(dtype=wp.vec3i),
+    margins: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+    room: ListRoom,
+    pairs: wp.array(dtype=wp.vec2i),
+):
+    """A ball against a face: a box around the face's path as seen from the ball."""
+    env, i = wp.tid()
+    ball = jobs[i][0]
+    face = faces[jobs[i][1]]
+    if active[env] == 0 or present[env, node_bodies[ball]] == 0:
+        return
+    if present[env, node_bodies[face[0]]] == 0:
+        return
+    centre = positions[env, ball]
+    shift = displacements[env, ball]
+    big = wp.float64(1.0e30)
+    low = wp.vec3d(big, big, big)
+    high = -low
+    for k in range(3):
+        a = positions[env, face[k]] - centre
+        b = a + displacements[env, face[k]] - shift
+        low = wp.min(low, wp.min(a, b))
+        high = wp.max(high, wp.max(a, b))
+    gap_sq = wp.float64(0.0)
+    for k in range(3):
+        outside = wp.max(wp.max(low[k], -high[k]), wp.float64(0.0))
+        gap_sq += outside * outside
+    reach = node_radii[ball] + margins[env]
+    if gap_sq < reach * reach:
+        append(env, ball, jobs[i][1], room, pairs)
 
 
 class PairList(GrowingList):
@@ -106,12 +148,7 @@ class Candidates:
         reach = margins
         if self.model.largest_thickness_m > 0:
             reach = self._reach
-            wp.launch(
-                _widen_kernel,
-                dim=len(reach),
-                inputs=[margins, self.model.largest_thickness_m, reach],
-                device=self.model.device,
-            )
+            launch(_widen_kernel, len(reach), margins, self.model.largest_thickness_m, reach)
         clear_all(active, self.lists)
         self._search(active, positions, displacements, reach)
 
@@ -125,13 +162,14 @@ class Candidates:
         run_search(self._stiff, model, active, path, self._frames, node_face + edge_edge)
         balls = model.contact_plan.ball_face
         if len(balls):
-            wp.launch(
-                BALL_JOBS,
-                dim=(model.env_count, len(balls)),
-                inputs=[active, balls, surface.node_bodies, surface.node_radii, model.present]
-                + [surface.faces, *path],
-                outputs=node_face,
-                device=model.device,
+            inputs = [active, balls, surface.node_bodies, surface.node_radii, model.present]
+            launch(
+                _ball_face_kernel,
+                (model.env_count, len(balls)),
+                *inputs,
+                surface.faces,
+                *path,
+                *node_face,
             )
         if self._soft is not None:
             self._soft.search(active, positions, displacements, margins, node_face, edge_edge)

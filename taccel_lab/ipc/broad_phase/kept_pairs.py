@@ -22,8 +22,9 @@ from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.model.launches import launch_blocks
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 _SKIN_OVER_WAY = 4.0
 """Skin over the way at hand: this number of steps of a steady motion share a search."""
@@ -143,15 +144,9 @@ class KeptPairs:
         the straight ways from ``positions`` along ``displacements`` [m] in the environments of
         ``active``; see ``Candidates.search``. ``searched``: called after a search, with the lists
         as they are then."""
-        wp.launch_tiled(
-            _stray_kernel,
-            dim=[len(active)],
-            inputs=[active, self._nodes, positions, displacements, reaches]
-            + [self._least_skin_m, self._largest_skins],
-            outputs=[self._anchors, self.covered, self.travels, self.stale, self._any_stale],
-            block_dim=BLOCK_THREADS,
-            device=active.device,
-        )
+        inputs = [active, self._nodes, positions, displacements, reaches, self._least_skin_m]
+        inputs += [self._largest_skins, self._anchors, self.covered, self.travels, self.stale]
+        launch_blocks(_stray_kernel, len(active), *inputs, self._any_stale)
 
         def search() -> None:
             self.candidates.search(

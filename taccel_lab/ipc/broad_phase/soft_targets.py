@@ -15,6 +15,7 @@ import warp as wp
 from taccel_lab.ipc.broad_phase.boxes import append, find_body_boxes, rounded_out
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -181,28 +182,16 @@ class SoftTrees:
     def _find_near(
         self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
-        device, shape = self.model.device, self._near.shape
         self._any_near.zero_()
         boxes = (self._lower, self._upper)
         find_body_boxes(active, self._body_nodes, positions, displacements, *boxes)
-        wp.launch(
-            _near_kernel,
-            dim=shape,
-            inputs=[active, self.model.contact_plan.may_touch, margins, self._lower, self._upper],
-            outputs=[self._near, self._any_near],
-            device=device,
-        )
+        inputs = [active, self.model.contact_plan.may_touch, margins, self._lower, self._upper]
+        launch(_near_kernel, self._near.shape, *inputs, self._near, self._any_near)
 
     def _refit(self, positions: wp.array, displacements: wp.array) -> None:
         device = self.model.device
         for primitives, boxes in ((self._faces, self._face_boxes), (self._edges, self._edge_boxes)):
-            wp.launch(
-                _boxes_kernel,
-                dim=boxes[0].shape,
-                inputs=[primitives, positions, displacements],
-                outputs=list(boxes),
-                device=device,
-            )
+            launch(_boxes_kernel, boxes[0].shape, primitives, positions, displacements, *boxes)
         if self._trees:
             for tree in self._trees:
                 tree.refit()
@@ -243,18 +232,7 @@ class SoftTrees:
     ) -> None:
         model, plan, surface = self.model, self.model.contact_plan, self.model.surface
         rules = [surface.node_bodies, plan.may_touch, margins, positions, displacements]
-        wp.launch(
-            _node_kernel,
-            dim=(model.env_count, len(plan.soft_nodes)),
-            inputs=[self._near, self._trees[0].id, plan.soft_nodes, plan.soft_faces, surface.faces]
-            + rules,
-            outputs=node_face,
-            device=model.device,
-        )
-        wp.launch(
-            _edge_kernel,
-            dim=(model.env_count, len(plan.soft_edges)),
-            inputs=[self._near, self._trees[1].id, plan.soft_edges, surface.edges, *rules],
-            outputs=edge_edge,
-            device=model.device,
-        )
+        inputs = [self._near, self._trees[0].id, plan.soft_nodes, plan.soft_faces, surface.faces]
+        launch(_node_kernel, (model.env_count, len(plan.soft_nodes)), *inputs, *rules, *node_face)
+        inputs = [self._near, self._trees[1].id, plan.soft_edges, surface.edges, *rules]
+        launch(_edge_kernel, (model.env_count, len(plan.soft_edges)), *inputs, *edge_edge)

@@ -24,9 +24,9 @@ from taccel_lab.ipc.broad_phase.boxes import (
     rounded_out,
     widened_margin,
 )
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 _SEARCH_THREADS = 64
 """Threads of a block: one that waits for its longest query holds up few. A fifth quicker than 256
@@ -189,14 +189,9 @@ def update_frames(
 ) -> None:
     """Frames of affine bodies before and after the displacements, of kinematic ones at ``poses``
     (start and end)."""
-    launch(
-        _frames_kernel,
-        dim=(model.env_count, len(model.targets)),
-        inputs=[active, model.affine.count, model.affine.first_control, model.affine.lengths]
-        + [*poses, positions, displacements],
-        outputs=[frames],
-        device=model.device,
-    )
+    inputs = [active, model.affine.count, model.affine.first_control, model.affine.lengths, *poses]
+    inputs += [positions, displacements, frames]
+    launch(_frames_kernel, (model.env_count, len(model.targets)), *inputs)
 
 
 @wp.func
@@ -274,11 +269,6 @@ def run_search(
     """Append pairs to ``outputs`` (room, pairs of nodes and faces, then of edges); ``path``:
     margins, positions, displacements."""
     if len(search.jobs):
-        launch(
-            _search_kernel,
-            dim=(model.env_count, len(search.jobs)),
-            inputs=[active, search.jobs, search.nodes, search.trees]
-            + [model.surface.node_bodies, model.present, *path, frames],
-            outputs=outputs,
-            device=model.device,
-        )
+        inputs = [active, search.jobs, search.nodes, search.trees, model.surface.node_bodies]
+        inputs += [model.present, *path, frames, *outputs]
+        launch(_search_kernel, (model.env_count, len(search.jobs)), *inputs)

@@ -20,7 +20,7 @@ from taccel_lab.bodies.bodies import KinematicBody
 from taccel_lab.bodies.crossings import crossing_pairs, point_triangle_distances
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, TriangleMesh, unique_edges
-from taccel_lab.bodies.surface_parts import is_closed
+from taccel_lab.bodies.surface_topology import is_closed
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import rotate
 from taccel_lab.model.kinematics import interpolate_poses

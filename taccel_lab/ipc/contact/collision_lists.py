@@ -71,10 +71,8 @@ class CollisionLists:
 def contact_geometry(model: Model) -> ContactGeometry:
     """Gather the arrays of a model's surface."""
     geometry = ContactGeometry()
-    geometry.node_radii = model.surface.node_radii
-    geometry.node_is_ball = model.surface.node_is_ball
-    geometry.node_bodies = model.surface.node_bodies
-    geometry.plane_normals = model.surface.plane_normals
+    for name in ContactGeometry.vars:
+        setattr(geometry, name, getattr(model.surface, name))
     return geometry
 
 

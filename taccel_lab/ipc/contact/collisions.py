@@ -59,11 +59,11 @@ from taccel_lab.ipc.contact.narrow_phase import (
     node_face_kernel,
     node_plane_kernel,
 )
-from taccel_lab.ipc.device.launches import side_by_side
-from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
+from taccel_lab.ipc.device.ragged_lists import GrowingList, entry_types, initial_capacity
 from taccel_lab.ipc.distance.closest_pairs import point_triangle_distance_sq
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch, side_by_side
 
 wp.set_module_options({"enable_backward": False})
 
@@ -166,14 +166,9 @@ def self_ranges(model: Model, dhat: float) -> wp.array:
                 wp.array(low, dtype=wp.vec3, device=device),
                 wp.array(high, dtype=wp.vec3, device=device),
             )
-            wp.launch(
-                _self_range_kernel,
-                dim=body.nodes[1] - body.nodes[0],
-                inputs=[tree.id, body.nodes[0], body.faces[0], row]
-                + [model.surface.faces, model.rest_positions],
-                outputs=[ranges],
-                device=device,
-            )
+            inputs = [tree.id, body.nodes[0], body.faces[0], row, model.surface.faces]
+            inputs += [model.rest_positions, ranges]
+            launch(_self_range_kernel, body.nodes[1] - body.nodes[0], *inputs)
     return ranges
 
 
@@ -191,14 +186,7 @@ class Collisions(GrowingList):
     run to run, and the sums with it in the last digits, unless they are sorted.
     """
 
-    columns: ClassVar = {
-        "kinds": wp.int32,
-        "stencils": wp.vec4i,
-        "stiffnesses": wp.float64,
-        "thresholds": wp.float64,
-        "ranges": wp.float64,
-        "insets": wp.float64,
-    }
+    columns: ClassVar = entry_types(CollisionLists)
     kinds: wp.array
     """POINT_TRIANGLE to POINT_PLANE, shape [capacity] as all below."""
     stencils: wp.array
@@ -243,13 +231,8 @@ class Collisions(GrowingList):
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
         surface = ContactSurface()
-        surface.faces, surface.edges = source.faces, source.edges
-        surface.face_edges, surface.edge_faces = source.face_edges, source.edge_faces
-        surface.node_face_starts, surface.node_faces = source.node_face_starts, source.node_faces
-        surface.node_edge_starts, surface.node_edges = source.node_edge_starts, source.node_edges
-        surface.node_areas, surface.edge_areas = source.node_areas, source.edge_areas
-        surface.face_areas = source.face_areas
-        surface.face_reaches_sq = source.face_reaches_sq
+        for name in ContactSurface.vars.keys() & vars(source):
+            setattr(surface, name, getattr(source, name))
         surface.rest_positions = model.rest_positions
         surface.self_ranges = self_ranges(model, self.dhat)
         surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)
@@ -300,22 +283,12 @@ class Collisions(GrowingList):
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
             lanes = lane_count(model.device, model.env_count, pairs.largest_room)
-            wp.launch(
-                kernel,
-                dim=(model.env_count, lanes),
-                inputs=[active, lanes, pairs.room, pairs.pairs, *common],
-                outputs=[self._found],
-                device=model.device,
-            )
+            inputs = [active, lanes, pairs.room, pairs.pairs, *common, self._found]
+            launch(kernel, (model.env_count, lanes), *inputs)
 
         def narrow_planes() -> None:
-            wp.launch(
-                node_plane_kernel,
-                dim=(model.env_count, len(plan.node_plane)),
-                inputs=[active, plan.node_plane, model.present, *common],
-                outputs=[self._found],
-                device=model.device,
-            )
+            inputs = [active, plan.node_plane, model.present, *common, self._found]
+            launch(node_plane_kernel, (model.env_count, len(plan.node_plane)), *inputs)
 
         searches: list[Callable[[], None]] = []
         if candidates.node_faces.capacity:
@@ -331,13 +304,7 @@ class Collisions(GrowingList):
         if not self._in_order:
             return
         lanes = lane_count(self.device, len(active), self.largest_room)
-        wp.launch(
-            sort_kernel,
-            dim=(len(active), lanes),
-            inputs=[active, lanes, self._found],
-            outputs=[self.lists],
-            device=self.device,
-        )
+        launch(sort_kernel, (len(active), lanes), active, lanes, self._found, self.lists)
 
     def snapshot(self, env: int) -> dict[str, np.ndarray]:
         """Collisions of one environment, sorted by kind and stencil: the same on every device."""

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.primitives import Ball
-from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
+from taccel_lab.bodies.surface_topology import is_closed, one_node_of_each_part
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.broad_phase.boxes import find_body_boxes
 from taccel_lab.ipc.contact.overlap_kernels import (
@@ -35,9 +34,8 @@ from taccel_lab.ipc.contact.overlap_kernels import (
     crossing_kernel,
     inside_kernel,
 )
-from taccel_lab.ipc.device.launches import launch
-from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import BodyKind, Model
+from taccel_lab.model.launches import launch, launch_blocks
 from taccel_lab.state import State, check_state
 
 _INSIDE, _BELOW, _BALL, _CROSSING = range(4)
@@ -136,18 +134,12 @@ class OverlapSearch:
 
         Environments whose positions are not finite are none of them.
         """
-        model, surface = self._model, self._model.surface
+        surface = self._model.surface
         x = state.positions
         self._found.envs.zero_()
         self._found.jobs.zero_()
         wp.copy(self._searched, mask)
-        launch(
-            begin_overlaps_kernel,
-            dim=x.shape,
-            inputs=[mask, x],
-            outputs=[self._searched],
-            device=model.device,
-        )
+        launch(begin_overlaps_kernel, x.shape, mask, x, self._searched)
         bodies = self._bodies
         find_body_boxes(self._searched, self._body_nodes, x, None, bodies.lower, bodies.upper)
         self._launch(below_plane_kernel, _BELOW, [surface.plane_normals], x)
@@ -162,14 +154,9 @@ class OverlapSearch:
         jobs = self._jobs[kind]
         if not len(jobs):
             return
-        start = partial(wp.launch_tiled, block_dim=BLOCK_THREADS) if kind == _INSIDE else launch
-        start(
-            kernel,
-            dim=[self._model.env_count, len(jobs)],
-            inputs=[self._searched, jobs, *inputs, self._bodies, x, self._first_jobs[kind]],
-            outputs=[self._found],
-            device=self._model.device,
-        )
+        start = launch_blocks if kind == _INSIDE else launch
+        inputs = [self._searched, jobs, *inputs, self._bodies, x, self._first_jobs[kind]]
+        start(kernel, (self._model.env_count, len(jobs)), *inputs, self._found)
 
     def describe(self, state: State) -> list[list[Overlap]]:
         """What the last search found, one for each pair of bodies, by environment."""

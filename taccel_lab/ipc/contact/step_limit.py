@@ -24,95 +24,73 @@ from taccel_lab.ipc.distance.ccd import (
 )
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.struct
+class Way:
+    """What all candidates go by.
+
+    faces, edges: nodes of each; reaches_sq: see ``SurfaceArrays`` [m^2], [rest_count, face_count].
+    positions, displacements [m], [env_count, node_count]; slackness, max_iterations: see
+    ``limit_checks``.
+    """
+
+    faces: wp.array(dtype=wp.vec3i)
+    edges: wp.array(dtype=wp.vec2i)
+    reaches_sq: wp.array2d(dtype=wp.float64)
+    positions: wp.array2d(dtype=wp.vec3d)
+    displacements: wp.array2d(dtype=wp.vec3d)
+    geometry: ContactGeometry
+    slackness: wp.float64
+    max_iterations: int
+
+
 @wp.func
-def node_face_limit(
-    env: int,
-    candidate: wp.vec2i,
-    faces: wp.array(dtype=wp.vec3i),
-    reaches_sq: wp.array2d(dtype=wp.float64),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-    slackness: wp.float64,
-    max_iterations: int,
-) -> wp.float64:
+def node_face_limit(env: int, candidate: wp.vec2i, way: Way) -> wp.float64:
     """Collision-free fraction of a node against a face.
 
     A curved face may reach into a ball (``ball_inset``), but its nodes may not.
     """
     p = candidate[0]
-    f = faces[candidate[1]]
+    f = way.faces[candidate[1]]
     if f[0] == p or f[1] == p or f[2] == p:
         return wp.float64(1.0)
-    kept = kept_distance(p, f[0], geometry)
+    x = way.positions[env]
+    dx = way.displacements[env]
+    kept = kept_distance(p, f[0], way.geometry)
     least = wp.float64(1.0)
-    if geometry.node_is_ball[p] != 0:
-        reach_sq = reaches_sq[env % reaches_sq.shape[0], candidate[1]]
-        inset = ball_inset(geometry.node_radii[p], reach_sq)
+    if way.geometry.node_is_ball[p] != 0:
+        reach_sq = way.reaches_sq[env % way.reaches_sq.shape[0], candidate[1]]
+        inset = ball_inset(way.geometry.node_radii[p], reach_sq)
         if inset > wp.float64(0.0):
             for k in range(3):
-                at_node = point_point_ccd(
-                    positions[env, p],
-                    positions[env, f[k]],
-                    displacements[env, p],
-                    displacements[env, f[k]],
-                    kept,
-                    slackness,
-                    least,
-                )
-                least = at_node.toi
+                slack = way.slackness
+                least = point_point_ccd(x[p], x[f[k]], dx[p], dx[f[k]], kept, slack, least).toi
             kept -= inset
     result = point_triangle_ccd(
-        positions[env, p],
-        positions[env, f[0]],
-        positions[env, f[1]],
-        positions[env, f[2]],
-        displacements[env, p],
-        displacements[env, f[0]],
-        displacements[env, f[1]],
-        displacements[env, f[2]],
-        kept,
-        slackness,
-        least,
-        max_iterations,
-    )
+        x[p], x[f[0]], x[f[1]], x[f[2]], dx[p], dx[f[0]], dx[f[1]], dx[f[2]],
+        kept, way.slackness, least, way.max_iterations,
+    )  # fmt: skip
     return result.toi
 
 
 @wp.func
-def edge_edge_limit(
-    env: int,
-    candidate: wp.vec2i,
-    edges: wp.array(dtype=wp.vec2i),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-    slackness: wp.float64,
-    max_iterations: int,
-) -> wp.float64:
+def edge_edge_limit(env: int, candidate: wp.vec2i, way: Way) -> wp.float64:
     """Collision-free fraction of two edges."""
-    a = edges[candidate[0]]
-    b = edges[candidate[1]]
+    a = way.edges[candidate[0]]
+    b = way.edges[candidate[1]]
     if a[0] == b[0] or a[0] == b[1] or a[1] == b[0] or a[1] == b[1]:
         return wp.float64(1.0)
+    x = way.positions[env]
+    dx = way.displacements[env]
+    kept = kept_distance(a[0], b[0], way.geometry)
     result = edge_edge_ccd(
-        positions[env, a[0]],
-        positions[env, a[1]],
-        positions[env, b[0]],
-        positions[env, b[1]],
-        displacements[env, a[0]],
-        displacements[env, a[1]],
-        displacements[env, b[0]],
-        displacements[env, b[1]],
-        kept_distance(a[0], b[0], geometry),
-        slackness,
-        wp.float64(1.0),
-        max_iterations,
-    )
+        x[a[0]], x[a[1]], x[b[0]], x[b[1]], dx[a[0]], dx[a[1]], dx[b[0]], dx[b[1]],
+        kept, way.slackness, wp.float64(1.0), way.max_iterations,
+    )  # fmt: skip
     return result.toi
 
 
@@ -122,13 +100,7 @@ def _node_face_kernel(
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
-    reaches_sq: wp.array2d(dtype=wp.float64),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-    slackness: wp.float64,
-    max_iterations: int,
+    way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
@@ -136,18 +108,7 @@ def _node_face_kernel(
         return
     least = wp.float64(1.0)
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
-        limit = node_face_limit(
-            env,
-            candidates[at],
-            faces,
-            reaches_sq,
-            positions,
-            displacements,
-            geometry,
-            slackness,
-            max_iterations,
-        )
-        least = wp.min(least, limit)
+        least = wp.min(least, node_face_limit(env, candidates[at], way))
     if least < wp.float64(1.0):
         lower_to(limits, env, least)
 
@@ -158,12 +119,7 @@ def _edge_edge_kernel(
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
-    edges: wp.array(dtype=wp.vec2i),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-    slackness: wp.float64,
-    max_iterations: int,
+    way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
@@ -171,17 +127,7 @@ def _edge_edge_kernel(
         return
     least = wp.float64(1.0)
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
-        limit = edge_edge_limit(
-            env,
-            candidates[at],
-            edges,
-            positions,
-            displacements,
-            geometry,
-            slackness,
-            max_iterations,
-        )
-        least = wp.min(least, limit)
+        least = wp.min(least, edge_edge_limit(env, candidates[at], way))
     if least < wp.float64(1.0):
         lower_to(limits, env, least)
 
@@ -191,10 +137,7 @@ def _node_plane_kernel(
     active: wp.array(dtype=wp.int32),
     pairs: wp.array(dtype=wp.vec2i),
     present: wp.array2d(dtype=wp.int32),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-    slackness: wp.float64,
+    way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
     env, i = wp.tid()
@@ -202,18 +145,15 @@ def _node_plane_kernel(
         return
     p = pairs[i][0]
     plane = pairs[i][1]
-    if present[env, geometry.node_bodies[p]] == 0 or present[env, geometry.node_bodies[plane]] == 0:
+    bodies = way.geometry.node_bodies
+    if present[env, bodies[p]] == 0 or present[env, bodies[plane]] == 0:
         return
-    result = point_plane_ccd(
-        positions[env, p],
-        positions[env, plane],
-        geometry.plane_normals[plane],
-        displacements[env, p],
-        displacements[env, plane],
-        kept_distance(p, plane, geometry),
-        slackness,
-        wp.float64(1.0),
-    )
+    x = way.positions[env]
+    dx = way.displacements[env]
+    normal = way.geometry.plane_normals[plane]
+    kept = kept_distance(p, plane, way.geometry)
+    one = wp.float64(1.0)
+    result = point_plane_ccd(x[p], x[plane], normal, dx[p], dx[plane], kept, way.slackness, one)
     lower_to(limits, env, result.toi)
 
 
@@ -233,41 +173,26 @@ def limit_checks(
     ``slackness``: part of the initial gap that is left at the limit. A query that needs more
     iterations than allowed stops early at a fraction that is still safe.
     """
-    geometry = contact_geometry(model)
-    path = [positions, displacements, geometry, slackness]
-    planes = model.contact_plan.node_plane
+    way, surface, planes = Way(), model.surface, model.contact_plan.node_plane
+    way.faces, way.edges, way.reaches_sq = surface.faces, surface.edges, surface.face_reaches_sq
+    way.positions, way.displacements = positions, displacements
+    way.geometry = contact_geometry(model)
+    way.slackness, way.max_iterations = slackness, max_iterations
 
-    def against(kernel: wp.Kernel, pairs: PairList, primitives: list[wp.array]) -> None:
+    def against(kernel: wp.Kernel, pairs: PairList) -> None:
         lanes = lane_count(model.device, model.env_count, pairs.largest_room)
-        wp.launch(
-            kernel,
-            dim=(model.env_count, lanes),
-            inputs=[active, lanes, pairs.room, pairs.pairs, *primitives, *path, max_iterations],
-            outputs=[limits],
-            device=model.device,
-        )
-
-    def of_faces() -> None:
-        primitives = [model.surface.faces, model.surface.face_reaches_sq]
-        against(_node_face_kernel, candidates.node_faces, primitives)
-
-    def of_edges() -> None:
-        against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges])
+        inputs = [active, lanes, pairs.room, pairs.pairs, way, limits]
+        launch(kernel, (model.env_count, lanes), *inputs)
 
     def of_planes() -> None:
-        wp.launch(
-            _node_plane_kernel,
-            dim=(model.env_count, len(planes)),
-            inputs=[active, planes, model.present, *path],
-            outputs=[limits],
-            device=model.device,
-        )
+        inputs = [active, planes, model.present, way, limits]
+        launch(_node_plane_kernel, (model.env_count, len(planes)), *inputs)
 
     checks = []
     if candidates.node_faces.capacity:
-        checks.append(of_faces)
+        checks.append(lambda: against(_node_face_kernel, candidates.node_faces))
     if candidates.edge_edges.capacity:
-        checks.append(of_edges)
+        checks.append(lambda: against(_edge_edge_kernel, candidates.edge_edges))
     if len(planes):
         checks.append(of_planes)
     return checks

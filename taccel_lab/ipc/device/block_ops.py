@@ -17,13 +17,13 @@ On Warp's CPU backend a team is one block with one lane, or with several under
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
 from taccel_lab.ipc.device.native import native
+from taccel_lab.model.launches import launch_blocks
 
 wp.set_module_options({"enable_backward": False})
 
@@ -134,21 +134,7 @@ def team(
     return Team(lanes, blocks)
 
 
-def launch_team(
-    kernel: Any,
-    env_count: int,
-    team: Team,
-    inputs: Sequence[Any],
-    outputs: Sequence[Any],
-    device: wp.Device,
-) -> None:
+def launch_team(kernel: wp.Kernel, env_count: int, team: Team, *arguments: Any) -> None:
     """Launch a kernel with a team an environment; it reads (block, lane) as its index, blocks of
     one environment side by side."""
-    wp.launch_tiled(
-        kernel,
-        dim=[env_count * team.blocks],
-        inputs=list(inputs),
-        outputs=list(outputs),
-        block_dim=team.lanes,
-        device=device,
-    )
+    launch_blocks(kernel, env_count * team.blocks, *arguments, block_dim=team.lanes)

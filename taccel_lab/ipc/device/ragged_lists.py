@@ -16,12 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -69,6 +70,11 @@ class ListRoom:
     counts: wp.array(dtype=wp.int32)
     starts: wp.array(dtype=wp.int32)
     peaks: wp.array(dtype=wp.int32)
+
+
+def entry_types(lists: Any) -> dict[str, type]:
+    """Types of the entries of a struct of lists, which has a ``room`` beside them, by name."""
+    return {name: v.type.dtype for name, v in lists.vars.items() if name != "room"}
 
 
 @wp.func
@@ -152,13 +158,8 @@ def move_entries(
     new = wp.zeros(end, dtype=old.dtype, device=old.device)
     if len(old) and end:
         lanes = lane_count(old.device, len(counts), len(old))
-        wp.launch(
-            _move_entries_kernel,
-            dim=(len(counts), lanes),
-            inputs=[lanes, counts, old_starts, starts, _words(old)],
-            outputs=[_words(new)],
-            device=old.device,
-        )
+        inputs = [lanes, counts, old_starts, starts, _words(old), _words(new)]
+        launch(_move_entries_kernel, (len(counts), lanes), *inputs)
     return new
 
 
@@ -300,12 +301,7 @@ class GrowingList:
 def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
     """Empty one or two lists of the active environments (int32, [env_count]) in one launch."""
     first, second = lists[0], lists[1] if len(lists) > 1 else None
-    wp.launch(
-        _clear_kernel,
-        dim=len(active),
-        inputs=[active, first.counts, second.counts if second else None],
-        device=first.device,
-    )
+    launch(_clear_kernel, len(active), active, first.counts, second.counts if second else None)
 
 
 def grow_all(lists: Sequence[GrowingList]) -> np.ndarray:

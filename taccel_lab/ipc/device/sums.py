@@ -25,11 +25,11 @@ import warp as wp
 
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
-
-wp.set_module_options({"enable_backward": False})
+from taccel_lab.model.launches import launch_blocks
 
 BLOCK_THREADS = 128
 """Threads of a block on a GPU."""
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 
 @wp.func_native(native("sums", "lower_to"))
@@ -163,28 +163,15 @@ def _body_sums_kernel(
         contact_forces[env, body] = force
 
 
-def launch_rows(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-    """Launch one thread block for each entry of the mask that comes first in ``inputs``."""
-    active = inputs[0]
-    wp.launch_tiled(
-        kernel,
-        dim=[len(active)],
-        inputs=inputs,
-        outputs=outputs,
-        block_dim=BLOCK_THREADS,
-        device=active.device,
-    )
-
-
 def add_row_sums(
     active: wp.array, values: wp.array, room: ListRoom | None, totals: wp.array
 ) -> None:
     """Add the sum of each row, or of the entries of each environment in a list with such a
     ``room``, to ``totals``."""
     if room is None:
-        launch_rows(_add_rows_kernel, [active, values], [totals])
+        launch_blocks(_add_rows_kernel, len(active), active, values, totals)
     else:
-        launch_rows(_add_lists_kernel, [active, values, room], [totals])
+        launch_blocks(_add_lists_kernel, len(active), active, values, room, totals)
 
 
 def force_sums(
@@ -201,14 +188,8 @@ def force_sums(
 
     ``rows``, ``nodes``: ranges of each body in the two gradients, vec2i, [body_count].
     """
-    wp.launch_tiled(
-        _body_sums_kernel,
-        dim=[len(active), len(rows)],
-        inputs=[active, reduced, contact_gradient, rows, nodes],
-        outputs=[residuals, contact_forces],
-        block_dim=BLOCK_THREADS,
-        device=active.device,
-    )
+    inputs = [active, reduced, contact_gradient, rows, nodes, residuals, contact_forces]
+    launch_blocks(_body_sums_kernel, (len(active), len(rows)), *inputs)
 
 
 MEASURE = wp.constant(1)

@@ -76,21 +76,13 @@ def neo_hookean_energy(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.floa
     """
     if not (wp.determinant(f) > wp.float64(0.0)):
         return wp.float64(wp.inf)
-    h = f - wp.identity(n=3, dtype=wp.float64)
-    second = (
-        h[0, 0] * h[1, 1]
-        - h[0, 1] * h[1, 0]
-        + h[1, 1] * h[2, 2]
-        - h[1, 2] * h[2, 1]
-        + h[2, 2] * h[0, 0]
-        - h[2, 0] * h[0, 2]
-    )
-    higher = second + wp.determinant(h)
-    growth = wp.trace(h) + higher
+    invariants = displacement_invariants(f)
+    higher = invariants[1] + invariants[2]
+    growth = displacement_trace(f) + higher
     excess = log_excess(growth)
     log_j = growth - excess
     return (
-        mu * (wp.float64(0.5) * wp.ddot(h, h) + excess - higher)
+        mu * (wp.float64(0.5) * invariants[0] + excess - higher)
         + wp.float64(0.5) * lam * log_j * log_j
     )
 

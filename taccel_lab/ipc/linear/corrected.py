@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import launch
-from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total, launch_rows
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.model.launches import launch, launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -170,12 +170,7 @@ class CorrectedSolve:
         left. ``change`` writes ``changes`` in the environments of a mask that it is given; CG
         iterations are added to ``totals``."""
         linear, c = self._linear, self._combination
-        launch(
-            _begin_combination_kernel,
-            dim=len(who),
-            inputs=[who, linear.renewed, self._solving, c],
-            device=linear.device,
-        )
+        launch(_begin_combination_kernel, len(who), who, linear.renewed, self._solving, c)
 
         def solve_again() -> None:
             linear.solve(self._solving, max_iterations)
@@ -183,20 +178,11 @@ class CorrectedSolve:
         def improve() -> None:
             change(self._solving)
             self._going.zero_()
-            launch_rows(
-                _combine_kernel,
-                [self._solving, linear.solution, self.changes, linear.breakdown]
-                + [linear.iterations, MOST_SOLVES, wp.float64(TOLERANCE)],
-                [linear.rhs, c, totals, self._going],
-            )
+            inputs = [self._solving, linear.solution, self.changes, linear.breakdown]
+            inputs += [linear.iterations, MOST_SOLVES, wp.float64(TOLERANCE), linear.rhs, c, totals]
+            launch_blocks(_combine_kernel, len(self._solving), *inputs, self._going)
             wp.capture_if(self._going, on_true=solve_again)
 
         improve()
         wp.capture_while(self._going, improve)
-        launch(
-            _take_combination_kernel,
-            dim=linear.shape,
-            inputs=[who, c],
-            outputs=[linear.solution],
-            device=linear.device,
-        )
+        launch(_take_combination_kernel, linear.shape, who, c, linear.solution)

@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -329,13 +330,7 @@ class SsorCG:
         """See ``LinearSystem.solve``."""
         p = self._problem
         self._extra.update(active)
-        wp.launch(
-            _solve_kernel,
-            dim=p.env_count,
-            inputs=[self._row_starts, self._columns, p.values]
-            + [self._extra.rows, p.extra.places, p.extra.values, p.rhs, active, p.tolerances]
-            + [max_iterations, wp.float64(RELAXATION), _CHECK_EVERY],
-            outputs=[self._inverses, *self._work, p.solution]
-            + [p.iterations, p.residuals, p.breakdown],
-            device=p.device,
-        )
+        inputs = [self._row_starts, self._columns, p.values, self._extra.rows, p.extra.places]
+        inputs += [p.extra.values, p.rhs, active, p.tolerances, max_iterations]
+        inputs += [wp.float64(RELAXATION), _CHECK_EVERY, self._inverses, *self._work, p.solution]
+        launch(_solve_kernel, p.env_count, *inputs, p.iterations, p.residuals, p.breakdown)

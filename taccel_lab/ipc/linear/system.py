@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.device.block_ops import team
-from taccel_lab.ipc.device.launches import Scratch
 from taccel_lab.ipc.linear.cpu import SsorCG
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem, LinearReport
+from taccel_lab.model.launches import Scratch
 from taccel_lab.model.matrix_pattern import BlockPattern
 
 

@@ -11,8 +11,9 @@ import warp as wp
 from taccel_lab.ipc.device.sums import block_total
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
+from taccel_lab.model.launches import WARP_THREADS, launch_blocks
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 
 @wp.func
@@ -70,11 +71,5 @@ def pull_back(
     affine = model.affine
     if affine.count == 0:
         return
-    wp.launch_tiled(
-        _pull_back_kernel,
-        dim=[model.env_count, 4 * affine.count],
-        inputs=[mask, affine.first_control, model.free_index, embedded(model)] + gradients,
-        outputs=[reduced],
-        block_dim=32,
-        device=model.device,
-    )
+    inputs = [mask, affine.first_control, model.free_index, embedded(model), *gradients, reduced]
+    launch_blocks(_pull_back_kernel, (model.env_count, 4 * affine.count), *inputs)

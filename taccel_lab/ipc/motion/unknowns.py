@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import launch, side_by_side
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion.pull_back import nodal_sum, pull_back
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import listed_node, vertex_range
+from taccel_lab.model.launches import launch, launch_blocks, side_by_side
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -154,13 +154,7 @@ def _subtract_rows_kernel(
 
 def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
     """result = end - start in the environments of ``mask``."""
-    launch(
-        _subtract_rows_kernel,
-        dim=result.shape,
-        inputs=[mask, end, start],
-        outputs=[result],
-        device=result.device,
-    )
+    launch(_subtract_rows_kernel, result.shape, mask, end, start, result)
 
 
 def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -> NewtonSystem:
@@ -206,13 +200,8 @@ def reduce_gradient(
 
     def of_soft_bodies() -> None:
         if soft_rows:
-            launch(
-                _reduce_kernel,
-                dim=(model.env_count, soft_rows),
-                inputs=[active, model.free_nodes, *gradients],
-                outputs=[reduced],
-                device=model.device,
-            )
+            inputs = [active, model.free_nodes, *gradients, reduced]
+            launch(_reduce_kernel, (model.env_count, soft_rows), *inputs)
 
     def of_affine_bodies() -> None:
         pull_back(model, active, gradients, reduced)
@@ -231,40 +220,23 @@ def keep_steady(
     """Clear ``mask`` and ``displacements`` [m] where frames go by another way than at their last
     velocities [m/s]: by more than ``largest_change`` of the way, as a root mean square over what
     they carry."""
-    wp.launch_tiled(
-        _steady_kernel,
-        dim=[model.env_count],
-        inputs=[model.frame_nodes, dts, velocities, largest_change],
-        outputs=[displacements, mask],
-        block_dim=BLOCK_THREADS,
-        device=model.device,
-    )
+    inputs = [model.frame_nodes, dts, velocities, largest_change, displacements, mask]
+    launch_blocks(_steady_kernel, model.env_count, *inputs)
 
 
 def coast(
     model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
 ) -> None:
     """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
-    launch(
-        _coast_kernel,
-        dim=(model.env_count, model.free_count),
-        inputs=[mask, model.free_nodes, dts, velocities],
-        outputs=[displacements],
-        device=model.device,
-    )
+    inputs = [mask, model.free_nodes, dts, velocities, displacements]
+    launch(_coast_kernel, (model.env_count, model.free_count), *inputs)
 
 
 def measure_velocities(
     mask: wp.array, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
 ) -> None:
     """Mean velocities [m/s] over a step, in the environments of ``mask``."""
-    launch(
-        _velocity_kernel,
-        dim=end.shape,
-        inputs=[mask, start, end, dts],
-        outputs=[velocities],
-        device=end.device,
-    )
+    launch(_velocity_kernel, end.shape, mask, start, end, dts, velocities)
 
 
 def begin_rhs(
@@ -272,13 +244,7 @@ def begin_rhs(
 ) -> None:
     """rhs = -reduced [N], zero in environments that are not active; or with ``keep`` rhs -= reduced
     in the active ones."""
-    launch(
-        _begin_rhs_kernel,
-        dim=rhs.shape,
-        inputs=[active, reduced, int(keep)],
-        outputs=[rhs],
-        device=model.device,
-    )
+    launch(_begin_rhs_kernel, rhs.shape, active, reduced, int(keep), rhs)
 
 
 def spread_solution(
@@ -292,11 +258,8 @@ def spread_solution(
     environments of ``mask``."""
     first, end = vertex_range(model)
     carried = model.affine.carried
+    inputs = [mask, model.free_nodes, first, end - first, carried, model.parents, model.weights]
+    inputs += [model.free_index, solution, multiples, displacements]
     launch(
-        _spread_kernel,
-        dim=(model.env_count, solution.shape[1] + end - first + len(carried)),
-        inputs=[mask, model.free_nodes, first, end - first, carried, model.parents]
-        + [model.weights, model.free_index, solution, multiples],
-        outputs=[displacements],
-        device=model.device,
+        _spread_kernel, (model.env_count, solution.shape[1] + end - first + len(carried)), *inputs
     )

@@ -10,27 +10,18 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.affine.rigidity import (
-    affine_map,
+    body_map,
     orthogonality_block,
     orthogonality_energy,
     orthogonality_gradient,
     orthogonality_hessian,
 )
-from taccel_lab.ipc.device.launches import WARP_THREADS, launch
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
-
-
-@wp.func
-def _body_map(
-    env: int, start: int, length: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
-) -> wp.mat33d:
-    return affine_map(
-        positions[env, start + 1], positions[env, start + 2], positions[env, start + 3], length
-    )
 
 
 @wp.kernel
@@ -45,7 +36,7 @@ def _affine_energy_kernel(
     env, body = wp.tid()
     if active[env] == 0:
         return
-    a = _body_map(env, control_starts[body], lengths[body], positions)
+    a = body_map(env, control_starts[body], lengths[body], positions)
     energies[env, body] = orthogonality_energy(a, stiffness[body])
 
 
@@ -63,7 +54,7 @@ def _affine_gradient_kernel(
         return
     start = control_starts[body]
     length = lengths[body]
-    a = _body_map(env, start, length, positions)
+    a = body_map(env, start, length, positions)
     g = orthogonality_gradient(a, length, stiffness[body])
     for k in range(3):
         gradient[env, start + 1 + k] += wp.vec3d(g[0, k], g[1, k], g[2, k])
@@ -84,7 +75,7 @@ def _affine_hessian_kernel(
         return
     start = control_starts[body]
     length = lengths[body]
-    a = _body_map(env, start, length, positions)
+    a = body_map(env, start, length, positions)
     h = orthogonality_hessian(a, stiffness[body], psd_modes[env])
     # Held in a variable: nine inlined copies of a block would only take longer to compile.
     count = int(3)
@@ -116,28 +107,20 @@ class AffinePotential(Potential):
         their energy and stiffness together would be.
         """
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        launch(
-            kernel,
-            dim=self.energies.shape,
-            inputs=inputs,
-            outputs=outputs,
-            device=self.model.device,
-        )
-
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
-        self._launch(_affine_energy_kernel, [active, positions, *self._bodies], [self.energies])
+        inputs = [active, positions, *self._bodies, self.energies]
+        launch(_affine_energy_kernel, self.energies.shape, *inputs)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
-        self._launch(_affine_gradient_kernel, [active, positions, *self._bodies], [gradient])
+        inputs = [active, positions, *self._bodies, gradient]
+        launch(_affine_gradient_kernel, self.energies.shape, *inputs)
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_modes``: PSD_* of each
         environment."""
-        self._launch(
-            _affine_hessian_kernel, [active, positions, *self._bodies, psd_modes, system], []
-        )
+        inputs = [active, positions, *self._bodies, psd_modes, system]
+        launch(_affine_hessian_kernel, self.energies.shape, *inputs)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.sums import block_total
 from taccel_lab.ipc.potentials.stencil_rows import triangle_row
 from taccel_lab.model import Model
 from taccel_lab.model.carried import CarriedBlocks
+from taccel_lab.model.launches import WARP_THREADS, launch, launch_blocks
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 _PAIRS = 10
 """Blocks of the lower triangle of the four control nodes of a body."""
@@ -126,35 +126,17 @@ def gather_carried(
 ) -> None:
     """Add parts [N/m], mat33d, [env_count, part_count], of elements that hold carried nodes to the
     blocks of the matrix, [env_count, block_count]."""
-    launch(
-        _couple_kernel,
-        dim=(model.env_count, len(blocks.targets), 4),
-        inputs=[active, blocks.targets, blocks.starts, blocks.sources, blocks.nodes]
-        + [model.weights, parts],
-        outputs=[values],
-        device=model.device,
-    )
-    wp.launch_tiled(
-        _own_kernel,
-        dim=[model.env_count, _PAIRS * len(blocks.corners)],
-        inputs=[active, blocks.corners, blocks.own_starts, blocks.own_parts, blocks.own_nodes]
-        + [model.weights, parts],
-        outputs=[values],
-        block_dim=_THREADS,
-        device=model.device,
-    )
+    inputs = [active, blocks.targets, blocks.starts, blocks.sources, blocks.nodes, model.weights]
+    launch(_couple_kernel, (model.env_count, len(blocks.targets), 4), *inputs, parts, values)
+    inputs = [active, blocks.corners, blocks.own_starts, blocks.own_parts, blocks.own_nodes]
+    inputs += [model.weights, parts, values]
+    launch_blocks(_own_kernel, (model.env_count, _PAIRS * len(blocks.corners)), *inputs)
 
 
 def add_carried_inertia(model: Model, active: wp.array, spans: wp.array, values: wp.array) -> None:
     """Add the inertia of carried nodes [N/m] to the blocks of the control nodes; ``spans``: see
     ``InertiaPotential``."""
     affine = model.affine
-    wp.launch_tiled(
-        _inertia_kernel,
-        dim=[model.env_count, _PAIRS * affine.count],
-        inputs=[active, model.free_count - 4 * affine.count, model.diagonal]
-        + [affine.carried_starts, affine.carried, model.weights, model.masses, spans],
-        outputs=[values],
-        block_dim=_THREADS,
-        device=model.device,
-    )
+    inputs = [active, model.free_count - 4 * affine.count, model.diagonal, affine.carried_starts]
+    inputs += [affine.carried, model.weights, model.masses, spans, values]
+    launch_blocks(_inertia_kernel, (model.env_count, _PAIRS * affine.count), *inputs)

@@ -7,6 +7,8 @@ that of the guard (see ``collisions``); edge pairs carry the mollifier of [Li et
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from taccel_lab.ipc.contact.barrier import (
@@ -29,7 +31,6 @@ from taccel_lab.ipc.contact.pair_energy import (
     pair_gradient,
     pair_hessian,
 )
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector, lower_to
@@ -43,8 +44,15 @@ from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
+
+
+@wp.func
+def _cross_sq(env: int, nodes: wp.vec4i, positions: wp.array2d(dtype=wp.vec3d)) -> wp.float64:
+    x = positions[env]
+    return edge_edge_cross_sq(x[nodes[0]], x[nodes[1]], x[nodes[2]], x[nodes[3]])
 
 
 @wp.func
@@ -54,13 +62,7 @@ def is_mollified(
     """Whether an edge pair is parallel enough for the mollifier to act."""
     if threshold <= wp.float64(0.0):
         return False
-    cross_sq = edge_edge_cross_sq(
-        positions[env, nodes[0]],
-        positions[env, nodes[1]],
-        positions[env, nodes[2]],
-        positions[env, nodes[3]],
-    )
-    return cross_sq < threshold
+    return _cross_sq(env, nodes, positions) < threshold
 
 
 @wp.func
@@ -68,15 +70,9 @@ def mollifier(
     env: int, nodes: wp.vec4i, threshold: wp.float64, positions: wp.array2d(dtype=wp.vec3d)
 ) -> wp.float64:
     """Factor of an edge pair that is nearly parallel; 1 for all other collisions."""
-    if not is_mollified(env, nodes, threshold, positions):
+    if threshold <= wp.float64(0.0):
         return wp.float64(1.0)
-    cross_sq = edge_edge_cross_sq(
-        positions[env, nodes[0]],
-        positions[env, nodes[1]],
-        positions[env, nodes[2]],
-        positions[env, nodes[3]],
-    )
-    return edge_edge_mollifier(cross_sq, threshold)
+    return edge_edge_mollifier(_cross_sq(env, nodes, positions), threshold)
 
 
 @wp.func
@@ -168,8 +164,7 @@ def add_contact_gradient(
     lower_to(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
     rows = contact_rows(env, at, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
-        row = wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
-        add_vector(env, nodes[i], row, gradient, sums)
+        add_vector(env, nodes[i], rows[i], gradient, sums)
 
 
 @wp.kernel
@@ -273,31 +268,25 @@ class ContactPotential(EnergyTerm):
         """Room of the collisions."""
         return self.collisions.room
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:
+    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, *rest: Any) -> None:
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
-        launch(
-            kernel,
-            dim=(m.env_count, lanes),
-            inputs=[active, lanes, c.lists, c.geometry, positions, *rest],
-            device=m.device,
-        )
+        launch(kernel, (m.env_count, lanes), active, lanes, c.lists, c.geometry, positions, *rest)
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` of the current collision set [J]."""
         c = self.collisions
         if len(self.energies) != c.capacity:
             self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
-        self._launch(_contact_energy_kernel, active, positions, [self.energies])
+        self._launch(_contact_energy_kernel, active, positions, self.energies)
 
     def add_gradient(
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         for stage in self._sums.stages():
-            self._launch(
-                _contact_gradient_kernel, active, positions, [gradient, min_distance, stage]
-            )
+            rest = (gradient, min_distance, stage)
+            self._launch(_contact_gradient_kernel, active, positions, *rest)
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
@@ -306,9 +295,5 @@ class ContactPotential(EnergyTerm):
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
-        launch(
-            _contact_hessian_kernel,
-            dim=(m.env_count, lanes, parts),
-            inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
-            device=m.device,
-        )
+        inputs = [active, lanes, c.lists, c.geometry, positions, modes, parts, system]
+        launch(_contact_hessian_kernel, (m.env_count, lanes, parts), *inputs)

@@ -58,6 +58,7 @@ from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.potentials.contact import contact_rows, is_mollified
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -384,13 +385,8 @@ def contact_derivatives(
     kinks = wp.zeros(count, dtype=wp.int32, device=model.device)
     if count:
         friction = model.pair_friction if eps_u_m is not None else None
-        wp.launch(
-            _slopes_kernel,
-            dim=(count, width),
-            inputs=[env, collisions.lists, collisions.geometry, friction, motion, eps_u_m],
-            outputs=[forces, per_friction, columns, kinks],
-            device=model.device,
-        )
+        inputs = [env, collisions.lists, collisions.geometry, friction, motion, eps_u_m, forces]
+        launch(_slopes_kernel, (count, width), *inputs, per_friction, columns, kinks)
     nodes = found["stencils"].reshape(-1, 4)
     return ContactDerivatives(
         nodes=nodes,

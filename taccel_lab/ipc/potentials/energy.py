@@ -11,15 +11,16 @@ import warp as wp
 
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.ipc.device.sums import (
+    BLOCK_THREADS,
     add_row_sums,
     block_total,
     lane_list_sum,
     lane_sum,
-    launch_rows,
 )
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.model.launches import launch_blocks
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 
 class EnergyTerm:
@@ -137,4 +138,4 @@ def sum_energies(
 ) -> None:
     """Sum the energies that terms have written: without friction to ``base``, with it to ``totals``
     [J], [env_count]."""
-    launch_rows(_energies_kernel, [active, written], [base, totals])
+    launch_blocks(_energies_kernel, len(active), active, written, base, totals)

@@ -22,6 +22,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -110,33 +111,17 @@ class ExternalLoad(Potential):
             else:
                 copy_rows(mask, source, kept)
         if m.affine.count:
-            wp.launch(
-                _wrench_kernel,
-                dim=(m.env_count, m.affine.count),
-                inputs=[mask, m.affine.control_starts, wrenches, positions],
-                outputs=[self._loads],
-                device=m.device,
-            )
+            inputs = [mask, m.affine.control_starts, wrenches, positions, self._loads]
+            launch(_wrench_kernel, (m.env_count, m.affine.count), *inputs)
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
-        wp.launch(
-            _load_energy_kernel,
-            dim=positions.shape,
-            inputs=[active, positions, self._start, self._loads],
-            outputs=[self.energies],
-            device=self.model.device,
-        )
+        inputs = [active, positions, self._start, self._loads, self.energies]
+        launch(_load_energy_kernel, positions.shape, *inputs)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add -f [N]."""
-        wp.launch(
-            _load_gradient_kernel,
-            dim=positions.shape,
-            inputs=[active, self._loads],
-            outputs=[gradient],
-            device=self.model.device,
-        )
+        launch(_load_gradient_kernel, positions.shape, active, self._loads, gradient)
 
     def add_hessian(
         self,

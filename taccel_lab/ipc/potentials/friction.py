@@ -6,6 +6,8 @@ until the force residual with the new values is small too.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from taccel_lab.ipc.contact.barrier import contact_potential_d1
@@ -24,17 +26,17 @@ from taccel_lab.ipc.contact.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.device.launches import launch
-from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
+from taccel_lab.ipc.device.ragged_lists import ListRoom, entry_types, list_end, move_entries
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.distance.derivatives import pair_normal
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.potentials.contact import mollifier
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.kinematics import turn_between
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
@@ -58,13 +60,7 @@ class FrozenContacts:
     normal_motions: wp.array(dtype=wp.vec3d)
 
 
-_FROZEN = {
-    "stencils": wp.vec4i,
-    "weights": wp.vec4d,
-    "normals": wp.vec3d,
-    "mu_lambdas": wp.float64,
-    "normal_motions": wp.vec3d,
-}
+_FROZEN = entry_types(FrozenContacts)
 
 
 @wp.struct
@@ -104,15 +100,7 @@ def freeze_contact(
     pair = closest_pair(env, kind, nodes, positions, geometry)
     gap = collision_gap(pair, nodes, lists.insets[at], geometry)
     force = -contact_potential_d1(gap, lists.ranges[at], lists.stiffnesses[at])
-    threshold = lists.thresholds[at]
-    if threshold > wp.float64(0.0):
-        cross_sq = edge_edge_cross_sq(
-            positions[env, nodes[0]],
-            positions[env, nodes[1]],
-            positions[env, nodes[2]],
-            positions[env, nodes[3]],
-        )
-        force *= edge_edge_mollifier(cross_sq, threshold)
+    force *= mollifier(env, nodes, lists.thresholds[at], positions)
     first = geometry.node_bodies[nodes[0]]
     second = geometry.node_bodies[nodes[3]]
     mu = pair_friction[env % pair_friction.shape[0], first, second]
@@ -378,22 +366,13 @@ class FrictionPotential(EnergyTerm):
         frozen.room = room
         self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
-    def motion(
-        self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
-    ) -> StepMotion:
-        """Gather what sliding is measured from."""
-        return step_motion(self.model, positions, previous, poses, previous_poses)
-
     def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``, in a step that
         began at ``previous``."""
         c = self.collisions
         self.fit()
-        self._launch(
-            _lag_kernel,
-            active,
-            [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen],
-        )
+        inputs = [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen]
+        self._launch(_lag_kernel, active, *inputs)
 
     def begin_step(
         self, who: wp.array, dts: wp.array, whole_dts: wp.array, tools: ToolWays | None = None
@@ -402,30 +381,24 @@ class FrictionPotential(EnergyTerm):
         steps are as long as ``dts`` says [s], float64, [env_count], and have the whole static range
         if that is ``whole_dts`` [s], or what the way of ``tools`` leaves of it."""
         tools = tools or ToolWays()
-        launch(
-            _begin_friction_kernel,
-            dim=self.model.env_count,
-            inputs=[who, dts, whole_dts, self._static_range_m, tools],
-            outputs=[self.counts, self.eps_u_m],
-            device=self.model.device,
-        )
+        inputs = [who, dts, whole_dts, self._static_range_m, tools, self.counts, self.eps_u_m]
+        launch(_begin_friction_kernel, self.model.env_count, *inputs)
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, rest: list) -> None:
+    def _launch(self, kernel: wp.Kernel, active: wp.array, *rest: Any) -> None:
         m = self.model
         lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
-        launch(kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device)
+        launch(kernel, (m.env_count, lanes), active, lanes, *rest)
 
     def write_energies(self, active: wp.array, motion: StepMotion) -> None:
         """Fill ``energies`` of this step's sliding [J]."""
-        self._launch(
-            _friction_energy_kernel, active, [self.frozen, motion, self.eps_u_m, self.energies]
-        )
+        inputs = [self.frozen, motion, self.eps_u_m, self.energies]
+        self._launch(_friction_energy_kernel, active, *inputs)
 
     def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
         for stage in self.sums.stages():
             inputs = [self.frozen, motion, self.eps_u_m, gradient, stage]
-            self._launch(_friction_gradient_kernel, active, inputs)
+            self._launch(_friction_gradient_kernel, active, *inputs)
 
     def add_hessian(
         self,
@@ -441,9 +414,5 @@ class FrictionPotential(EnergyTerm):
             sharpness = wp.full(m.env_count, 1.0, dtype=wp.float64, device=m.device)
         lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
-        launch(
-            _friction_hessian_kernel,
-            dim=(m.env_count, lanes, parts),
-            inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],
-            device=m.device,
-        )
+        inputs = [active, lanes, self.frozen, motion, self.eps_u_m, sharpness, parts, system]
+        launch(_friction_hessian_kernel, (m.env_count, lanes, parts), *inputs)

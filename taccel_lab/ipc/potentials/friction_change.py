@@ -32,7 +32,6 @@ from taccel_lab.ipc.contact.friction import (
     friction_hessian,
     tangential,
 )
-from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.device.sums import SumStage, add_vector
 from taccel_lab.ipc.distance.closest_pairs import ClosestPair, combine
@@ -52,6 +51,7 @@ from taccel_lab.ipc.potentials.friction import (
 )
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS
 from taccel_lab.model.env_rows import lane_count
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
@@ -249,10 +249,6 @@ def add_friction_change(
     m, c = friction.model, friction.collisions
     lanes = lane_count(m.device, m.env_count, c.largest_room)
     for stage in friction.sums.stages():
-        launch(
-            _friction_change_kernel,
-            dim=(m.env_count, lanes),
-            inputs=[active, lanes, c.lists, c.geometry, m.pair_friction, friction.frozen, motion]
-            + [friction.eps_u_m, sharpness, displacements, forces, stage],
-            device=m.device,
-        )
+        inputs = [active, lanes, c.lists, c.geometry, m.pair_friction, friction.frozen, motion]
+        inputs += [friction.eps_u_m, sharpness, displacements, forces, stage]
+        launch(_friction_change_kernel, (m.env_count, lanes), *inputs)

@@ -29,6 +29,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import add_carried_inertia
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.launches import launch
 from taccel_lab.state import StepHistory
 
 wp.set_module_options({"enable_backward": False})
@@ -273,24 +274,13 @@ class InertiaPotential(Potential):
         """
         m = self.model
         wp.copy(self._dts, dts) if dts is not None else self._dts.fill_(m.scene.time.dt_s)
-        wp.launch(
-            _span_kernel,
-            dim=m.env_count,
-            inputs=[mask, self._dts, history.dts if history else None],
-            outputs=[self._carries, self.spans],
-            device=m.device,
-        )
-        wp.launch(
-            _predict_nodes_kernel,
-            dim=positions.shape,
-            inputs=[mask, positions, velocities]
-            + [history.positions if history else positions]
-            + [history.velocities if history else velocities]
-            + [self._carries, self.spans, wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale]
-            + [m.surface.node_bodies, m.present],
-            outputs=[self._anchors, self.predictions],
-            device=m.device,
-        )
+        inputs = [mask, self._dts, history.dts if history else None, self._carries, self.spans]
+        launch(_span_kernel, m.env_count, *inputs)
+        inputs = [mask, positions, velocities, history.positions if history else positions]
+        inputs += [history.velocities if history else velocities, self._carries, self.spans]
+        inputs += [wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale, m.surface.node_bodies]
+        inputs += [m.present, self._anchors, self.predictions]
+        launch(_predict_nodes_kernel, positions.shape, *inputs)
 
     def find_jumps(
         self, forces: wp.array, history: StepHistory, least_force_n: float, refused: wp.array
@@ -298,13 +288,8 @@ class InertiaPotential(Potential):
         """Set ``refused`` (int32, [env_count]) where the step was one of BDF2 and the contact force
         on a body (``forces`` [N], [env_count, body_count]) has jumped, by more than
         ``least_force_n``."""
-        wp.launch(
-            _find_jumps_kernel,
-            dim=self.model.env_count,
-            inputs=[forces, history.forces, self._carries, least_force_n],
-            outputs=[self._jumped, refused],
-            device=self.model.device,
-        )
+        inputs = [forces, history.forces, self._carries, least_force_n, self._jumped, refused]
+        launch(_find_jumps_kernel, self.model.env_count, *inputs)
 
     def end_step(
         self,
@@ -318,33 +303,18 @@ class InertiaPotential(Potential):
         """Replace the velocities [m/s] by those at the end of the step that was begun, where
         ``done`` (int32, [env_count]) is set; the start of the step becomes the history, with the
         contact ``forces`` on the bodies [N], [env_count, body_count]."""
-        m = self.model
         if history is not None:
             forces = history.forces if forces is None else forces
-            wp.launch(
-                _remember_kernel,
-                dim=positions.shape,
-                inputs=[done, start_positions, velocities, self._dts, self._jumped, forces],
-                outputs=history.arrays(),
-                device=m.device,
-            )
-        wp.launch(
-            _finish_kernel,
-            dim=positions.shape,
-            inputs=[done, positions, self._anchors, self.spans],
-            outputs=[velocities],
-            device=m.device,
+            inputs = [done, start_positions, velocities, self._dts, self._jumped, forces]
+            launch(_remember_kernel, positions.shape, *inputs, *history.arrays())
+        launch(
+            _finish_kernel, positions.shape, done, positions, self._anchors, self.spans, velocities
         )
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, out) -> None:
         m = self.model
-        wp.launch(
-            kernel,
-            dim=self.energies.shape,
-            inputs=[active, positions, self.predictions, m.masses, self._nodes, self.spans],
-            outputs=[out],
-            device=m.device,
-        )
+        inputs = [active, positions, self.predictions, m.masses, self._nodes, self.spans, out]
+        launch(kernel, self.energies.shape, *inputs)
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
@@ -364,12 +334,7 @@ class InertiaPotential(Potential):
         """Add M / s^2 [N/m] to the diagonal blocks; the same at all positions and definite. Carried
         nodes add to those of the control nodes and between them."""
         m = self.model
-        wp.launch(
-            _inertia_hessian_kernel,
-            dim=(m.env_count, m.free_count),
-            inputs=[active, m.masses, m.free_nodes, m.diagonal, self.spans],
-            outputs=[system.values],
-            device=m.device,
-        )
+        inputs = [active, m.masses, m.free_nodes, m.diagonal, self.spans, system.values]
+        launch(_inertia_hessian_kernel, (m.env_count, m.free_count), *inputs)
         if len(m.affine.carried):
             add_carried_inertia(m, active, self.spans, system.values)

@@ -9,6 +9,10 @@ Multipliers last from step to step, so a mechanism under steady load needs no se
 
 The matrix leaves out the curvature of the rows (Gauss-Newton): it is that of a multiplier over a
 length, next to a penalty some 1e4 times the inertia, and the only part that could be indefinite.
+
+Joints of bodies that were predicted one by one (``ipc.affine.rigidity``) are closed from the root
+of each mechanism on: a body is turned as little as brings its joint's directions onto those of its
+parent, and shifted so that their points meet. Joints that close a loop are left to Newton's method.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.joints import ROW_COUNT
+from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.joints.kernels import (
     JointStep,
     absorb_forces_kernel,
@@ -29,14 +34,87 @@ from taccel_lab.ipc.joints.kernels import (
     joint_rounding_kernel,
     joint_violation_kernel,
     largest_violation_kernel,
+    node_controls,
+    second_controls,
 )
-from taccel_lab.ipc.joints.layout import joint_layout
-from taccel_lab.ipc.joints.prediction import close_joints_kernel
+from taccel_lab.ipc.joints.layout import JointTable, joint_layout
+from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE, matrix_row, with_row
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.state import JointState
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def turn_onto(source: wp.vec3d, target: wp.vec3d) -> wp.mat33d:
+    """Smallest rotation of one unit vector onto another that is not opposite."""
+    n = wp.cross(source, target)
+    cross = wp.skew(n)
+    scale = wp.float64(1.0) / (wp.float64(1.0) + wp.dot(source, target))
+    return wp.identity(n=3, dtype=wp.float64) + cross + scale * (cross * cross)
+
+
+@wp.func
+def _directions(frame: mat43d) -> wp.mat33d:
+    return wp.matrix_from_cols(
+        wp.normalize(matrix_row(frame, 1)),
+        wp.normalize(matrix_row(frame, 2)),
+        wp.normalize(matrix_row(frame, 3)),
+    )
+
+
+@wp.func
+def placed_child(
+    kind: int, child: mat43d, child_weights: wp.mat44d, child_frame: mat43d, parent_frame: mat43d
+) -> mat43d:
+    """Control vectors of a body moved so that its joint to a placed parent is closed."""
+    gap = matrix_row(child_frame, 0) - matrix_row(parent_frame, 0)
+    axis = wp.normalize(matrix_row(parent_frame, 1))
+    if kind == REVOLUTE:
+        turn = turn_onto(wp.normalize(matrix_row(child_frame, 1)), axis)
+    else:
+        turn = _directions(parent_frame) * wp.transpose(_directions(child_frame))
+    point = matrix_row(parent_frame, 0)
+    if kind == PRISMATIC:
+        point += wp.dot(axis, gap) * axis
+    result = child
+    for k in range(1, 4):
+        turned = turn * matrix_row(child, k)
+        result = with_row(result, k, turned)
+        point -= child_weights[0, k] * turned
+    return with_row(result, 0, point)
+
+
+@wp.kernel
+def close_joints_kernel(
+    active: wp.array(dtype=wp.int32),
+    tree: wp.array(dtype=wp.vec2i),
+    poses: wp.array2d(dtype=wp.transformd),
+    t: JointTable,
+    positions: wp.array2d(dtype=wp.vec3d),
+):
+    """Move control nodes along ``tree``: joint, and 1 where its second body is the one to move."""
+    env = wp.tid()
+    if active[env] == 0:
+        return
+    for entry in range(tree.shape[0]):
+        joint = tree[entry][0]
+        if t.present[env, joint] != 0:
+            w_a = t.first_weights[env % t.first_weights.shape[0], joint]
+            w_b = t.second_weights[env % t.second_weights.shape[0], joint]
+            a = node_controls(env, t.first_controls[joint], positions)
+            b = second_controls(env, joint, t, positions, poses)
+            start = t.first_controls[joint]
+            placed = placed_child(t.kinds[joint], a, w_a, w_a * a, w_b * b)
+            if tree[entry][1] != 0:
+                start = t.second_controls[joint]
+                placed = placed_child(t.kinds[joint], b, w_b, w_b * b, w_a * a)
+            for k in range(4):
+                positions[env, start + k] = matrix_row(placed, k)
 
 
 class JointPotential(Potential):
@@ -123,23 +201,13 @@ class JointPotential(Potential):
         self._bound_rounding(mask, positions)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
         self._evaluate(mask, positions, self.coordinates, derivatives=False)
-        wp.launch(
-            begin_joints_kernel,
-            dim=self._shape,
-            inputs=[mask, self._values, self.state.targets, self._step],
-            outputs=[self._start_multipliers],
-            device=self.model.device,
-        )
+        inputs = [mask, self._values, self.state.targets, self._step, self._start_multipliers]
+        launch(begin_joints_kernel, self._shape, *inputs)
 
     def close_predicted(self, active: wp.array, positions: wp.array) -> None:
         """Move control nodes of affine bodies, placed each by itself, so that joints are closed."""
-        wp.launch(
-            close_joints_kernel,
-            dim=self.model.env_count,
-            inputs=[active, self._tree, self._poses, self._table],
-            outputs=[positions],
-            device=self.model.device,
-        )
+        inputs = [active, self._tree, self._poses, self._table, positions]
+        launch(close_joints_kernel, self.model.env_count, *inputs)
 
     def update_multipliers(self, active: wp.array, positions: wp.array) -> None:
         """Measure ``violations`` of constraints and limits [m] in active environments.
@@ -148,27 +216,19 @@ class JointPotential(Potential):
         to converge once more; elsewhere nothing changes.
         """
         self._evaluate(active, positions, derivatives=False)
-        self._launch(joint_violation_kernel, [active, self._values], [self._joint_violations])
-        wp.launch(
-            largest_violation_kernel,
-            dim=len(active),
-            inputs=[active, self._joint_violations, self.tolerance_m],
-            outputs=[self.violations, self._mask],
-            device=self.model.device,
-        )
+        inputs = [active, self._values, self._table, self._step, self._joint_violations]
+        launch(joint_violation_kernel, self._shape, *inputs)
+        inputs = [active, self._joint_violations, self.tolerance_m, self.violations, self._mask]
+        launch(largest_violation_kernel, len(active), *inputs)
         self._absorb(self._mask)
 
     def end_step(self, done: wp.array, positions: wp.array) -> None:
         """Read coordinates and reactions where ``done`` (int32, [env_count]) is set, and keep the
         forces as multipliers of the next step."""
         self._evaluate(done, positions)
-        wp.launch(
-            joint_outputs_kernel,
-            dim=self._shape,
-            inputs=[done, positions, self._values, self._derivatives, self._table, self._step],
-            outputs=[self.coordinates, self.rates, self.efforts, self.forces, self.torques],
-            device=self.model.device,
-        )
+        inputs = [done, positions, self._values, self._derivatives, self._table, self._step]
+        inputs += [self.coordinates, self.rates, self.efforts, self.forces, self.torques]
+        launch(joint_outputs_kernel, self._shape, *inputs)
         self._absorb(done)
 
     def restore(self, mask: wp.array) -> None:
@@ -188,14 +248,14 @@ class JointPotential(Potential):
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments. Its zero has no meaning."""
         self._evaluate(active, positions, derivatives=False)
-        self._launch(joint_energy_kernel, [active, self._values], [self.energies])
+        inputs = [active, self._values, self._table, self._step, self.energies]
+        launch(joint_energy_kernel, self._shape, *inputs)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
         self._evaluate(active, positions)
-        self._launch_groups(
-            joint_gradient_kernel, [active, self._values, self._derivatives], [gradient]
-        )
+        inputs = [self._values, self._derivatives]
+        self._launch_groups(joint_gradient_kernel, active, inputs, gradient)
 
     def add_hessian(
         self,
@@ -207,8 +267,8 @@ class JointPotential(Potential):
         """Add the Gauss-Newton matrix [N/m], positive semidefinite in every mode, and to
         the right-hand side what the motion of kinematic frames to their goals asks for [N]."""
         self._evaluate(active, positions)
-        inputs = [active, self._values, self._derivatives, self._poses, self._goals]
-        self._launch_groups(joint_hessian_kernel, inputs, [system])
+        inputs = [self._values, self._derivatives, self._poses, self._goals]
+        self._launch_groups(joint_hessian_kernel, active, inputs, system)
 
     # Parts -------------------------------------------------------------------------------------
 
@@ -219,49 +279,25 @@ class JointPotential(Potential):
         references: wp.array | None = None,
         derivatives: bool = True,
     ) -> None:
-        wp.launch(
-            evaluate_rows_kernel,
-            dim=(*self._shape, ROW_COUNT),
-            inputs=[active, positions, self._poses, self._table]
-            + [self._step.starts if references is None else references],
-            outputs=[self._values, self._derivatives if derivatives else None],
-            device=self.model.device,
-        )
+        inputs = [active, positions, self._poses, self._table]
+        inputs += [self._step.starts if references is None else references, self._values]
+        inputs += [self._derivatives if derivatives else None]
+        launch(evaluate_rows_kernel, (*self._shape, ROW_COUNT), *inputs)
 
     def _bound_rounding(self, mask: wp.array, positions: wp.array) -> None:
         affine = self.model.affine
-        wp.launch(
-            joint_rounding_kernel,
-            dim=self.model.env_count,
-            inputs=[mask, positions, affine.first_control, 4 * affine.count]
-            + [self._table, self._step],
-            outputs=[self.rounding_n, self.rounding_j],
-            device=self.model.device,
+        inputs = [mask, positions, affine.first_control, 4 * affine.count, self._table, self._step]
+        launch(
+            joint_rounding_kernel, self.model.env_count, *inputs, self.rounding_n, self.rounding_j
         )
 
     def _absorb(self, which: wp.array) -> None:
-        wp.launch(
-            absorb_forces_kernel,
-            dim=(*self._shape, ROW_COUNT),
-            inputs=[which, self._values, self._table, self._step],
-            device=self.model.device,
-        )
+        inputs = [which, self._values, self._table, self._step]
+        launch(absorb_forces_kernel, (*self._shape, ROW_COUNT), *inputs)
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch(
-            kernel,
-            dim=self._shape,
-            inputs=[*inputs, self._table, self._step],
-            outputs=outputs,
-            device=self.model.device,
-        )
-
-    def _launch_groups(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+    def _launch_groups(
+        self, kernel: wp.Kernel, active: wp.array, inputs: list, out: wp.array | NewtonSystem
+    ) -> None:
         for group in self._colors:
-            wp.launch(
-                kernel,
-                dim=(self._shape[0], len(group), 8),
-                inputs=[inputs[0], group, *inputs[1:], self._table, self._step],
-                outputs=outputs,
-                device=self.model.device,
-            )
+            dim = (self._shape[0], len(group), 8)
+            launch(kernel, dim, active, group, *inputs, self._table, self._step, out)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.presses import parse_indenter
 from taccel_lab.scene import KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
@@ -101,7 +102,7 @@ def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
     friction.lag(assembly.active, x, then)
     poses = [wp.array(p, dtype=wp.transformd) for p in (end, start)]
     gradient = assembly.nodal()
-    motion = friction.motion(x, then, poses[0], poses[1])
+    motion = step_motion(model, x, then, poses[0], poses[1])
     friction.add_gradient(assembly.active, motion, gradient)
     gel = slice(0, MESH.node_count)
     normal = np.linalg.norm(assembly.contact_gradient(now)[0, gel], axis=1).sum()

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.bodies.maxwell import MaxwellBranch
+from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.motion.unknowns import newton_system, reduce_gradient
-from taccel_lab.ipc.potentials.elements.elastic import PSD_NONE
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.scene import (
     AffineBody,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.ipc.potentials.friction_change import add_friction_change
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
@@ -59,7 +60,8 @@ class Rubbing:
         self.friction.lag(self.assembly.active, x, start)
 
     def motion(self, positions: np.ndarray):
-        return self.friction.motion(
+        return step_motion(
+            self.friction.model,
             self.assembly.nodal(positions),
             self.assembly.nodal(self.start),
             self.end_poses,

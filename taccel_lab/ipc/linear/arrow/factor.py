@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Block-arrow factorisation by one thread block.
+"""Block-arrow factorisation and solves by one thread block.
 
-A level costs two barriers and some tens of reads, of shared memory where there is room. At the end
-blocks are scaled to A = L D L^T with unit L, for the sake of the solves (``arrow.solve``).
+A level of the factorisation costs two barriers and some tens of reads, of shared memory where there
+is room. At the end blocks are scaled to A = L D L^T with unit L. So a level of a solve costs one
+barrier: who knows its value at last takes it from those that need it; in the other direction D
+comes first.
 
 ``memory`` and ``program`` are the addresses of the numbers and of the words, of either kind of
 memory; see ``ArrowLayout`` for what is where.
@@ -13,9 +15,10 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.device.native import native
-from taccel_lab.ipc.linear.arrow.program import SCHUR_CHUNKS, ArrowLayout
+from taccel_lab.ipc.linear.arrow.program import BORDER_CHUNKS, SCHUR_CHUNKS, ArrowLayout
 
 wp.set_module_options({"enable_backward": False})
+
 
 NAMES = native("arrow", "names")
 """How snippets call what is in memory."""
@@ -70,4 +73,36 @@ def finish_factor(
     """Scale the factor, diagonal blocks to the inverses of D, and invert the Schur complement of
     the border, in the half of its copies where ``solve_factored`` looks for it, after barriers of
     its own."""
+    ...
+
+
+@wp.func_native(native("arrow", "solve_factored", NAMES=NAMES, BORDER_CHUNKS=BORDER_CHUNKS))
+def solve_factored(
+    memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
+) -> None:
+    """x = (factored matrix)^-1 z, by places; z is overwritten. Ends with a barrier."""
+    ...
+
+
+@wp.func_native(
+    "double* const at = reinterpret_cast<double*>(memory) + first + 3 * place;"
+    "at[0] = value[0]; at[1] = value[1]; at[2] = value[2];"
+)
+def put_vector(memory: wp.uint64, first: int, place: int, value: wp.vec3d) -> None:
+    """Write a vector of those that begin at number ``first``."""
+    ...
+
+
+@wp.func_native(
+    "const double* const at = reinterpret_cast<const double*>(memory) + first + 3 * place;"
+    "return wp::vec_t<3, wp::float64>(at[0], at[1], at[2]);"
+)
+def get_vector(memory: wp.uint64, first: int, place: int) -> wp.vec3d:
+    """Read a vector."""
+    ...
+
+
+@wp.func_native("return reinterpret_cast<const double*>(memory)[index];")
+def get_number(memory: wp.uint64, index: int) -> wp.float64:
+    """Read a number."""
     ...

@@ -10,9 +10,16 @@ import warp as wp
 
 from taccel_lab.ipc.device.block_ops import block_barrier, team_sum
 from taccel_lab.ipc.device.dense_inverse import address_of_tile
-from taccel_lab.ipc.linear.arrow.factor import factor_columns, finish_factor, load_matrix
+from taccel_lab.ipc.linear.arrow.factor import (
+    factor_columns,
+    finish_factor,
+    get_number,
+    get_vector,
+    load_matrix,
+    put_vector,
+    solve_factored,
+)
 from taccel_lab.ipc.linear.arrow.program import ArrowLayout
-from taccel_lab.ipc.linear.arrow.solve import get_number, get_vector, put_vector, solve_factored
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRows
 from taccel_lab.ipc.linear.problem.packed_rows import RowSlices
 from taccel_lab.ipc.linear.problem.row_products import multiply_extra, multiply_unpacked, row_sum

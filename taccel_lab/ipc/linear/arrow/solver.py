@@ -120,13 +120,8 @@ class Arrow:
         """See ``LinearSystem.solve``; residuals of exact solutions read 0."""
         problem = self._problem
         self._extra.update(active)
-        launch_team(
-            self._kernel,
-            problem.env_count,
-            self._team,
-            [self._team.lanes, active, self._lists, self._layout, self._slices, self._values]
-            + [problem.extra.counts, self._extra.rows, problem.extra.places, self._extra.values]
-            + [problem.rhs, problem.tolerances, max_iterations, self._work],
-            [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
-            problem.device,
-        )
+        inputs = [self._team.lanes, active, self._lists, self._layout, self._slices, self._values]
+        inputs += [problem.extra.counts, self._extra.rows, problem.extra.places, self._extra.values]
+        inputs += [problem.rhs, problem.tolerances, max_iterations, self._work, problem.solution]
+        inputs += [problem.iterations, problem.residuals, problem.breakdown]
+        launch_team(self._kernel, problem.env_count, self._team, *inputs)

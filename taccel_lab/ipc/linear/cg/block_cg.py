@@ -21,7 +21,6 @@ import warp as wp
 
 from taccel_lab.ipc.device.block_ops import Team, anew, block_barrier, launch_team, team, team_sum
 from taccel_lab.ipc.device.dense_inverse import address_of_tile
-from taccel_lab.ipc.device.launches import side_by_side
 from taccel_lab.ipc.linear.cg.control import (
     RESTART,
     SHOW_X,
@@ -53,6 +52,7 @@ from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW, PackedRows, RowSlices
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows, scalars
 from taccel_lab.ipc.linear.problem.row_products import multiply_extra, row_sum
+from taccel_lab.model.launches import side_by_side
 
 wp.set_module_options({"enable_backward": False})
 
@@ -310,16 +310,9 @@ class BlockCG:
             ],
         )
         layout = self._packed.layout
-        launch_team(
-            self._kernel,
-            problem.env_count,
-            self._team,
-            [self._team.lanes, self._stages, active, self._order, layout, self._values]
-            + [self._packed.values]
-            + [self._extra.rows, self._extra.values]
-            + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
-            + [self._coarse.space]
-            + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
-            [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
-            problem.device,
-        )
+        inputs = [self._team.lanes, self._stages, active, self._order, layout, self._values]
+        inputs += [self._packed.values, self._extra.rows, self._extra.values, self._inverses.blocks]
+        inputs += [self._inverses.clusters, self._inverses.stores, self._coarse.space, problem.rhs]
+        inputs += [problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work]
+        inputs += [problem.solution, problem.iterations, problem.residuals, problem.breakdown]
+        launch_team(self._kernel, problem.env_count, self._team, *inputs)

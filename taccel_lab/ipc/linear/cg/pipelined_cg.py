@@ -31,7 +31,6 @@ from taccel_lab.ipc.device.block_ops import (
     team_sum,
 )
 from taccel_lab.ipc.device.dense_inverse import address_of_tile
-from taccel_lab.ipc.device.launches import side_by_side
 from taccel_lab.ipc.linear.cg.control import (
     FIRST,
     RESTART,
@@ -68,6 +67,7 @@ from taccel_lab.ipc.linear.problem.row_products import (
     multiply_extra,
     row_component,
 )
+from taccel_lab.model.launches import side_by_side
 
 wp.set_module_options({"enable_backward": False})
 
@@ -396,22 +396,10 @@ class PipelinedCG:
         )
         layout = self._packed.layout
         work.gates.zero_()
-        launch_team(
-            self._kernel,
-            problem.env_count,
-            self._team,
-            [self._team.lanes, self._stages, self._team.blocks, self._patience, active, self._order]
-            + [self._block_starts, layout, self._values, self._packed.values]
-            + [self._extra.rows, self._extra.values]
-            + [scalars(self._inverses.blocks), self._inverses.clusters, self._inverses.stores]
-            + [self._coarse.space]
-            + [
-                scalars(problem.rhs),
-                problem.tolerances,
-                wp.float64(VERIFY_BELOW),
-                max_iterations,
-                work,
-            ],
-            [self._solution, problem.iterations, problem.residuals, problem.breakdown],
-            problem.device,
-        )
+        inputs = [self._team.lanes, self._stages, self._team.blocks, self._patience, active]
+        inputs += [self._order, self._block_starts, layout, self._values, self._packed.values]
+        inputs += [self._extra.rows, self._extra.values, scalars(self._inverses.blocks)]
+        inputs += [self._inverses.clusters, self._inverses.stores, self._coarse.space]
+        inputs += [scalars(problem.rhs), problem.tolerances, wp.float64(VERIFY_BELOW)]
+        inputs += [max_iterations, work, self._solution, problem.iterations, problem.residuals]
+        launch_team(self._kernel, problem.env_count, self._team, *inputs, problem.breakdown)

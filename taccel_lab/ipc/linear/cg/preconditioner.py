@@ -228,12 +228,7 @@ class DiagonalInverses:
     def update(self, active: wp.array, scalar_values: wp.array) -> None:
         """Invert the diagonal blocks of the active environments."""
         problem, size = self._problem, self._team
+        inputs = [size.lanes, size.blocks, active, self._diagonal, problem.values, scalar_values]
         launch_team(
-            self._kernel,
-            problem.env_count,
-            size,
-            [size.lanes, size.blocks, active, self._diagonal, problem.values, scalar_values]
-            + [self.clusters],
-            [self.stores, self.blocks],
-            problem.device,
+            self._kernel, problem.env_count, size, *inputs, self.clusters, self.stores, self.blocks
         )

@@ -27,6 +27,7 @@ from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.coarse.space import MODES, MOST_PARTS, CoarseSpace
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan, connected_rows, neighbour_clusters
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -243,20 +244,11 @@ class CoarseCorrection:
             return
         problem, matrix, space = self._problem, self._matrix, self.space
         lanes = 1 if problem.device.is_cpu else 32
-        wp.launch(
-            _matrix_kernel,
-            dim=(problem.env_count, len(matrix.pairs), lanes),
-            inputs=[lanes, active, problem.renewed, matrix, space.points, problem.values],
-            outputs=[self._blocks],
-            device=problem.device,
-        )
+        inputs = [lanes, active, problem.renewed, matrix, space.points, problem.values]
+        launch(_matrix_kernel, (problem.env_count, len(matrix.pairs), lanes), *inputs, self._blocks)
+        inputs = [self._team.lanes, active, problem.renewed, space.width, matrix.pairs]
         launch_team(
-            self._kernel,
-            problem.env_count,
-            self._team,
-            [self._team.lanes, active, problem.renewed, space.width, matrix.pairs, self._blocks],
-            [space.inverses],
-            problem.device,
+            self._kernel, problem.env_count, self._team, *inputs, self._blocks, space.inverses
         )
 
 

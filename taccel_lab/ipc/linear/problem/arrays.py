@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import Scratch
 from taccel_lab.ipc.device.ragged_lists import MOST_ENTRIES, GrowingList
 from taccel_lab.ipc.device.sums import ReproducibleSums
+from taccel_lab.model.launches import Scratch
 from taccel_lab.model.matrix_pattern import BlockPattern
 
 

@@ -290,31 +290,10 @@ class ExtraRowLists:
         problem = self._problem
         extra = problem.extra
         self.fit()
-        launch_team(
-            _merge_kernel,
-            problem.env_count,
-            self._team,
-            [
-                self._team.lanes,
-                SEGMENT_LENGTH,
-                CROWD,
-                active,
-                self._row_places,
-                extra.counts,
-                extra.places,
-                self.values,
-            ]
-            + [self._order, self._owners, self._sizes, self._ends],
-            [self.rows],
-            problem.device,
-        )
+        inputs = [self._team.lanes, SEGMENT_LENGTH, CROWD, active, self._row_places, extra.counts]
+        inputs += [extra.places, self.values, self._order, self._owners, self._sizes, self._ends]
+        launch_team(_merge_kernel, problem.env_count, self._team, *inputs, self.rows)
         if problem.in_any_order:
-            launch_team(
-                order_kernel,
-                problem.env_count,
-                self._team,
-                [self._team.lanes, SEGMENT_LENGTH, active, self._row_places, extra.counts]
-                + [extra.places, self.values, self._owners, self._sizes, self._ends, self._came],
-                [self.rows],
-                problem.device,
-            )
+            inputs = [self._team.lanes, SEGMENT_LENGTH, active, self._row_places, extra.counts]
+            inputs += [extra.places, self.values, self._owners, self._sizes, self._ends, self._came]
+            launch_team(order_kernel, problem.env_count, self._team, *inputs, self.rows)

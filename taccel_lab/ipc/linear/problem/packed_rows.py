@@ -196,11 +196,5 @@ class PackedRows:
 
     def update(self, active: wp.array, scalar_values: wp.array) -> None:
         """Copy the matrices of the active environments."""
-        launch_team(
-            _pack_kernel,
-            self._problem.env_count,
-            self._team,
-            [self._team.lanes, self._team.blocks, active, self.layout, scalar_values],
-            [self.values],
-            self._problem.device,
-        )
+        inputs = [self._team.lanes, self._team.blocks, active, self.layout, scalar_values]
+        launch_team(_pack_kernel, self._problem.env_count, self._team, *inputs, self.values)

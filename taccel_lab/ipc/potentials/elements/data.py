@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
-from taccel_lab.ipc.device.launches import WARP_THREADS, Scratch, launch
+from taccel_lab.bodies.bodies import Element
+from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.device.sums import add_row_sums
-from taccel_lab.ipc.elasticity.laws import Moduli
+from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import gather_carried
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
@@ -25,6 +26,7 @@ from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.element_chunks import ChunkTables
+from taccel_lab.model.launches import WARP_THREADS, Scratch, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
 
@@ -203,6 +205,15 @@ def _force_rounding_kernel(
     forces[env, tet] = share * _EPSILON * reach * force
 
 
+def element_data(group: ElementArrays) -> ElementData:
+    """Nodes, shapes and moduli of a group as they are now; no chunks."""
+    data, moduli = ElementData(), Moduli()
+    data.nodes, data.gradients, data.volumes = group.elements, group.shape_gradients, group.volumes
+    moduli.mu, moduli.lam, moduli.ratio = group.mu, group.lam, group.mooney_ratio
+    data.moduli = moduli
+    return data
+
+
 class ElementSum(Potential):
     """Energy, gradient and matrix of one group of elements, from the kernels of its elements."""
 
@@ -212,9 +223,7 @@ class ElementSum(Potential):
         self.kernels = kernels
         device, count, width = model.device, group.element_count, group.nodes_per_element
         shape = (model.env_count, count)
-        data = ElementData()
-        data.nodes, data.gradients = group.elements, group.shape_gradients
-        data.volumes, data.moduli = group.volumes, Moduli()
+        data = element_data(group)
         block_count, force_count = count * width * (width + 1) // 2, count * width
         self._chunk_lanes = 0
         if group.chunks is not None:
@@ -223,6 +232,8 @@ class ElementSum(Potential):
             data.block_sums, data.force_sums = chunks.blocks, chunks.forces
             block_count, force_count = chunks.block_count, chunks.force_count
         self._data = data
+        assert group.gather is not None
+        self._gather = group.gather
         self._bound: wp.array | None = None
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each element [J], shape [env_count, element_count]."""
@@ -240,9 +251,8 @@ class ElementSum(Potential):
     def data(self) -> ElementData:
         """What the kernels read; the arrays of the group's moduli as they are now."""
         if self._bound is not self.group.mu:
-            moduli, group = self._data.moduli, self.group
-            moduli.mu, moduli.lam, moduli.ratio = group.mu, group.lam, group.mooney_ratio
-            self._bound = group.mu
+            self._data.moduli = element_data(self.group).moduli
+            self._bound = self.group.mu
         return self._data
 
     @property
@@ -250,24 +260,18 @@ class ElementSum(Potential):
         """What others may use after ``gather_rim`` and before the next evaluation."""
         return self._blocks
 
-    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: int = 0) -> None:
+    def launch(self, kernel: wp.Kernel, *arguments: Any, lanes: int = 0) -> None:
         """Launch over (environment, element), or over ``lanes`` of each environment."""
-        launch(
-            kernel,
-            dim=(self.model.env_count, lanes or self.group.element_count),
-            inputs=inputs,
-            outputs=outputs,
-            device=self.model.device,
-        )
+        launch(kernel, (self.model.env_count, lanes or self.group.element_count), *arguments)
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
-        self.launch(self.kernels.energy, [active, positions, self.data], [self.energies])
+        self.launch(self.kernels.energy, active, positions, self.data, self.energies)
 
     def add_energy_rounding(self, active: wp.array, totals: wp.array) -> None:
         """Add what rounding makes of the energy however small it is [J] to ``totals``, float64,
         [env_count], where active; overwrites ``energies``."""
-        self.launch(_rounding_kernel, [self.data], [self.energies])
+        self.launch(_rounding_kernel, self.data, self.energies)
         add_row_sums(active, self.energies, None, totals)
 
     def rounds_above(self, tolerance_n: float) -> bool:
@@ -295,8 +299,8 @@ class ElementSum(Potential):
     def add_force_rounding(self, active: wp.array, positions: wp.array, totals: wp.array) -> None:
         """Add the residual that rounding makes of each body [N] to ``totals``, float64, shape
         [env_count, body_count], where active; overwrites ``energies``."""
-        inputs = [active, positions, self.data, FORCE_ROUNDING[self.group.element]]
-        self.launch(_force_rounding_kernel, inputs, [self.energies])
+        rounding = FORCE_ROUNDING[self.group.element]
+        self.launch(_force_rounding_kernel, active, positions, self.data, rounding, self.energies)
         for body, first, end in self.group.bodies:
             add_row_sums(active, self.energies[:, first:end], None, totals[:, body])
 
@@ -310,20 +314,14 @@ class ElementSum(Potential):
     ) -> None:
         """Evaluate the gradients of all elements, or what another ``kernel`` finds in their
         place."""
-        outputs = [self._by_element(self._forces)]
-        inputs = [active, positions, self.data]
-        self.launch(kernel or self.kernels.gradient, inputs, outputs, self._chunk_lanes)
+        inputs = [active, positions, self.data, self._by_element(self._forces)]
+        self.launch(kernel or self.kernels.gradient, *inputs, lanes=self._chunk_lanes)
 
     def gather_forces(self, active: wp.array, gradient: wp.array) -> None:
         """Add the parts of elements or chunks to the gradient of the nodes, without atomics."""
         g = self.group
-        launch(
-            _gather_gradient_kernel,
-            dim=(self.model.env_count, len(g.gather_nodes)),
-            inputs=[active, g.gather_nodes, g.force_starts, g.force_parts, self._forces],
-            outputs=[gradient],
-            device=self.model.device,
-        )
+        inputs = [active, g.gather_nodes, g.force_starts, g.force_parts, self._forces, gradient]
+        launch(_gather_gradient_kernel, (self.model.env_count, len(g.gather_nodes)), *inputs)
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
@@ -336,37 +334,49 @@ class ElementSum(Potential):
 
     def write_hessians(self, active: wp.array, positions: wp.array, psd_modes: wp.array) -> None:
         """Evaluate the blocks of all elements."""
-        inputs = [active, positions, self.data, psd_modes]
+        inputs = [active, positions, self.data, psd_modes, self._by_element(self._blocks)]
         lanes = self._chunk_lanes
         if self.kernels.hessian_lanes > 1:
             lanes = WARP_THREADS * -(
                 -self.kernels.hessian_lanes * self.group.element_count // WARP_THREADS
             )
-        self.launch(self.kernels.hessian, inputs, [self._by_element(self._blocks)], lanes)
+        self.launch(self.kernels.hessian, *inputs, lanes=lanes)
 
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
         """Add the parts of elements or chunks to the matrix, without atomics."""
-        g, m = self.group, self.model
-        launch(
-            _gather_blocks_kernel,
-            dim=(m.env_count, len(g.blocks)),
-            inputs=[active, g.blocks, g.source_starts, g.sources, self._blocks],
-            outputs=[system.values],
-            device=m.device,
-        )
-        if g.carried is not None:
-            gather_carried(m, active, g.carried, self._blocks, system.values)
+        m, g, carried = self.model, self._gather, self.group.carried
+        inputs = [active, g.blocks, g.source_starts, g.sources, self._blocks, system.values]
+        launch(_gather_blocks_kernel, (m.env_count, len(g.blocks)), *inputs)
+        if carried is not None:
+            gather_carried(m, active, carried, self._blocks, system.values)
 
     def gather_rim(self, moving: wp.array, system: NewtonSystem) -> None:
         """Add what prescribed nodes contribute to the right-hand side where they move: in the
         environments of ``moving`` (int32, [env_count])."""
-        g, m = self.group, self.model
+        m, g = self.model, self._gather
         if len(g.rim_rows):
-            launch(
-                _gather_rim_kernel,
-                dim=(m.env_count, len(g.rim_rows)),
-                inputs=[moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes]
-                + [self._blocks, system.displacements],
-                outputs=[system.rhs],
-                device=m.device,
-            )
+            inputs = [moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes, self._blocks]
+            inputs += [system.displacements, system.rhs]
+            launch(_gather_rim_kernel, (m.env_count, len(g.rim_rows)), *inputs)
+
+
+def elastic_kernels(law: MaterialModel, element: Element) -> ElementKernels:
+    """Kernels of a law on a kind of element: compiled when first launched, and only then."""
+    if element is Element.QUADRATIC:
+        from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_quadratic_kernels
+
+        return elastic_quadratic_kernels(law)
+    from taccel_lab.ipc.potentials.elements.linear_kernels import create_linear_kernels
+
+    return create_linear_kernels(LAWS[law])
+
+
+class ElasticPotential(ElementSum):
+    """Elastic energy of one group of elements.
+
+    The energy is +inf when an element is inverted, at any of its quadrature points, except in
+    materials that bear it (see scene.MaterialModel).
+    """
+
+    def __init__(self, model: Model, group: ElementArrays) -> None:
+        super().__init__(model, group, elastic_kernels(group.law, group.element))

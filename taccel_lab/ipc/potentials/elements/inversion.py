@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.volume_bounds import is_inside_out, least_corner, smallest_ratio
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementSum
@@ -65,11 +65,8 @@ def find_inversions(
     environments of ``mask``; the other entries stay."""
     for part in parts:
         quadratic = part.group.element is Element.QUADRATIC
-        part.launch(
-            _quadratic_kernel if quadratic else _linear_kernel,
-            [mask, positions, part.data],
-            [inverted],
-        )
+        kernel = _quadratic_kernel if quadratic else _linear_kernel
+        part.launch(kernel, mask, positions, part.data, inverted)
 
 
 @wp.kernel
@@ -118,11 +115,11 @@ def smallest_ratios(parts: Sequence[ElementSum], positions: wp.array) -> np.ndar
     for part in parts:
         found = wp.empty_like(part.energies)
         if part.group.element is Element.QUADRATIC:
-            part.launch(_corner_ratio_kernel, [positions, part.data], [found])
+            part.launch(_corner_ratio_kernel, positions, part.data, found)
             known = np.minimum(smallest, found.numpy().min(axis=1))
             known = wp.array(known, dtype=wp.float64, device=found.device)
-            part.launch(_quadratic_ratio_kernel, [positions, part.data, known], [found])
+            part.launch(_quadratic_ratio_kernel, positions, part.data, known, found)
         else:
-            part.launch(_linear_ratio_kernel, [positions, part.data], [found])
+            part.launch(_linear_ratio_kernel, positions, part.data, found)
         smallest = np.minimum(smallest, found.numpy().min(axis=1))
     return smallest

@@ -29,14 +29,16 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.bodies.maxwell import MaxwellBranch
-from taccel_lab.ipc.device.launches import launch
+from taccel_lab.bodies.bodies import Element
+from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.ipc.device.matrices import symmetric_eigen_3x3
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
-from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, ElementSum
-from taccel_lab.ipc.potentials.elements.elastic import elastic_kernels
+from taccel_lab.ipc.potentials.elements.data import (
+    ElementData,
+    ElementKernels,
+    ElementSum,
+    elastic_kernels,
+)
 from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.elements.point_stage import PointHessian
 from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadratic_kernels
@@ -44,6 +46,7 @@ from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_la
 from taccel_lab.ipc.potentials.elements.quadratic_shape import needs_none, quadratic_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
 
@@ -276,31 +279,18 @@ class MaxwellPotential(ElementSum):
             again: Where the step before is taken again, which goes on as it began, int32,
                 [env_count].
         """
-        branch, device = self._branch, self.model.device
-        launch(
-            _begin_shares_kernel,
-            dim=self.model.env_count,
-            inputs=[mask, again, dts, branch.time_s],
-            outputs=[self._shares],
-            device=device,
-        )
+        branch = self._branch
+        inputs = [mask, again, dts, branch.time_s, self._shares]
+        launch(_begin_shares_kernel, self.model.env_count, *inputs)
         inputs = [mask, again, positions, kept_inverses, self._first, dts, branch.time_s]
         if self._quadratic:
             launch(
-                _begin_quadratic_kernel,
-                dim=self._inverses.shape,
-                inputs=[*inputs, self._solid],
-                outputs=[self._inverses],
-                device=device,
+                _begin_quadratic_kernel, self._inverses.shape, *inputs, self._solid, self._inverses
             )
         else:
-            launch(
-                _begin_linear_kernel,
-                dim=self.energies.shape,
-                inputs=[*inputs, branch.relative_modulus, self._solid],
-                outputs=[self._inverses, self.data.gradients, self.data.volumes],
-                device=device,
-            )
+            arguments = [*inputs, branch.relative_modulus, self._solid, self._inverses]
+            arguments += [self.data.gradients, self.data.volumes]
+            launch(_begin_linear_kernel, self.energies.shape, *arguments)
 
     def end_step(self, positions: wp.array, kept_inverses: wp.array, mask: wp.array) -> None:
         """Relax at the deformation of the end and write ``State.viscous_inverses``, in the
@@ -308,10 +298,5 @@ class MaxwellPotential(ElementSum):
 
         ``positions``: nodes at the end [m], vec3d, [env_count, node_count].
         """
-        launch(
-            _end_kernel,
-            dim=self._inverses.shape,
-            inputs=[mask, positions, self._inverses, self._first, self._shares, self._solid],
-            outputs=[kept_inverses],
-            device=self.model.device,
-        )
+        inputs = [mask, positions, self._inverses, self._first, self._shares, self._solid]
+        launch(_end_kernel, self._inverses.shape, *inputs, kept_inverses)

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from taccel_lab.geometry import TetMesh
-from taccel_lab.ipc.potentials.elements.elastic import PSD_CLAMP, PSD_NONE
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.scene import (
     Element,
@@ -197,7 +197,7 @@ def test_motion_of_the_mount_pulls_on_the_free_nodes(element: Element) -> None:
     assert np.abs(expected).max() > 1
     np.testing.assert_allclose(rhs[0], expected, atol=1e-6 * np.abs(expected).max())
     # A gel without a mount has nothing to gather.
-    assert len(forces(gel(mesh, element)).model.elastic[0].rim_rows) == 0
+    assert len(forces(gel(mesh, element)).model.elastic[0].gather.rim_rows) == 0
 
 
 def squeezed_corner(law: MaterialModel, ratio: float, count: int = 1) -> tuple:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.bodies import maxwell
+from taccel_lab.bodies.material import MOST_BRANCHES
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.potentials.elements.maxwell import MaxwellPotential
@@ -214,4 +214,4 @@ def test_bad_constants_of_a_branch_are_refused(modulus: float, seconds: float) -
 
 def test_profiles_state_as_many_branches_as_materials_take() -> None:
     """Neither package knows the other."""
-    assert bounds.MOST_BRANCHES == maxwell.MOST_BRANCHES
+    assert bounds.MOST_BRANCHES == MOST_BRANCHES

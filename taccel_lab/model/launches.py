@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How work is launched: side by side, captured as a graph, in shared memory.
+"""Devices by name, and how work is launched on them: side by side, captured as a graph, in shared
+memory.
 
 Work that may run side by side: parallel branches of a captured graph.
 
@@ -22,6 +23,24 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.errors import InputError
+from taccel_lab.processes.start_warp import start_warp
+
+
+def require_device(name: str | wp.Device | None) -> wp.Device:
+    """A device by its name, such as "cpu" or "cuda:0"; Warp's default for None.
+
+    Raises:
+        InputError: This machine does not have it, or there is nowhere to keep its kernels.
+    """
+    start_warp()
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError):  # RuntimeError: "cuda" without a driver.
+        known = ", ".join(device.alias for device in wp.get_devices())
+        raise InputError(f"device {name!r} is not there; this machine has: {known}") from None
+
+
 WARP_THREADS = 32
 """Threads of a block where there are few, with much to do each, such as one an affine body: blocks
 of a warp spread over the multiprocessors of a GPU, of which 256 bodies in one block keep one busy.
@@ -31,22 +50,31 @@ of a warp spread over the multiprocessors of a GPU, of which 256 bodies in one b
 def launch(
     kernel: wp.Kernel,
     dim: int | Sequence[int],
-    inputs: Sequence[Any],
-    outputs: Sequence[Any] = (),
-    *,
-    device: wp.Device,
+    *arguments: Any,
+    device: wp.Device | None = None,
 ) -> None:
-    """``wp.launch`` in blocks of the size that the kernel's module states (its option
-    ``block_dim``), which is what it is compiled for; ``wp.launch`` alone takes 256 threads and
-    compiles the module anew for them, whatever the option says."""
-    wp.launch(
-        kernel,
-        dim=dim,
-        inputs=list(inputs),
-        outputs=list(outputs),
-        device=device,
-        block_dim=kernel.module.options["block_dim"],
-    )
+    """Launch a kernel where its arrays are, or on a ``device`` where it has only structs of them.
+
+    Its blocks have the size that its module states (option ``block_dim``), which is what it is
+    compiled for; ``wp.launch`` alone takes 256 threads and compiles the module anew for them.
+    """
+    block_dim = kernel.module.options["block_dim"]
+    device = device or _device_of(arguments)
+    wp.launch(kernel, dim, arguments, device=device, block_dim=block_dim)
+
+
+def launch_blocks(
+    kernel: wp.Kernel, dim: int | Sequence[int], *arguments: Any, block_dim: int | None = None
+) -> None:
+    """Launch a kernel likewise, with a block for each index: of the size that the module states
+    unless ``block_dim`` does."""
+    block_dim = block_dim or kernel.module.options["block_dim"]
+    device = _device_of(arguments)
+    wp.launch_tiled(kernel, dim=dim, inputs=arguments, device=device, block_dim=block_dim)
+
+
+def _device_of(arguments: Sequence[Any]) -> wp.Device:
+    return next(value.device for value in arguments if isinstance(value, wp.array))
 
 
 _MOST = 6
