@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, PartFaces, listing
-from taccel_lab.cad.gel_import.importer import FaceSelection, right_of
+from taccel_lab.cad.gel_import.importer import FaceInfo, FaceSelection, PartFaces, listing, right_of
 from taccel_lab.cad.gel_import.selection import direction, rectangle_of, select_faces
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import Region

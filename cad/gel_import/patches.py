@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, PartFaces
+from taccel_lab.cad.gel_import.importer import FaceInfo, PartFaces
 from taccel_lab.cad.mesh.surface import doubled_areas
 from taccel_lab.geometry.connectivity import pieces_of_pairs
 from taccel_lab.geometry.tet_checks import unique_rows

@@ -10,15 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_surface
-from taccel_lab.cad.gel_import.faces import PartFaces
-from taccel_lab.cad.gel_import.gel_checks import check_gel
-from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.gel_import.gel_checks import check_gel, check_units, no_room
+from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel, PartFaces
 from taccel_lab.cad.gel_import.labelling import Labelling, center_shift, label_faces
 from taccel_lab.cad.gel_import.patches import faces_of_triangles
-from taccel_lab.cad.gel_import.units import check_units
-from taccel_lab.cad.gel_import.window_cut import with_window
 from taccel_lab.cad.mesh.repair import repair_surface
-from taccel_lab.cad.mesh.surface import LabelledSurface, enclosed_volume
+from taccel_lab.cad.mesh.surface import LabelledSurface, doubled_areas, enclosed_volume
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import LIMIT_S, read_apart
 from taccel_lab.files.tet_file import read_tet_file
@@ -33,6 +30,8 @@ _DEBRIS_SHARE = 0.01
 """Pieces with less than this share of the area are no bodies; repair cuts them out."""
 _MOST_PIECES = 1000
 """Loose pieces that are measured."""
+_LEVEL_MM = 1e-6
+_ON_LINE_MM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -48,31 +47,15 @@ class _Body:
     """What was done to it."""
 
 
-def faces_of_triangle_file(path: Path, body: str, unit: str) -> PartFaces:
-    """Numbered faces of the body of an STL, OBJ, PLY or 3MF file [mm]."""
-    found = _clean(path, *read_triangle_file(path), body, unit)
+def faces_of_cells(path: Path, kind: str, body: str, unit: str) -> PartFaces:
+    """Numbered faces of the body of a file [mm]; ``kind``: whether it holds triangles or tets."""
+    found = _read(path, kind, body, unit)
     return faces_of_triangles(found.points, found.triangles)
 
 
-def faces_of_tet_file(path: Path, body: str, unit: str) -> PartFaces:
-    """Numbered faces of the tets of a file [mm]."""
-    found = _of_tets(path, *read_tet_file(path), body, unit)
-    return faces_of_triangles(found.points, found.triangles)
-
-
-def gel_of_triangle_file(path: Path, selection: FaceSelection) -> ImportedGel:
-    """See ``import_gel``."""
-    points, triangles = read_triangle_file(path)
-    return _gel(path, _clean(path, points, triangles, selection.body, selection.unit), selection)
-
-
-def gel_of_tet_file(path: Path, selection: FaceSelection) -> ImportedGel:
-    """See ``import_gel``."""
-    nodes, tets = read_tet_file(path)
-    return _gel(path, _of_tets(path, nodes, tets, selection.body, selection.unit), selection)
-
-
-def _gel(path: Path, body: _Body, selection: FaceSelection) -> ImportedGel:
+def gel_of_cells(path: Path, kind: str, selection: FaceSelection) -> ImportedGel:
+    """See ``import_gel``; ``kind`` as of ``faces_of_cells``."""
+    body = _read(path, kind, selection.body, selection.unit)
     faces = faces_of_triangles(body.points, body.triangles)
     labels = label_faces(faces, selection, path)
     regions = np.array([int(r) for r in labels.regions], dtype=np.int32)[faces.face_of]
@@ -113,6 +96,12 @@ def _mesh(surface: LabelledSurface, tets: np.ndarray, labels: Labelling) -> TetM
         return TetMesh(1e-3 * surface.vertices_mm, tets, surface.triangles, regions)
     except InputError:  # Flat tets: they are made anew.
         return None
+
+
+def _read(path: Path, kind: str, body: str, unit: str) -> _Body:
+    if kind == "tets":
+        return _of_tets(path, *read_tet_file(path), body, unit)
+    return _clean(path, *read_triangle_file(path), body, unit)
 
 
 def _of_tets(path: Path, nodes: np.ndarray, tets: np.ndarray, body: str, unit: str) -> _Body:
@@ -189,3 +178,81 @@ def _piece(
         f"{path} holds {len(order)} bodies{f', none of the number {body!r}' if body else ''}; one "
         f"is needed. There are: {words}. Say which one with --body, or export the gel alone"
     )
+
+
+def with_window(
+    surface: LabelledSurface, size_mm: tuple[float, float], path: Path
+) -> LabelledSurface:
+    """The surface with a rectangle about the origin of plan [mm] as its window; bond triangles are
+    cut along its sides, and so are those that they share edges with.
+
+    Raises InputError when no level bond triangles fill the rectangle.
+    """
+    half = np.array(size_mm) / 2
+    for axis in range(2):
+        for side in (-half[axis], half[axis]):
+            surface = _cut_level_bond(surface, axis, float(side))
+    corners = surface.vertices_mm[surface.triangles]
+    middles = corners.mean(axis=1)
+    inside = _level_bond(surface) & (np.abs(middles[:, :2]) < half).all(axis=1)
+    area = 0.5 * np.linalg.norm(doubled_areas(corners[inside]), axis=1).sum()
+    if abs(area - size_mm[0] * size_mm[1]) > 1e-4 * size_mm[0] * size_mm[1]:
+        raise no_room(path, size_mm)
+    regions = surface.regions.copy()
+    regions[inside] = int(Region.WINDOW)
+    return LabelledSurface(surface.vertices_mm, surface.triangles, regions)
+
+
+def _level_bond(surface: LabelledSurface) -> np.ndarray:
+    heights = surface.vertices_mm[surface.triangles][..., 2]
+    return (surface.regions == int(Region.BOND)) & (np.ptp(heights, axis=1) < _LEVEL_MM)
+
+
+def _cut_level_bond(surface: LabelledSurface, axis: int, at_mm: float) -> LabelledSurface:
+    """Level bond triangles cut where a coordinate has a value."""
+    points, triangles = surface.vertices_mm, surface.triangles.astype(np.int64)
+    away = points[:, axis] - at_mm
+    away = np.where(np.abs(away) < _ON_LINE_MM, 0.0, away)
+    bond = triangles[_level_bond(surface)]
+    edges = np.unique(np.sort(bond[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    edges = edges[away[edges[:, 0]] * away[edges[:, 1]] < 0]
+    if not len(edges):
+        return surface
+    start, end = away[edges].T
+    share = (start / (start - end))[:, None]
+    cuts = points[edges[:, 0]] * (1 - share) + points[edges[:, 1]] * share
+    cuts[:, axis] = at_mm
+    middle = {(int(a), int(b)): len(points) + k for k, (a, b) in enumerate(edges)}
+    kept, pieces, labels = [], [], []
+    for triangle, region in zip(triangles.tolist(), surface.regions.tolist(), strict=True):
+        whole = [triangle]
+        for pair, cut in ((_pair(triangle, k), k) for k in range(3)):
+            if pair in middle:
+                whole = _halved(whole, triangle[cut], triangle[(cut + 1) % 3], middle[pair])
+        (pieces if len(whole) > 1 else kept).extend(whole)
+        labels.append((region, len(whole)))
+    regions = [r for r, n in labels if n == 1] + [r for r, n in labels if n > 1 for _ in range(n)]
+    return LabelledSurface(
+        np.concatenate([points, cuts]),
+        np.array(kept + pieces, dtype=np.int32),
+        np.array(regions, dtype=np.int32),
+    )
+
+
+def _pair(triangle: list[int], k: int) -> tuple[int, int]:
+    a, b = triangle[k], triangle[(k + 1) % 3]
+    return min(a, b), max(a, b)
+
+
+def _halved(whole: list[list[int]], start: int, end: int, middle: int) -> list[list[int]]:
+    """Triangles cut at the middle of the one edge from ``start`` to ``end``."""
+    found = []
+    for triangle in whole:
+        for k in range(3):
+            if triangle[k] == start and triangle[(k + 1) % 3] == end:
+                apex = triangle[(k + 2) % 3]
+                found += [[start, middle, apex], [middle, end, apex]]
+                break
+        else:
+            found.append(triangle)
+    return found

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.cad.gel_import.units import MM_PER_UNIT, check_units
+from taccel_lab.cad.gel_import.gel_checks import MM_PER_UNIT, check_units
 from taccel_lab.cad.parameters import (
     ParameterSet,
     parameter,

@@ -31,7 +31,6 @@ from taccel_lab.cad.gel_import import (
     import_gel,
     part_faces,
     step_gel,
-    step_parts,
 )
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
@@ -274,7 +273,7 @@ def test_files_that_are_large_or_take_long(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(gel_file, "LIMIT_S", 1e-3)
     with pytest.raises(InputError, match=r"box\.step: the reader did not finish within 0\.001 s"):
         import_gel(path, BOX)
-    monkeypatch.setattr(step_parts, "MAX_BYTES", 1000)
+    monkeypatch.setattr(gel_file, "MAX_BYTES", 1000)
     for read in (import_gel, part_faces):
         with pytest.raises(InputError, match=r"box\.step has .* KiB; a STEP file .* 1000 bytes"):
             read(path)
