@@ -11,9 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh, sound_gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
-from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json

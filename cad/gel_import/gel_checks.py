@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.cad.gel_import.importer import gel_thickness
-from taccel_lab.cad.mesh.surface import LabelledSurface
-from taccel_lab.cad.mesh.thickness import least_thickness
+from taccel_lab.cad.mesh.surface import LabelledSurface, least_thickness
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.connectivity import compacted, piece_of_cells

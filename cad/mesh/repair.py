@@ -12,8 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.surface import check_closed, doubled_areas, enclosed_volume, weld
-from taccel_lab.cad.mesh.thickness import least_thickness
+from taccel_lab.cad.mesh.surface import (
+    check_closed,
+    doubled_areas,
+    enclosed_volume,
+    least_thickness,
+    weld,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.connectivity import compacted, piece_of_cells
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.bond_planes import bond_projection
-from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.closest import ClosestPoint, bond_projection
+from taccel_lab.cad.mesh.gel_mesh import MESH_ARRAYS
 from taccel_lab.cad.mesh.quality import (
     GateResult,
     MeshQuality,
@@ -39,7 +39,6 @@ from taccel_lab.guards import require_range
 
 RECIPE = "tetwild-3"
 """Changes with the method, so that meshes of an older one are not taken for it."""
-_ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 EDGE_BOUNDS_MM = (0.2, 20.0)
 MAX_TETS = 1e6
 """Limit beyond which fTetWild takes hours: 20 million were not made in 10 min, and took 14 GB."""
@@ -176,7 +175,7 @@ def cached_mesh(recipe: Mapping[str, Any]) -> CachedFile[TetMesh]:
         "meshes",
         recipe,
         lambda file: TetMesh(**load_arrays(file)),
-        lambda file, mesh: save_arrays(file, {name: getattr(mesh, name) for name in _ARRAYS}),
+        lambda file, mesh: save_arrays(file, {name: getattr(mesh, name) for name in MESH_ARRAYS}),
     )
 
 

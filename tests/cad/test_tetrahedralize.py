@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.cad.mesh.bond_planes import bond_projection
+from taccel_lab.cad.mesh.closest import bond_projection
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import QualityGate, measure_quality, require_quality
-from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import cached_mesh, tetwild_gel_mesh, tetwild_mesh
+from taccel_lab.cad.mesh.tetwild import transfer_regions
 from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad import Pad
