@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
-from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.workshop import issue_of
 from tests.geometry.vtu_files import read_mesh_vtu
 from tests.support.commands import done, refusal

@@ -15,7 +15,7 @@ from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
 from taccel_lab.sensors.derived import lens_difference
-from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 

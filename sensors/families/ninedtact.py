@@ -9,8 +9,8 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 from taccel_lab.sensors.parameter_groups.material import SkinParameters
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
 _SHELL = "measured on the shell of 9DTact (linchangyi1/9DTact, MIT)"

@@ -10,7 +10,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _PAD = "measured on the pad of Taccel's single_sensor (Taccel-Simulator/Taccel)"
 _TACCEL = "VBTSConfig and render.yml of Taccel"
