@@ -40,11 +40,9 @@ from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.cad.parts.part import Part, Rgb, gel_part
-from taccel_lab.cad.parts.solids import section_faces
+from taccel_lab.cad.parts.part import LabelledSolid, Part, Rgb, gel_part
+from taccel_lab.cad.parts.solids import base_outline, section_faces
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import Region, stl

@@ -12,9 +12,8 @@ if TYPE_CHECKING:
     from build123d import Face, Solid
 
     from taccel_lab.cad.assembly import Assembly
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.pad import Pad
-    from taccel_lab.cad.parts.part import Part
+    from taccel_lab.cad.parts.part import LabelledSolid, Part
 
 _ON_FACE_MM = 1e-3
 _GRID = (0.011, 0.27, 0.51, 0.73, 0.989)
@@ -28,7 +27,7 @@ def sensor_parts(
 
     Raises InputError when a part cannot be built, naming the bound that is broken.
     """
-    from taccel_lab.cad.assembly_sensor import sensor_assembly
+    from taccel_lab.cad.assembly import sensor_assembly
     from taccel_lab.cad.parts.pad_solid import labelled_solid
 
     pad, optics = parameters.pad(), parameters.optics()
@@ -67,8 +66,8 @@ def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
 
 def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
     """The layers of the gel by name, core first; a face inside the gel counts as side."""
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.pad_solid import layer_solids
+    from taccel_lab.cad.parts.part import LabelledSolid
 
     names: list[str] = list(pad.layer_names)
     if len(names) == 1:

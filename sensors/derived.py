@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3, plan_points_mm
 from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
@@ -39,7 +38,7 @@ def derived_figures(parameters: FamilyParameters) -> list[DerivedFigure]:
         DerivedFigure("pad", pad_words(pad)),
         DerivedFigure("pad size", size_words(pad), "mm"),
         DerivedFigure("gel under the apex", float(pad.thickness_mm), "mm"),
-        DerivedFigure("gel volume", pad_volume_mm3(pad), "mm3"),
+        DerivedFigure("gel volume", pad.volume_mm3(), "mm3"),
         DerivedFigure("layers", ", ".join(pad.layer_names)),
         DerivedFigure("image", f"{grid.width_px} x {grid.height_px}", "px"),
         DerivedFigure("scale", _pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
@@ -146,7 +145,7 @@ def size_words(pad: Pad) -> str:
 def share_in_image(parameters: FamilyParameters, *views: FamilyParameters) -> float:
     """Part of the gel's plan that the tactile image shows, 0..1; that of further ``views``, too."""
     pad = parameters.pad()
-    xy = plan_points_mm(pad)
+    xy = pad.plan_points_mm()
     gel = np.isfinite(pad.top_mm(xy))
     seen = gel.copy()
     for grid in (one.grid() for one in (parameters, *views)):

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from taccel_lab.cad.assembly import Assembly
     from taccel_lab.cad.drawing.title import Issue
     from taccel_lab.cad.mesh.surface import LabelledSurface
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-    from taccel_lab.cad.parts.part import Part
+    from taccel_lab.cad.parts.part import LabelledSolid, Part
 
 WORKSHOP_PARTS = ("pad", "assembly", "mould", "drawing")
 """What can be left out of a design's folder."""

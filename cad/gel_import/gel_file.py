@@ -22,7 +22,7 @@ from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.regular_file import read_regular_file, require_regular_file
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import LabelledSolid
 
 STEP = (".step", ".stp")
 SUFFIXES = (*STEP, *triangle_file.SUFFIXES, *tet_file.SUFFIXES)

@@ -16,7 +16,7 @@ from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.geometry import Region, TetMesh
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import LabelledSolid
 
 
 @dataclass(frozen=True)

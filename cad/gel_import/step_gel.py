@@ -38,7 +38,7 @@ from taccel_lab.cad.gel_import.step_reader import StepBody, read_step
 from taccel_lab.cad.mesh.closest import ClosestPoint
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tessellate import tessellate_solid, tessellated_faces
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.cad.parts.solids import imprint
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region

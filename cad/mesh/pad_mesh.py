@@ -161,7 +161,7 @@ def _focused_counts(pad: HeightPad, focus: FocusOptions) -> PadCounts:
         band=edge_rings,
         gel_layers=focus.layers - skin_layers,
         skin_layers=skin_layers,
-        skin_rings=int((rim_distances_mm(pad) < pad.skin_wall_mm).sum()),
+        skin_rings=int((rim_distances_mm(pad) < pad.skin_side_mm).sum()),
         sides_bonded=pad.sides_bonded,
     )
 

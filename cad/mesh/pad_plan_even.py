@@ -23,7 +23,7 @@ from taccel_lab.cad.mesh.outline_nodes import (
 from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
-from taccel_lab.cad.parts.rim_fillet import FilletArc, fillet_arc
+from taccel_lab.cad.parts.rim_fillet import FilletArc
 
 NODE_BUDGET = 12_000
 """Nodes of an even mesh at an edge of 1 mm or more; large pads get wider cells in plan."""
@@ -75,9 +75,9 @@ def even_counts(pad: HeightPad, edge_mm: float) -> PadCounts:
     width = float((high - low).mean())
     margin = width / 2 - (pad.window_x_mm + pad.window_y_mm) / 4
     band, side_arc = _band_cells(pad, edge_mm)
-    skin_rings = _cells(pad.skin_wall_mm, edge_mm) if pad.skin_wall_mm else 0
+    skin_rings = _cells(pad.skin_side_mm, edge_mm) if pad.skin_side_mm else 0
     band = max(band, skin_rings)
-    setback = max(pad.rim_setback_mm(), pad.skin_wall_mm)
+    setback = max(pad.rim_setback_mm(), pad.skin_side_mm)
     between = max(0 if band else 1, round((margin - setback) / edge_mm))
     skin_layers = _cells(pad.skin_top_mm, edge_mm) if pad.skin_top_mm else 0
     gel = (pad.thickness_mm + pad.min_wall_mm()) / 2 - pad.skin_top_mm
@@ -111,7 +111,7 @@ def _band_cells(pad: HeightPad, edge_mm: float) -> tuple[int, int]:
     if pad.has_fillet:
         step = 2 * np.arccos(max(1 - _FILLET_SAGITTA_MM / width, 0.5))
         edge, _ = pad.outline.at_mm(np.linspace(0, pad.outline.perimeter_mm, 256))
-        arc = fillet_arc(pad.outline, width, pad.crown_mm, pad.crown_slope, edge)
+        arc = pad.fillet_arc(edge)
         cells = max(2, int(np.ceil(arc.turns_rad.max() / min(step, edge_mm / width))))
         return cells - cells // 2, cells // 2
     if isinstance(pad, GelPad) and pad.rim == "arc":
@@ -147,13 +147,13 @@ def even_plan(pad: HeightPad, counts: PadCounts) -> EvenPlan:
         window = (low + high) / 2 + _FREE_CORE * square * (high - low) / 2
     # Walls of the skin are vertical: their rings lie at the same place in both plans.
     held = counts.band if counts.skin_rings else 0
-    inner = outline - normals * pad.skin_wall_mm if held else outline
+    inner = outline - normals * pad.skin_side_mm if held else outline
     rings = counts.rings - held
     back = _loops(window, inner, np.arange(1, rings + 1) / rings)
     back = _smoothed(back, counts.core, rings, rectangle)
     arc = None
     if pad.has_fillet:
-        arc = fillet_arc(pad.outline, pad.rim_setback_mm(), pad.crown_mm, pad.crown_slope, outline)
+        arc = pad.fillet_arc(outline)
     if not counts.band:
         top = back
     elif held:

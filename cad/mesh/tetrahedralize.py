@@ -29,9 +29,9 @@ from taccel_lab.cad.mesh.quality import (
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.geometry import Region, TetMesh

@@ -15,6 +15,8 @@ import numpy as np
 
 from taccel_lab.cad.parameters import ParameterSet
 
+_GRID = 200
+
 
 class Pad(ParameterSet, ABC):
     """A gel body [mm]; subclasses are frozen dataclasses of ``parameter``."""
@@ -57,6 +59,21 @@ class Pad(ParameterSet, ABC):
     @abstractmethod
     def figures(self) -> dict[str, float]:
         """What a drawing states beside the parameters, such as wall heights [mm]."""
+
+    def plan_points_mm(self) -> np.ndarray:
+        """Middles of equal cells of the plan [mm], shape [200, 200, 2]."""
+        low, high = self.bounds_mm()
+        steps = (np.arange(_GRID) + 0.5) / _GRID
+        axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
+        return np.stack(np.meshgrid(*axes), axis=-1)
+
+    def volume_mm3(self) -> float:
+        """Volume by the pad's own formula [mm^3], which mesh and CAD solid have to meet: here the
+        midpoint rule over its height map."""
+        low, high = self.bounds_mm()
+        height = self.top_mm(self.plan_points_mm()) - low[2]
+        cell = (high - low)[:2].prod() / _GRID**2
+        return float(np.nansum(height) * cell)
 
     def layer_of(self, points_mm: np.ndarray) -> np.ndarray:
         """Index into ``layer_names`` of points inside the body, int32, [n, 3] -> [n]."""

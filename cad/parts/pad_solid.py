@@ -34,13 +34,11 @@ from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.graph_surface import creased_graph_face, smooth_graph_face
 from taccel_lab.cad.parts.height_pad import HeightPad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.meridian import Arc, Piece
-from taccel_lab.cad.parts.outline import prism
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
-from taccel_lab.cad.parts.solids import imprint, one_solid
+from taccel_lab.cad.parts.part import LabelledSolid
+from taccel_lab.cad.parts.solids import imprint, one_solid, prism
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -77,7 +75,7 @@ def _height_pad_solid(pad: HeightPad) -> LabelledSolid:
             "larger radii of the contact face"
         ) from error
     # Between a nearly flat face and a rim the kernel may leave the rim out of a valid solid.
-    exact = pad_volume_mm3(pad)
+    exact = pad.volume_mm3()
     if not body.is_valid or abs(body.volume / exact - 1) > _GRID_TOLERANCE:
         raise InputError(
             f"the CAD kernel built an invalid solid for {rim}: {body.volume:.1f} mm3 where the pad "
@@ -96,7 +94,7 @@ def _dome_pad_solid(pad: DomePad) -> LabelledSolid:
         body = Solid.revolve(section, 360, Axis.Z)
     except _KERNEL_ERRORS as error:
         raise InputError(f"the CAD kernel cannot revolve this dome ({error})") from error
-    exact = pad.meridian.volume_mm3()
+    exact = pad.volume_mm3()
     if not body.is_valid or abs(body.volume / exact - 1) > _VOLUME_TOLERANCE:
         raise InputError(
             f"the CAD kernel built a dome of {body.volume:.3f} mm3 from a meridian that encloses "
@@ -114,14 +112,14 @@ def layer_solids(pad: Pad) -> dict[str, Solid]:
     body = labelled_solid(pad).solid
     if not isinstance(pad, HeightPad) or not pad.skin_top_mm:
         return {pad.layer_names[0]: body}
-    inside = _prism(pad, pad.outline.inset(pad.skin_wall_mm))
+    inside = _prism(pad, pad.outline.inset(pad.skin_side_mm))
     try:
         gel = one_solid(inside & (Pos(0, 0, -pad.skin_top_mm) * body))
         return {"gel": gel, "skin": one_solid(body - gel)}
     except _KERNEL_ERRORS as error:
         raise InputError(
             f"the CAD kernel cannot build the skin of {pad.skin_top_mm:g} mm on the contact face "
-            f"and {pad.skin_wall_mm:g} mm on the wall ({error}); change skin_mm or skin_side_mm"
+            f"and {pad.skin_side_mm:g} mm on the wall ({error}); change skin_top_mm or skin_side_mm"
         ) from error
 
 

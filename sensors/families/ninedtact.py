@@ -34,7 +34,7 @@ class NineDTactParameters(RectangleSensorParameters):
         description="gel thickness with the skin",
     )  # fmt: skip
     skin_top_mm: float = restated(
-        0.3, of=GelPad, name="skin_mm", minimum=0.1, maximum=1.0, zero_means="",
+        0.3, of=GelPad, minimum=0.1, maximum=1.0, zero_means="",
         source=f"{_MOULD}: 2.8 mm less 2.5 mm",
     )  # fmt: skip
     skin_side_mm: float = restated(
@@ -94,7 +94,7 @@ class NineDTactParameters(RectangleSensorParameters):
     def pad(self) -> GelPad:
         """The flat pad: translucent core and black skin."""
         return self.gel_pad(
-            inset_mm=self.skin_side_mm, skin_mm=self.skin_top_mm, skin_side_mm=self.skin_side_mm
+            inset_mm=self.skin_side_mm, skin_top_mm=self.skin_top_mm, skin_side_mm=self.skin_side_mm
         )
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:

@@ -151,19 +151,28 @@ def test_a_part_hands_its_parameter_on() -> None:
     @dataclass(frozen=True)
     class Shelf(ParameterSet):
         parameter_group = "shelf"
-        board_mm: float = restated(2.5, of=Box, name="width_mm", maximum=2.8, source="joiner")
+        width_mm: float = restated(2.5, of=Box, maximum=2.8, source="joiner")
 
-    found, declared = Shelf.parameters()["board_mm"], Box.parameters()["width_mm"]
+    found, declared = Shelf.parameters()["width_mm"], Box.parameters()["width_mm"]
     assert (found.default, found.maximum, found.source) == (2.5, 2.8, "joiner")
     assert (found.minimum, found.unit, found.group) == (declared.minimum, declared.unit, "shelf")
     assert found.description == declared.description
-    for wrong, says in (
-        (restated(2.5, of=Box), "needs a source"),
-        (restated(of=Box, maximum=1e9), "wider than those of Box"),
-        (restated(of=Box, name="board_mm"), "Box has that parameter"),
+    for name, wrong, says in (
+        ("width_mm", restated(2.5, of=Box), "needs a source"),
+        ("width_mm", restated(of=Box, maximum=1e9), "wider than those of Box"),
+        ("board_mm", restated(of=Box), "Box has that parameter"),
     ):
         with pytest.raises(TypeError, match=says):
-            type("Wrong", (ParameterSet,), {"width_mm": wrong})
+            type("Wrong", (ParameterSet,), {name: wrong})
+
+
+def test_a_value_that_others_leave_no_room_for_is_refused_with_the_bound() -> None:
+    box = Box(width_mm=2.0)
+    box.require("width_mm", "is too wide", low=2.0, high=2.0)
+    with pytest.raises(InputError, match=r"^width_mm = 2 is too wide; allowed: up to 1.5 mm$"):
+        box.require("width_mm", "is too wide", high=1.5)
+    with pytest.raises(InputError, match=r"allowed: at least 3 mm, or another box$"):
+        box.require("width_mm", "is too narrow", low=3.0, also=", or another box")
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ from taccel_lab.cad.gel_import import (
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.cad.small_sensor import PAD, small_sensor

@@ -85,7 +85,7 @@ def test_any_pad_reaches_the_gate(pad: Pad) -> None:
 
 @pytest.mark.slow
 def test_layers_conform() -> None:
-    pad = small_pad(skin_mm=0.8)
+    pad = small_pad(skin_top_mm=0.8)
     mesh = check_gate(pad, 1.2)
     quality = measure_quality(mesh, pad)
     assert quality.interface_error_mm is not None and quality.interface_error_mm < 0.02

@@ -28,8 +28,8 @@ from taccel_lab.cad.export import (
 )
 from taccel_lab.cad.gel_import.step_reader import read_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.profile.optical_design import Light
 from tests.cad.small_sensor import PAD, small_sensor
 
