@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The moulds of a gel, one a casting step: whether each closes, holds the right volume and lets go."""
+"""The moulds of a gel, one a casting step; whether each closes, holds its volume and lets go."""
 
 from __future__ import annotations
 
