@@ -18,11 +18,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.geometry import TetMesh
+from taccel_lab.guards import require_known
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily, hardness_of
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts, issue_of
+from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, issue_of
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -75,9 +76,9 @@ def design_sensor(
     ``progress`` is called when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
-    check_parts(parts)
-    if mesher not in MESHERS:
-        raise InputError(f"mesher {mesher!r} is not allowed; use one of {', '.join(MESHERS)}")
+    for kind in parts:
+        require_known("part of a design", kind, WORKSHOP_PARTS)
+    require_known("mesher", mesher, MESHERS)
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
@@ -151,7 +152,7 @@ def design_sensor(
             if kind in parts:
                 tell(kind)
                 with _hint(parts, kind):
-                    workshop.write((kind,))
+                    workshop.write(kind)
         tell("files")
         workshop.write_mesh(mesh, mesher)
         save_profile(profile, workshop.path("profile", "profile"))

@@ -24,18 +24,18 @@ from taccel_lab.cad.mesh.quality import (
     measure_quality,
     require_quality,
 )
-from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import TetMesh
+from taccel_lab.guards import require_known
 from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, imported_gel, require_no_shape
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
+from taccel_lab.sensors.workshop import Workshop, issue_of
 
 if TYPE_CHECKING:
     from taccel_lab.cad.gel_import import FaceSelection, ImportedGel
@@ -94,11 +94,8 @@ def import_design(
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
-    check_parts(parts)
-    if "assembly" in parts:
-        raise InputError(
-            f"an imported gel has no assembly; parts are any of {', '.join(IMPORT_PARTS)}"
-        )
+    for kind in parts:
+        require_known("part of an imported gel", kind, IMPORT_PARTS)
     require_replaceable(out_dir)
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
@@ -125,7 +122,7 @@ def import_design(
         workshop = Workshop(gel.name, folder, solid, gel.surface, layers, issue=issue)
         for kind in parts:
             tell(kind)
-            workshop.write((kind,))
+            workshop.write(kind)
         tell("files")
         workshop.write_mesh(found.mesh, found.mesher)
         profile = found.profile()

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
-from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id, write_json
 from taccel_lab.geometry import TetMesh
 from taccel_lab.version import __version__
@@ -63,16 +62,9 @@ class Workshop:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, parts: Sequence[str]) -> None:
-        """Write the kinds of files named in ``parts``."""
-        if "pad" in parts:
-            self.write_pad()
-        if "assembly" in parts and self.assembly is not None:
-            self.write_assembly(self.assembly)
-        if "mould" in parts:
-            self.write_moulds()
-        if "drawing" in parts:
-            self.write_drawings()
+    def write(self, kind: str) -> None:
+        """Write the files of one of ``WORKSHOP_PARTS``."""
+        getattr(self, f"write_{kind}")()
 
     def write_pad(self) -> None:
         """The gel as STEP with named faces, STL, 3MF (a body each layer) and DXF."""
@@ -93,11 +85,13 @@ class Workshop:
             return []
         return [gel_part(layer, f"{self.name}_{name}") for name, layer in self.layers.items()]
 
-    def write_assembly(self, assembly: Assembly) -> None:
+    def write_assembly(self) -> None:
         """All parts in their places as one STEP, rigid ones also by themselves, and a report."""
         from taccel_lab.cad.assembly import require_no_overlap
         from taccel_lab.cad.export import write_assembly_step, write_part_step, write_part_stl
 
+        assembly = self.assembly
+        assert assembly is not None  # It is built where its files are wanted.
         clearances = assembly.clearances()
         self.warnings += [*assembly.notes, *require_no_overlap(clearances)]
         write_assembly_step(
@@ -110,7 +104,7 @@ class Workshop:
             write_part_step(part, self.path(f"{part.name}_step", f"parts/{part.name}.step"))
             write_part_stl(part, self.path(f"{part.name}_stl", f"parts/{part.name}.stl"))
 
-    def write_moulds(self) -> None:
+    def write_mould(self) -> None:
         """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
         from taccel_lab.cad.export import write_3mf, write_part_step
         from taccel_lab.cad.moulds import casting_moulds
@@ -127,7 +121,7 @@ class Workshop:
             }
         write_json(self.path("mould_report", "mould.json"), report)
 
-    def write_drawings(self) -> None:
+    def write_drawing(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
         from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
         from taccel_lab.cad.drawing.pad_drawing import pad_drawing
@@ -190,12 +184,3 @@ def issue_of(content: Any) -> Issue:
     seconds = float(os.environ.get("SOURCE_DATE_EPOCH") or time.time())
     day = datetime.fromtimestamp(seconds, UTC).date().isoformat()
     return Issue(f"{content_id(content)[:8]}, taccel-lab {__version__}", day)
-
-
-def check_parts(parts: Sequence[str]) -> None:
-    """Raise InputError for a kind of files that does not exist."""
-    unknown = [part for part in parts if part not in WORKSHOP_PARTS]
-    if unknown:
-        raise InputError(
-            f"parts {', '.join(unknown)} do not exist; use any of {', '.join(WORKSHOP_PARTS)}"
-        )

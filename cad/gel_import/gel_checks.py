@@ -8,8 +8,6 @@ silence.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from taccel_lab.cad.gel_import.importer import gel_thickness
@@ -85,25 +83,25 @@ def _guess(largest: float) -> str:
     return ". Export it in millimetres, or name its unit with --unit"
 
 
-def check_gel(surface: LabelledSurface, path: Path) -> float:
+def check_gel(surface: LabelledSurface) -> float:
     """Least thickness of the body [mm]; raises InputError, with the place, below 0.05 mm, for no
     gel between contact and bond, and for a window with holes."""
     best, where = least_thickness(surface.vertices_mm, surface.triangles)
     if best < MIN_THICKNESS_MM:
         raise InputError(
-            f"{path}: the body is {best:.3g} mm thick at x {where[0]:.2f}, y {where[1]:.2f}, "
+            f"the body is {best:.3g} mm thick at x {where[0]:.2f}, y {where[1]:.2f}, "
             f"z {where[2]:.2f} mm; allowed: at least {MIN_THICKNESS_MM} mm"
         )
     holes = window_holes(surface.triangles[surface.regions == int(Region.WINDOW)])
     if holes:
         raise InputError(
-            f"{path}: the window has {holes} hole{'s' if holes > 1 else ''}, through which the "
+            f"the window has {holes} hole{'s' if holes > 1 else ''}, through which the "
             "camera would see no gel; select other faces with --window, or close what goes through"
         )
     gel = gel_thickness(surface)
     if gel < MIN_THICKNESS_MM:
         raise InputError(
-            f"{path}: the highest contact point lies {gel:.3g} mm above the highest glued one; "
+            f"the highest contact point lies {gel:.3g} mm above the highest glued one; "
             f"allowed: at least {MIN_THICKNESS_MM} mm. Are contact, bond and normal right?"
         )
     return best
@@ -118,9 +116,9 @@ def window_holes(triangles: np.ndarray) -> int:
     return pieces - (len(nodes) - len(edges) + len(triangles))
 
 
-def no_room(path: Path, size_mm: tuple[float, float]) -> InputError:
+def no_room(size_mm: tuple[float, float]) -> InputError:
     """Refusal of a window that the bond does not hold."""
     return InputError(
-        f"{path}: no plane bond face, square to the normal, takes a window of {size_mm[0]:g} x "
+        f"no plane bond face, square to the normal, takes a window of {size_mm[0]:g} x "
         f"{size_mm[1]:g} mm in its middle; choose a smaller one or select window faces"
     )

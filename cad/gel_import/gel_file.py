@@ -52,13 +52,13 @@ def part_faces(path: Path | str, body: str = "", unit: str = "") -> PartFaces:
     Raises InputError for a file without exactly one body, or one of the name or number ``body``.
     """
     path = Path(path)
-    kind = _kind(path)
-    if kind == "step":
-        with naming(path):
+    with naming(path):
+        kind = _kind(path)
+        if kind == "step":
             return _by_kernel(str(path), "faces_of_step", require_step_file(path), body)
-    from taccel_lab.cad.gel_import.triangle_gel import faces_of_cells
+        from taccel_lab.cad.gel_import.triangle_gel import faces_of_cells
 
-    return faces_of_cells(path, kind, body, unit)
+        return faces_of_cells(path, kind, body, unit)
 
 
 def import_gel(path: Path | str, selection: FaceSelection | None = None) -> ImportedGel:

@@ -50,35 +50,49 @@ _LISTED = 40
 _SAME_VOLUME = 1e-4
 
 
+@contextmanager
+def _kernel_errors() -> Iterator[None]:
+    """The kernel's own exceptions as a sentence about the file."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        # Its exceptions have no class in common; build123d raises the other two.
+        of_kernel = type(error).__module__.startswith("OCP")
+        if not of_kernel and not isinstance(error, (RuntimeError, ValueError)):
+            raise
+        raise InputError(
+            f"the CAD kernel cannot work with its body ({type(error).__name__}: {error}); "
+            "repair it in the program that it comes from"
+        ) from None
+
+
+@_kernel_errors()
 def faces_of_step(path: Path, body: str) -> PartFaces:
     """See ``part_faces``."""
-    with _kernel_errors(path):
-        return _faces(chosen_body(read_step(path), path, body or None))
+    return _faces(chosen_body(read_step(path), body or None))
 
 
+@_kernel_errors()
 def gel_of_step(path: Path, selection: FaceSelection) -> ImportedGel:
     """See ``import_gel``."""
-    with _kernel_errors(path):
-        return _gel_of_step(path, selection)
-
-
-def _gel_of_step(path: Path, selection: FaceSelection) -> ImportedGel:
     bodies = read_step(path)
-    body = chosen_body(bodies, path, selection.body or None)
+    body = chosen_body(bodies, selection.body or None)
     solid = body.shape
     assert isinstance(solid, Solid)
     box = solid.bounding_box()
     bounds = np.array([tuple(box.min), tuple(box.max)])
-    scale = check_units(bounds, selection.unit or None, what=f"{path}: the solid")
-    check_solid(solid, path)
+    scale = check_units(bounds, selection.unit or None, what="the solid")
+    check_solid(solid)
     faces = _faces(body)
-    labels = label_faces(faces, selection, path, scale)
+    labels = label_faces(faces, selection, scale)
     turn = scale * labels.rotation
     moved = LabelledSolid(_transformed(solid, turn, np.zeros(3)), labels.regions)
     shift = _shift(moved) if selection.origin == "center" else np.zeros(3)
     part = LabelledSolid(_transformed(moved.solid, np.eye(3), shift), labels.regions)
     if labels.rectangle is not None:
-        part = _with_window(part, labels.rectangle, path)
+        part = _with_window(part, labels.rectangle)
     surface = tessellate_solid(part, tolerance_mm=TOLERANCE_MM, angle_rad=ANGLE_RAD)
     return ImportedGel(
         part=part,
@@ -86,7 +100,7 @@ def _gel_of_step(path: Path, selection: FaceSelection) -> ImportedGel:
         faces=faces,
         face_regions=labels.regions,
         window_outline=labels.outline,
-        min_thickness_mm=check_gel(surface, path),
+        min_thickness_mm=check_gel(surface),
         name=body.name or path.stem,
         selection=labels.selection,
         assumed=labels.assumed,
@@ -123,24 +137,6 @@ def _triple(vector: Vector) -> tuple[float, float, float]:
     return round(vector.X, 9) + 0.0, round(vector.Y, 9) + 0.0, round(vector.Z, 9) + 0.0
 
 
-@contextmanager
-def _kernel_errors(path: Path) -> Iterator[None]:
-    """The kernel's own exceptions as a sentence about the file."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        # Its exceptions have no class in common; build123d raises the other two.
-        of_kernel = type(error).__module__.startswith("OCP")
-        if not of_kernel and not isinstance(error, (RuntimeError, ValueError)):
-            raise
-        raise InputError(
-            f"{path}: the CAD kernel cannot work with its body ({type(error).__name__}: {error}); "
-            "repair it in the program that it comes from"
-        ) from None
-
-
 def _transformed(solid: Solid, matrix: np.ndarray, shift: np.ndarray) -> Solid:
     """The solid moved by a rotation with a uniform scale and a shift, its order of faces kept."""
     move = gp_Trsf()
@@ -157,7 +153,7 @@ def _shift(part: LabelledSolid) -> np.ndarray:
     return -np.array([(box.min.X + box.max.X) / 2, (box.min.Y + box.max.Y) / 2, apex])
 
 
-def _with_window(part: LabelledSolid, size_mm: tuple[float, float], path: Path) -> LabelledSolid:
+def _with_window(part: LabelledSolid, size_mm: tuple[float, float]) -> LabelledSolid:
     """Split a rectangle in the middle of the glued plane off as the window."""
     bond = [
         (k, face)
@@ -171,7 +167,7 @@ def _with_window(part: LabelledSolid, size_mm: tuple[float, float], path: Path) 
         level = face.bounding_box().size.Z < 1e-6
         if level and all(face.is_inside(Vector(*c), 1e-6) for c in corners):
             return _split(part, face, Wire.make_polygon(corners, close=True))
-    raise no_room(path, size_mm)
+    raise no_room(size_mm)
 
 
 def _split(part: LabelledSolid, face: Face, wire: Wire) -> LabelledSolid:
@@ -188,7 +184,7 @@ def _split(part: LabelledSolid, face: Face, wire: Wire) -> LabelledSolid:
     return LabelledSolid(solid, regions)
 
 
-def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
+def chosen_body(bodies: Sequence[StepBody], name: str | None) -> StepBody:
     """The only solid of a file, or the one of a name, or of a number, from 1, where no solid has
     that name."""
     solids = [body for body in bodies if body.is_solid]
@@ -198,7 +194,7 @@ def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> Ste
         if not any(body.shape.faces() for body in bodies):
             state = "empty. Export"
         raise InputError(
-            f"{path} holds {len(bodies)} shell(s) but no solid: the surface is {state} a solid"
+            f"it holds {len(bodies)} shell(s) but no solid: the surface is {state} a solid"
         )
     words = ", ".join(
         f"{number} {body.name or 'without a name'} ({body.shape.volume:.1f} mm^3)"
@@ -212,7 +208,7 @@ def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> Ste
         return solids[0]
     wanted = f" of the name {name!r}" if name is not None else ""
     raise InputError(
-        f"{path} holds {len(solids)} solids{wanted}; one is needed. There are: {words}. Say which "
+        f"it holds {len(solids)} solids{wanted}; one is needed. There are: {words}. Say which "
         "one with --body, by name or number, or export the gel alone"
     )
 
@@ -223,11 +219,11 @@ def _open_edges(body: StepBody) -> int:
     return sum(sum(edge.is_same(other) for other in edges) == 1 for edge in edges)
 
 
-def check_solid(solid: Solid, path: Path) -> None:
+def check_solid(solid: Solid) -> None:
     """Raise InputError for an open, invalid, inside-out or self-intersecting solid."""
     for shell in solid.shells():
         if not BRep_Tool.IsClosed_s(shell.wrapped):
-            raise InputError(f"{path}: the solid's shell is open, so that it is not watertight")
+            raise InputError("the solid's shell is open, so that it is not watertight")
     # The first two arguments after the shape: no test for small edges, one for self-interference.
     found = BRepAlgoAPI_Check(solid.wrapped, False, True)
     crossings = sum(
@@ -236,7 +232,7 @@ def check_solid(solid: Solid, path: Path) -> None:
     )
     if crossings:
         raise InputError(
-            f"{path}: the solid intersects itself in {crossings} places; repair it in the program "
+            f"the solid intersects itself in {crossings} places; repair it in the program "
             "that it comes from"
         )
     if not BRepCheck_Analyzer(solid.wrapped).IsValid():
@@ -247,11 +243,11 @@ def check_solid(solid: Solid, path: Path) -> None:
         ]
         where = f" (faces {', '.join(map(str, bad[:10]))})" if bad else ""
         raise InputError(
-            f"{path}: the CAD kernel finds the solid invalid{where}; repair it in the program that "
+            f"the CAD kernel finds the solid invalid{where}; repair it in the program that "
             "it comes from"
         )
     if solid.volume <= 0:
-        raise InputError(f"{path}: the solid has a volume of {solid.volume:.3g} mm^3")
+        raise InputError(f"the solid has a volume of {solid.volume:.3g} mm^3")
 
 
 def facet_solid(surface: LabelledSurface) -> LabelledSolid:

@@ -57,7 +57,7 @@ def gel_of_cells(path: Path, kind: str, selection: FaceSelection) -> ImportedGel
     """See ``import_gel``; ``kind`` as of ``faces_of_cells``."""
     body = _read(path, kind, selection.body, selection.unit)
     faces = faces_of_triangles(body.points, body.triangles)
-    labels = label_faces(faces, selection, path)
+    labels = label_faces(faces, selection)
     regions = np.array([int(r) for r in labels.regions], dtype=np.int32)[faces.face_of]
     points = body.points @ labels.rotation.T
     shift = np.zeros(3)
@@ -66,7 +66,7 @@ def gel_of_cells(path: Path, kind: str, selection: FaceSelection) -> ImportedGel
     whole = LabelledSurface(points + shift, body.triangles, regions)
     surface = whole
     if labels.rectangle is not None:
-        surface = with_window(whole, labels.rectangle, path)
+        surface = with_window(whole, labels.rectangle)
     assumed = {**labels.assumed, **body.notes}
     if "unit" in assumed:
         assumed["unit"] = "the numbers are millimetres"
@@ -75,7 +75,7 @@ def gel_of_cells(path: Path, kind: str, selection: FaceSelection) -> ImportedGel
         faces=faces,
         face_regions=labels.regions,
         window_outline=labels.outline,
-        min_thickness_mm=check_gel(surface, path),
+        min_thickness_mm=check_gel(surface),
         name=path.stem,
         selection=labels.selection,
         assumed=assumed,
@@ -100,44 +100,44 @@ def _mesh(surface: LabelledSurface, tets: np.ndarray, labels: Labelling) -> TetM
 
 def _read(path: Path, kind: str, body: str, unit: str) -> _Body:
     if kind == "tets":
-        return _of_tets(path, *read_tet_file(path), body, unit)
+        return _of_tets(*read_tet_file(path), body, unit)
     return _clean(path, *read_triangle_file(path), body, unit)
 
 
-def _of_tets(path: Path, nodes: np.ndarray, tets: np.ndarray, body: str, unit: str) -> _Body:
-    scale = _scale(path, nodes, unit)
-    tets = _piece(path, tets, body, lambda part: np.abs(tet_volumes(scale * nodes, part)).sum())
+def _of_tets(nodes: np.ndarray, tets: np.ndarray, body: str, unit: str) -> _Body:
+    scale = _scale(nodes, unit)
+    tets = _piece(tets, body, lambda part: np.abs(tet_volumes(scale * nodes, part)).sum())
     used, tets = compacted(tets)
     points = scale * nodes[used]
     try:
         triangles = boundary_faces(tets)
         used, packed = compacted(triangles)
-        check_surface(points[used], packed, f"the surface of {path}", closed=True)
+        check_surface(points[used], packed, "its surface", closed=True)
     except InputError as error:
-        raise InputError(f"{path}: {error}; mesh the part again") from None
+        raise InputError(f"{error}; mesh the part again") from None
     return _Body(points, triangles, scale, tets.astype(np.int32))
 
 
 def _clean(path: Path, points: np.ndarray, triangles: np.ndarray, body: str, unit: str) -> _Body:
     """One closed, outward body; what pymeshlab can mend is mended, and noted."""
-    scale = _scale(path, points, unit)
+    scale = _scale(points, unit)
     points = scale * points
 
     def volume(part: np.ndarray) -> float:
         corners = points[part]
         return abs(enclosed_volume(corners - corners.mean(axis=(0, 1))))
 
-    triangles = _piece(path, triangles, body, volume)
+    triangles = _piece(triangles, body, volume)
     if len(triangles) > MAX_TRIANGLES:
         raise InputError(
-            f"{path}: the body has {len(triangles):,} triangles; a gel may have up to "
+            f"the body has {len(triangles):,} triangles; a gel may have up to "
             f"{MAX_TRIANGLES:,}: simplify it"
         )
     used, triangles = compacted(triangles)
     points, triangles = points[used], triangles.astype(np.int32)
     notes: dict[str, str] = {}
     try:
-        check_surface(points, triangles, str(path), closed=True)
+        check_surface(points, triangles, "its surface", closed=True)
     except InputError as fault:
         try:
             mended = read_apart(
@@ -153,14 +153,12 @@ def _clean(path: Path, points: np.ndarray, triangles: np.ndarray, body: str, uni
     return _Body(points, triangles, scale, notes=notes)
 
 
-def _scale(path: Path, points: np.ndarray, unit: str) -> float:
+def _scale(points: np.ndarray, unit: str) -> float:
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return check_units(bounds, unit or None, what=f"{path}: the part")
+    return check_units(bounds, unit or None, what="the part")
 
 
-def _piece(
-    path: Path, cells: np.ndarray, body: str, volume: Callable[[np.ndarray], float]
-) -> np.ndarray:
+def _piece(cells: np.ndarray, body: str, volume: Callable[[np.ndarray], float]) -> np.ndarray:
     """The cells of the only connected piece of size, or of the one of a number, from 1."""
     piece = piece_of_cells(cells)
     if piece.max() == 0 and not body:
@@ -175,14 +173,12 @@ def _piece(
         return cells[piece == order[0]]
     words = ", ".join(f"{n} ({volumes[k]:.1f} mm^3)" for n, k in enumerate(order[:20], 1))
     raise InputError(
-        f"{path} holds {len(order)} bodies{f', none of the number {body!r}' if body else ''}; one "
+        f"it holds {len(order)} bodies{f', none of the number {body!r}' if body else ''}; one "
         f"is needed. There are: {words}. Say which one with --body, or export the gel alone"
     )
 
 
-def with_window(
-    surface: LabelledSurface, size_mm: tuple[float, float], path: Path
-) -> LabelledSurface:
+def with_window(surface: LabelledSurface, size_mm: tuple[float, float]) -> LabelledSurface:
     """The surface with a rectangle about the origin of plan [mm] as its window; bond triangles are
     cut along its sides, and so are those that they share edges with.
 
@@ -197,7 +193,7 @@ def with_window(
     inside = _level_bond(surface) & (np.abs(middles[:, :2]) < half).all(axis=1)
     area = 0.5 * np.linalg.norm(doubled_areas(corners[inside]), axis=1).sum()
     if abs(area - size_mm[0] * size_mm[1]) > 1e-4 * size_mm[0] * size_mm[1]:
-        raise no_room(path, size_mm)
+        raise no_room(size_mm)
     regions = surface.regions.copy()
     regions[inside] = int(Region.WINDOW)
     return LabelledSurface(surface.vertices_mm, surface.triangles, regions)
