@@ -23,7 +23,7 @@ from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily, hardness_of
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, issue_of
+from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, issue_of, sensor_parts
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -94,8 +94,7 @@ def design_sensor(
         tell("cad")
         from taccel_lab.cad.export import dimensions
         from taccel_lab.cad.mesh.tessellate import tessellate_solid
-        from taccel_lab.cad.parts.pad_solid import labelled_solid
-        from taccel_lab.sensors.assembly import gel_layers, sensor_parts
+        from taccel_lab.cad.parts.pad_solid import gel_layers, labelled_solid
 
         part = labelled_solid(pad)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files for the workshop: pad, assembly, moulds and drawings of one design."""
+"""Files for the workshop: pad, assembly, moulds and drawings of one design; its parts together."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
 from taccel_lab.files.atomic_file import content_id, write_json
-from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.sensors.base import FamilyParameters, all_optics
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class Workshop:
 
     def write_drawing(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
-        from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
+        from taccel_lab.cad.drawing.assembly_drawing import assembly_drawing
         from taccel_lab.cad.drawing.pad_drawing import pad_drawing
 
         layers = dict(self.layers) if len(self.layers) > 1 else {}
@@ -138,13 +139,12 @@ class Workshop:
             issue=self.issue,
         ).save(self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf"))
         if self.assembly is not None:
-            write_assembly_drawing(
+            assembly_drawing(
                 self.assembly,
-                [self.path("assembly_drawing", "assembly.svg")],
                 title=f"{self.name}: assembly",
                 notes=self.assembly.notes,
                 issue=self.issue,
-            )
+            ).save(self.path("assembly_drawing", "assembly.svg"))
 
     def write_mesh(self, mesh: TetMesh, mesher: str) -> None:
         """The mesh with its labels and a picture of it."""
@@ -174,6 +174,41 @@ class Workshop:
                 "seconds": seconds,
             },
         )
+
+
+def sensor_parts(
+    name: str, parameters: FamilyParameters, gel: LabelledSolid | None = None
+) -> Assembly:
+    """The assembly of a sensor; ``gel`` is the solid of its pad if it is already at hand.
+
+    Raises InputError when a part cannot be built, naming the bound that is broken.
+    """
+    from taccel_lab.cad.assembly import sensor_assembly
+    from taccel_lab.cad.parts.pad_solid import gel_parts, labelled_solid
+
+    pad, optics = parameters.pad(), parameters.optics()
+    gel = gel or labelled_solid(pad)
+    return sensor_assembly(
+        name,
+        gel_parts(pad, gel),
+        pad.thickness_mm,
+        window=None if optics is None else optics.window,
+        housing=parameters.housing(),
+        cameras=tuple(design.camera for design in all_optics(parameters)),
+        leds=() if optics is None else optics.lights,
+        view_mm=_view_mm(gel),
+    )
+
+
+def _view_mm(gel: LabelledSolid) -> tuple[float, float]:
+    """Extents of the gel's window face in plan [mm]."""
+    boxes = [face.bounding_box() for face in gel.faces(Region.WINDOW)]
+    if not boxes:
+        return (0.0, 0.0)
+    return (
+        max(b.max.X for b in boxes) - min(b.min.X for b in boxes),
+        max(b.max.Y for b in boxes) - min(b.min.Y for b in boxes),
+    )
 
 
 def issue_of(content: Any) -> Issue:

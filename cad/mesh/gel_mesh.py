@@ -22,7 +22,7 @@ import numpy as np
 from taccel_lab import geometry
 from taccel_lab.cad import mesh as meshers
 from taccel_lab.cad import parameters, parts
-from taccel_lab.cad.mesh.dome_mesh import even_dome_mesh, focused_dome_mesh
+from taccel_lab.cad.mesh.dome_mesh import Dome, even_dome_mesh, focused_dome_mesh
 from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
 from taccel_lab.cad.mesh.pad_mesh import even_pad_mesh, focused_pad_mesh
@@ -34,7 +34,6 @@ from taccel_lab.cad.mesh.quality import (
     measure_quality,
 )
 from taccel_lab.cad.mesh.surface import LabelledSurface
-from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
@@ -86,7 +85,7 @@ def gel_mesh(pad: Pad, edge_mm: float | None = None, *, counts_of: Pad | None = 
             f"counts_of: {type(pad).__name__} cannot have the cell counts of "
             f"{type(counts_of).__name__}; both must be pads with a flat back"
         )
-    if isinstance(pad, DomePad):
+    if isinstance(pad, Dome):
         return even_dome_mesh(pad, edge_mm)
     raise InputError(f"no structured mesher for {type(pad).__name__}; use the mesher tetwild")
 
@@ -99,7 +98,7 @@ def focused_gel_mesh(pad: Pad, focus: FocusOptions) -> TetMesh:
     """
     if isinstance(pad, HeightPad):
         return focused_pad_mesh(pad, focus)
-    if isinstance(pad, DomePad):
+    if isinstance(pad, Dome):
         return focused_dome_mesh(pad, replace(focus, rings=focus.rings + DOME_RINGS))
     raise InputError(f"no focused mesher for {type(pad).__name__}")
 

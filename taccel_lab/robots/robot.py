@@ -13,6 +13,7 @@ import numpy as np
 from taccel_lab.bodies.bodies import check_pose
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
 from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
@@ -72,8 +73,7 @@ class Robot:
         _ = self.tree  # Refuses what is no tree.
         pose = check_pose(np.asarray(self.world_from_base, dtype=np.float64), "the robot's base")
         assert pose is not None
-        if pose.ndim != 1:
-            raise InputError(f"world_from_base must have shape [7], got {pose.shape}")
+        require_shape("world_from_base", pose, (7,))
         object.__setattr__(self, "world_from_base", pose)
 
     # What it is ----------------------------------------------------------------------------------

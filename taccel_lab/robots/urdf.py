@@ -28,16 +28,14 @@ from taccel_lab.files.triangle_file import SUFFIXES
 from taccel_lab.files.xml_file import read_xml
 from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint
 from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.shapes import (
-    BoxShape,
-    CollisionShape,
-    CylinderShape,
-    MeshShape,
-    Shape,
-    SphereShape,
-)
+from taccel_lab.robots.shapes import CollisionShape, MeshShape, PrimitiveShape, Shape
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_KINDS = {
+    "revolute": JointKind.REVOLUTE,
+    "continuous": JointKind.REVOLUTE,
+    "prismatic": JointKind.PRISMATIC,
+    "fixed": JointKind.FIXED,
+}
 _OTHER_TYPES = ("planar", "floating")
 _SHAPES = ("box", "sphere", "cylinder", "mesh")
 _PARTS: Mapping[str, tuple[str, ...]] = {
@@ -158,12 +156,12 @@ def _check_kind(element: Element, what: str) -> None:
     kind = str(element.get("type"))
     if kind in _OTHER_TYPES:
         raise InputError(
-            f"{what} is {kind}, which is not supported: joints may be {', '.join(JOINT_TYPES)}"
+            f"{what} is {kind}, which is not supported: joints may be {', '.join(_KINDS)}"
         )
-    if kind not in JOINT_TYPES:
+    if kind not in _KINDS:
         raise InputError(
             f"{what} is of type {shown(kind)}, which URDF does not know; allowed are "
-            f"{', '.join(JOINT_TYPES)}"
+            f"{', '.join(_KINDS)}"
         )
     if kind in ("revolute", "prismatic") and element.find("limit") is None:
         raise InputError(
@@ -224,12 +222,6 @@ def _beside(folder: Path, package: str) -> list[Path]:
     ]
 
 
-_KINDS = {
-    "revolute": JointKind.REVOLUTE,
-    "continuous": JointKind.REVOLUTE,
-    "prismatic": JointKind.PRISMATIC,
-    "fixed": JointKind.FIXED,
-}
 _UNIT_SLACK = 1e-3
 """How far the length of a slide's axis may be from 1: digits that were cut off."""
 
@@ -312,11 +304,12 @@ def _mass(link: Any) -> LinkMass | None:
 def _shape(geometry: Any, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Shape:
     if geometry.box is not None:
         x, y, z = map(float, geometry.box.size)
-        return BoxShape((x, y, z))
+        return PrimitiveShape.box((x, y, z))
     if geometry.sphere is not None:
-        return SphereShape(float(geometry.sphere.radius))
+        return PrimitiveShape.sphere(float(geometry.sphere.radius))
     if geometry.cylinder is not None:
-        return CylinderShape(float(geometry.cylinder.radius), float(geometry.cylinder.length))
+        cylinder = geometry.cylinder
+        return PrimitiveShape.cylinder(float(cylinder.radius), float(cylinder.length))
     scale = geometry.mesh.scale
     x, y, z = (1.0, 1.0, 1.0) if scale is None else map(float, scale)
     file = mesh_path(geometry.mesh.filename, urdf, packages)

@@ -17,11 +17,11 @@ from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
 from taccel_lab.presses.press_markers import PressMarkers
 from taccel_lab.profile import SensorProfile
-from taccel_lab.sensors.assembly import sensor_parts
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
+from taccel_lab.sensors.workshop import sensor_parts
 from taccel_lab.studies.report.preview import preview_design, write_preview
 
 BASELINE_MM = 9.0
