@@ -24,6 +24,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.text_file import shown
+from taccel_lab.guards import require_known
 
 _KEY = "parameter"
 _SPELLED = {
@@ -313,10 +314,8 @@ class ParameterSet:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A set with these values and the defaults of others; unknown names raise InputError."""
-        known = cls.parameters()
         for name in values:
-            if name not in known:
-                raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
+            require_known("parameter", name, cls.parameters())
         return cls(**values)
 
     def values(self) -> dict[str, Any]:

@@ -3,20 +3,16 @@
 
 from taccel_lab.cad.gel_import.gel_file import SUFFIXES, import_gel, part_faces, workshop_solid
 from taccel_lab.cad.gel_import.importer import (
-    FaceInfo,
     FaceSelection,
     ImportedGel,
-    PartFaces,
     listing,
 )
 from taccel_lab.cad.gel_import.labelling import propose
 
 __all__ = [
     "SUFFIXES",
-    "FaceInfo",
     "FaceSelection",
     "ImportedGel",
-    "PartFaces",
     "import_gel",
     "listing",
     "part_faces",

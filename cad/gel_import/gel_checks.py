@@ -15,6 +15,7 @@ from taccel_lab.cad.mesh.surface import LabelledSurface, least_thickness
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.connectivity import compacted, piece_of_cells
+from taccel_lab.guards import require_known
 
 MM_PER_UNIT: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "in": 25.4}
 """Units that a caller may name, in millimetres."""
@@ -40,8 +41,7 @@ def check_units(bounds: np.ndarray, unit: str | None = None, *, what: str = "the
     corners = np.asarray(bounds, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise InputError(f"{what} has no finite bounding box: {corners.tolist()}")
-    if unit is not None and unit not in MM_PER_UNIT:
-        raise InputError(f"unit {unit!r} is not allowed; use one of {', '.join(MM_PER_UNIT)}")
+    require_known("unit", unit or "mm", MM_PER_UNIT)
     scale = MM_PER_UNIT[unit or "mm"]
     extents = (corners[1] - corners[0]) * scale
     size = " x ".join(f"{e:.4g}" for e in extents)

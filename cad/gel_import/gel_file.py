@@ -20,6 +20,7 @@ from taccel_lab.files import tet_file, triangle_file
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.regular_file import read_regular_file, require_regular_file
+from taccel_lab.guards import require_known
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.part import LabelledSolid
@@ -69,10 +70,7 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
     """
     path, selection = Path(path), selection or FaceSelection()
     with naming(path):
-        if selection.origin not in _ORIGINS:
-            raise InputError(
-                f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}"
-            )
+        require_known("origin", selection.origin, _ORIGINS)
         kind = _kind(path)
         if kind == "step":
             return _by_kernel(str(path), "gel_of_step", require_step_file(path), selection)

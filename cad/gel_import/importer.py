@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -40,6 +40,12 @@ class FaceInfo:
             f"{self.index:4d}  {self.kind:<9} {self.area_mm2:10.3f} mm^2  at ({center})  "
             f"normal ({normal})  {self.color or '-':<6}  {self.name or '-'}"
         )
+
+
+def triple(vector: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers, rounded to the kernel's noise and without negative zeros."""
+    x, y, z = (round(float(v), 9) + 0.0 for v in vector)
+    return x, y, z
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,13 @@ from OCP.ShapeUpgrade import ShapeUpgrade_UnifySameDomain
 from OCP.TopoDS import TopoDS, TopoDS_Edge, TopoDS_Shell, TopoDS_Solid
 
 from taccel_lab.cad.gel_import.gel_checks import check_gel, check_units, no_room
-from taccel_lab.cad.gel_import.importer import FaceInfo, FaceSelection, ImportedGel, PartFaces
+from taccel_lab.cad.gel_import.importer import (
+    FaceInfo,
+    FaceSelection,
+    ImportedGel,
+    PartFaces,
+    triple,
+)
 from taccel_lab.cad.gel_import.labelling import label_faces
 from taccel_lab.cad.gel_import.step_reader import StepBody, read_step
 from taccel_lab.cad.mesh.closest import ClosestPoint
@@ -123,18 +129,13 @@ def _faces(body: StepBody) -> PartFaces:
             name=body.face_names[k],
             kind=face.geom_type.name.lower(),
             area_mm2=face.area,
-            center_mm=_triple(face.position_at(0.5, 0.5)),
-            normal=_triple(face.normal_at(face.position_at(0.5, 0.5))),
+            center_mm=triple(face.position_at(0.5, 0.5)),
+            normal=triple(face.normal_at(face.position_at(0.5, 0.5))),
             color=body.face_colors[k],
         )
         for k, face in enumerate(faces)
     ]
     return PartFaces(table, vertices, triangles, face_of)
-
-
-def _triple(vector: Vector) -> tuple[float, float, float]:
-    # Rounded to the kernel's noise, and no negative zeros.
-    return round(vector.X, 9) + 0.0, round(vector.Y, 9) + 0.0, round(vector.Z, 9) + 0.0
 
 
 def _transformed(solid: Solid, matrix: np.ndarray, shift: np.ndarray) -> Solid:

@@ -231,7 +231,7 @@ def test_millimetres_read_as_inches() -> None:
 def test_sheets_unknown_units_and_broken_boxes() -> None:
     with pytest.raises(InputError, match="sheet without volume"):
         check_units(MINI * [1, 1, 0.001])
-    with pytest.raises(InputError, match="use one of mm, cm"):
+    with pytest.raises(InputError, match="known: mm, cm"):
         check_units(MINI, "furlong")
     with pytest.raises(InputError, match="bounding box"):
         check_units(MINI * np.nan)

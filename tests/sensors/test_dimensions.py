@@ -278,5 +278,5 @@ def test_material_is_in_si() -> None:
     assert 0 <= material.poisson_ratio < 0.5
     with pytest.raises(InputError, match=r"sensor gelsight: .*poisson_ratio = 0\.5.* 0 to 0\.499"):
         FAMILY.parameters({"poisson_ratio": 0.5})
-    with pytest.raises(InputError, match=r"no parameter 'colour'.*thickness_mm"):
+    with pytest.raises(InputError, match=r"no parameter 'colour' \(did you mean led_colors"):
         FAMILY.parameters({"colour": "red"})
