@@ -300,6 +300,15 @@ class ParameterSet:
             object.__setattr__(found, name, getattr(self, name))
         return found
 
+    def part(self, kind: type[_Group], **own: Any) -> _Group:
+        """A part with the values of this set for all that both call the same, ``own`` for others.
+
+        Raises InputError for values that it cannot be built of.
+        """
+        known = self.parameters()
+        common = {name: getattr(self, name) for name in kind.parameters() if name in known}
+        return kind(**common | own)
+
     def require(
         self, name: str, why: str, *, low: float = -math.inf, high: float = math.inf, also: str = ""
     ) -> None:

@@ -174,7 +174,8 @@ class RectangleSensorParameters(CameraSensorParameters):
         return self.gel_pad()
 
     def gel_pad(self, *, inset_mm: float = 0.0, **features: Any) -> GelPad:
-        """The pad with further ``features`` of ``GelPad``, such as a rim.
+        """The pad with this sensor's parameters of those names, and with ``features`` of
+        ``GelPad`` that follow from others.
 
         ``inset_mm`` is how far the seen face keeps away from the outline besides, as from a skin.
         """
@@ -183,15 +184,7 @@ class RectangleSensorParameters(CameraSensorParameters):
             self.length_y_mm - 2 * inset_mm,
             self._window_margin_mm(),
         )
-        return GelPad(
-            length_x_mm=self.length_x_mm,
-            length_y_mm=self.length_y_mm,
-            corner_radius_mm=self.corner_radius_mm,
-            thickness_mm=self.thickness_mm,
-            window_x_mm=window_x,
-            window_y_mm=window_y,
-            **features,
-        )
+        return self.part(GelPad, window_x_mm=window_x, window_y_mm=window_y, **features)
 
     def _window_margin_mm(self) -> float:
         """How far inside the outline the corners of the seen rectangle stay, rounding included."""

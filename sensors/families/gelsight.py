@@ -77,12 +77,8 @@ class GelSightParameters(RectangleSensorParameters):
 
     def pad(self) -> GelPad:
         """The gel pad with its spherical crown."""
-        return self.gel_pad(
-            crown_radius_x_mm=self.crown_radius_mm,
-            crown_radius_y_mm=self.crown_radius_mm,
-            rim=self.rim,
-            rim_mm=self.rim_mm,
-        )
+        radius = self.crown_radius_mm
+        return self.gel_pad(crown_radius_x_mm=radius, crown_radius_y_mm=radius)
 
 
 FAMILY = SensorFamily(

@@ -93,9 +93,7 @@ class NineDTactParameters(RectangleSensorParameters):
 
     def pad(self) -> GelPad:
         """The flat pad: translucent core and black skin."""
-        return self.gel_pad(
-            inset_mm=self.skin_side_mm, skin_top_mm=self.skin_top_mm, skin_side_mm=self.skin_side_mm
-        )
+        return self.gel_pad(inset_mm=self.skin_side_mm)
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:
         """Translucent core, black skin."""
