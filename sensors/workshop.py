@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,7 +118,7 @@ class Workshop:
             report[mould.name] = {
                 "options": mould.options.describe(),
                 "gates": [vars(gate) for gate in mould.gates],
-                **checked.to_json(),
+                **asdict(checked),
             }
         write_json(self.path("mould_report", "mould.json"), report)
 

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,8 +27,6 @@ _INSIDE = -1e-9
 class SurfacePad(Pad):
     """The gel in a labelled surface. Over a place where its contact face lies in folds, the highest
     counts."""
-
-    one_connectivity: ClassVar[bool] = False
 
     thickness_mm: float  # pyright: ignore[reportGeneralTypeIssues]
     surface: LabelledSurface = field(kw_only=True)

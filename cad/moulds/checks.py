@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -49,10 +48,6 @@ class MouldReport:
     """Area of the halves that the gel would catch on."""
     fill_mm3: float
     """Gel to pour, without the holes."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return dataclasses.asdict(self)
 
 
 def check_mould(mould: Mould, gel: LabelledSolid) -> MouldReport:

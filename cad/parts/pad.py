@@ -24,9 +24,6 @@ class Pad(ParameterSet, ABC):
     layer_names: ClassVar[tuple[str, ...]] = ("gel",)
     """Materials of the body by layer index; 0 is the gel proper, 1 a skin over it."""
 
-    one_connectivity: ClassVar[bool] = True
-    """Whether its meshes for presses have the same connectivity wherever the press is."""
-
     thickness_mm: float
     """Gel under the apex, down to what it is glued to [mm]."""
 

@@ -192,7 +192,7 @@ def test_step_without_names_is_proposed_contact_bond_and_window(tmp_path: Path) 
         ({"window": ()}, r"no faces are selected for window"),
         ({"normal": "z+"}, r"'z\+' is not a direction"),
         ({"right": "-z"}, r"right = -z lies along normal"),
-        ({"origin": "corner"}, r"no origin 'corner'; known: center, file"),
+        ({"origin": "corner"}, r"no origin 'corner'.*known: center, file"),
         ({"body": "lid"}, r"0 solids of the name 'lid'"),
     ],
 )
