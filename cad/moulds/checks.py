@@ -13,7 +13,7 @@ from build123d import Plane, Solid
 from taccel_lab.cad.assembly import OVERLAP_MM3
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.moulds.cast_body import is_vertical
-from taccel_lab.cad.moulds.two_part import Mould, MouldOptions, gel_mould
+from taccel_lab.cad.moulds.two_part import Mould, gel_mould
 from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
@@ -130,7 +130,6 @@ def _undercut(mould: Mould) -> tuple[float, np.ndarray]:
 def casting_moulds(
     gel: LabelledSolid,
     layers: Mapping[str, LabelledSolid] | None = None,
-    options: MouldOptions | None = None,
 ) -> list[tuple[Mould, MouldReport]]:
     """Build and check the moulds of ``gel``.
 
@@ -140,11 +139,11 @@ def casting_moulds(
     """
     names = list(layers or {})
     if len(names) < 2:
-        mould = gel_mould(gel, options)
+        mould = gel_mould(gel)
         return [(mould, check_mould(mould, gel))]
     if len(names) > 2 or layers is None:
         raise InputError(f"moulds cast gels of one or two layers, this one has {len(names)}")
     core, skin = layers[names[0]], layers[names[1]]
-    first = gel_mould(core, options, name=f"mould_1_{names[0]}")
-    second = gel_mould(gel, options, name=f"mould_2_{names[1]}", insert=core, fill=skin)
+    first = gel_mould(core, name=f"mould_1_{names[0]}")
+    second = gel_mould(gel, name=f"mould_2_{names[1]}", insert=core, fill=skin)
     return [(first, check_mould(first, core)), (second, check_mould(second, gel))]
