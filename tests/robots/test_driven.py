@@ -31,7 +31,6 @@ from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.robot_files import CHAIN, REAL, write
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 SIDEWAYS = np.array([0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 G = 9.81
 

@@ -12,7 +12,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots import IKOptions, Robot, named
 from tests.support.robot_files import REAL, random_coordinates
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 HAND = named("three_finger_hand")
 
 
