@@ -72,7 +72,7 @@ def design_sensor(
     ``edge_mm`` is the target edge length of the mesh [mm], that of ``sound_gel_mesh`` (tetwild:
     ``usual_edge_mm``) when None, ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh,
     quality, parameters, preview and profile are always written. ``first_look`` draws the design
-    before anything is built, such as ``studies.sensor_picture.write_sections``.
+    before anything is built, such as ``sensors.sensor_picture.write_sections``.
     ``progress`` is called when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
