@@ -24,6 +24,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.cell_number import number
 from taccel_lab.files.text_file import shown
+from taccel_lab.guards import require_known
 
 _KEY = "parameter"
 _SPELLED = {
@@ -195,13 +196,12 @@ class _Restated:
 
     default: float | int | str | tuple[float | str, ...] | None
     of: type[ParameterSet] | None
-    name: str
     changes: dict[str, Any]
 
     def field(self, cls: type[ParameterSet], name: str) -> Any:
         """The field ``name`` of ``cls``."""
         known = self.of.__dict__["__dataclass_fields__"] if self.of else _inherited_fields(cls)
-        declared = known.get(self.name or name)
+        declared = known.get(name)
         if declared is None:
             where = self.of.__name__ if self.of else "no base class"
             raise TypeError(f"{cls.__name__}.{name} is restated, but {where} has that parameter")
@@ -228,7 +228,6 @@ def restated(
     default: float | int | str | tuple[float | str, ...] | None = None,
     *,
     of: type[ParameterSet] | None = None,
-    name: str = "",
     source: str | None = None,
     minimum: float | None = None,
     maximum: float | None = None,
@@ -238,8 +237,8 @@ def restated(
     """Declare a parameter again, with another default and the source of that.
 
     What is left out (unit, bounds, description) stays as it is declared: by a base class or one of
-    ``groups``, or by the part ``of``, there maybe by another ``name``. Bounds of a part may only be
-    narrower: the part knows what can be built, a sensor what its other parts leave room for.
+    ``groups``, or by the part ``of``. Bounds of a part may only be narrower: the part knows what
+    can be built, a sensor what its other parts leave room for.
     """
     given = {
         "source": source,
@@ -249,7 +248,7 @@ def restated(
         "zero_means": zero_means,
     }
     changes = {key: value for key, value in given.items() if value is not None}
-    return _Restated(default, of, name, changes)
+    return _Restated(default, of, changes)
 
 
 @cache
@@ -301,13 +300,31 @@ class ParameterSet:
             object.__setattr__(found, name, getattr(self, name))
         return found
 
+    def part(self, kind: type[_Group], **own: Any) -> _Group:
+        """A part with the values of this set for all that both call the same, ``own`` for others.
+
+        Raises InputError for values that it cannot be built of.
+        """
+        known = self.parameters()
+        common = {name: getattr(self, name) for name in kind.parameters() if name in known}
+        return kind(**common | own)
+
+    def require(
+        self, name: str, why: str, *, low: float = -math.inf, high: float = math.inf, also: str = ""
+    ) -> None:
+        """Refuse a value that other parameters leave no room for; ``why`` says what it breaks, and
+        ``also`` what is allowed besides. Raises InputError with the value and the bound."""
+        value, spec = getattr(self, name), self.parameters()[name]
+        if low <= value <= high or (spec.zero_means and value == 0):
+            return
+        bound = f"at least {low:g}" if value < low else f"up to {high:g}"
+        raise InputError(f"{name} = {value:g} {why}; allowed: {bound} {spec.unit}{also}")
+
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A set with these values and the defaults of others; unknown names raise InputError."""
-        known = cls.parameters()
         for name in values:
-            if name not in known:
-                raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
+            require_known("parameter", name, cls.parameters())
         return cls(**values)
 
     def values(self) -> dict[str, Any]:

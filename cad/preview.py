@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import PartFaces
+from taccel_lab.cad.gel_import.importer import PartFaces
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.region_colors import REGION_COLORS
 from taccel_lab.files.atomic_file import write_by

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from taccel_lab.cad.parameters import restated
+from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light, MarkerGrid, OpticalDesign, Window
-from taccel_lab.sensors.base import FamilyParameters, GelMaterial
+from taccel_lab.sensors.base import NO_FIGURE, FamilyParameters, GelMaterial
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.parameter_groups.lights import LightParameters
 from taccel_lab.sensors.parameter_groups.material import MaterialParameters
@@ -154,3 +156,37 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
         for view, length in zip(self.view_mm(), (length_x_mm, length_y_mm), strict=True):
             seen.append(min(max(view, MIN_SEEN_SHARE * length), length - 2 * margin_mm))
         return seen[0], seen[1]
+
+
+@dataclass(frozen=True)
+class RectangleSensorParameters(CameraSensorParameters):
+    """Parameters of a sensor whose gel is a flat pad, unless ``pad`` says more."""
+
+    parameter_group: ClassVar[str] = "gel"
+
+    length_x_mm: float = restated(24.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
+    length_y_mm: float = restated(20.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
+    corner_radius_mm: float = restated(2.0, of=GelPad, maximum=10, source=NO_FIGURE)
+    thickness_mm: float = restated(4.0, of=GelPad, minimum=0.8, maximum=12, source=NO_FIGURE)
+
+    def pad(self) -> GelPad:
+        """The flat gel pad."""
+        return self.gel_pad()
+
+    def gel_pad(self, *, inset_mm: float = 0.0, **features: Any) -> GelPad:
+        """The pad with this sensor's parameters of those names, and with ``features`` of
+        ``GelPad`` that follow from others.
+
+        ``inset_mm`` is how far the seen face keeps away from the outline besides, as from a skin.
+        """
+        window_x, window_y = self.seen_mm(
+            self.length_x_mm - 2 * inset_mm,
+            self.length_y_mm - 2 * inset_mm,
+            self._window_margin_mm(),
+        )
+        return self.part(GelPad, window_x_mm=window_x, window_y_mm=window_y, **features)
+
+    def _window_margin_mm(self) -> float:
+        """How far inside the outline the corners of the seen rectangle stay, rounding included."""
+        # A square corner m inside a rounded one of radius r is r - sqrt(2) (r - m) away from it.
+        return max(1.0, 0.3 * self.corner_radius_mm + 0.25)

@@ -5,89 +5,71 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3, plan_points_mm
 from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
-
-@dataclass(frozen=True)
-class DerivedFigure:
-    """One derived figure."""
-
-    name: str
-    value: float | int | str
-    unit: str = ""
-
-    def text(self) -> str:
-        """Value and unit for people."""
-        value = f"{self.value:.4g}" if isinstance(self.value, float) else str(self.value)
-        return f"{value} {self.unit}".rstrip()
+Figure = float | int | str
 
 
-def derived_figures(parameters: FamilyParameters) -> list[DerivedFigure]:
-    """Figures of gel, image, camera, lights, window, markers and housing, where there are any."""
+def derived_figures(parameters: FamilyParameters) -> dict[str, tuple[Figure, str]]:
+    """Figures of gel, image, camera, lights, window, markers and housing, where there are any: name
+    -> value and unit."""
     pad, grid = parameters.pad(), parameters.grid()
-    size = np.ptp(pad.bounds_mm(), axis=0)
-    figures = [
-        DerivedFigure("pad", pad_words(pad)),
-        DerivedFigure("pad size", size_words(pad), "mm"),
-        DerivedFigure("gel under the apex", float(pad.thickness_mm), "mm"),
-        DerivedFigure("gel volume", pad_volume_mm3(pad), "mm3"),
-        DerivedFigure("layers", ", ".join(pad.layer_names)),
-        DerivedFigure("image", f"{grid.width_px} x {grid.height_px}", "px"),
-        DerivedFigure("scale", _pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
-        DerivedFigure(
-            "image shows",
-            f"{grid.width_px * grid.mm_per_px_x:.4g} x {grid.height_px * grid.mm_per_px_y:.4g}",
-            "mm",
-        ),
-        DerivedFigure("gel in the image", 100 * share_in_image(parameters), "% of its plan"),
-    ]
+    seen_mm = (grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
+    figures: dict[str, tuple[Figure, str]] = {
+        "pad": (pad_words(pad), ""),
+        "pad size": (size_words(pad), "mm"),
+        "gel under the apex": (float(pad.thickness_mm), "mm"),
+        "gel volume": (pad.volume_mm3(), "mm3"),
+        "layers": (", ".join(pad.layer_names), ""),
+        "image": (f"{grid.width_px} x {grid.height_px}", "px"),
+        "scale": (_pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
+        "image shows": (_times(seen_mm), "mm"),
+        "gel in the image": (100 * share_in_image(parameters), "% of its plan"),
+    }
     if views := parameters.views():
-        figures.append(DerivedFigure("cameras", 1 + len(views)))
+        figures["cameras"] = (1 + len(views), "")
         shared = 100 * share_in_image(parameters, *views.values())
-        figures.append(DerivedFigure("gel in all images", shared, "% of its plan"))
+        figures["gel in all images"] = (shared, "% of its plan")
     design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
     if design is not None:
         x, y = field_of_view_deg(design.camera)
-        figures.append(DerivedFigure("field of view", f"{x:.1f} x {y:.1f}", "deg"))
+        figures["field of view"] = (f"{x:.1f} x {y:.1f}", "deg")
         if isinstance(parameters, CameraParameters):
-            figures.append(
-                DerivedFigure(
-                    "lens differs from the scale by", 100 * lens_difference(parameters), "%"
-                )
-            )
-            figures.append(DerivedFigure("focal length", design.camera.fx_px, "px"))
+            figures["lens differs from the scale by"] = (100 * lens_difference(parameters), "%")
+            figures["focal length"] = (design.camera.fx_px, "px")
             if parameters.pixel_pitch_um:
                 raw = (parameters.raw_width_px, parameters.raw_height_px)
-                x, y = (1e-3 * parameters.pixel_pitch_um * count for count in raw)
-                figures.append(DerivedFigure("image sensor", f"{x:.4g} x {y:.4g}", "mm"))
-        figures.append(DerivedFigure("LEDs", len(design.lights)))
+                pitch_mm = 1e-3 * parameters.pixel_pitch_um
+                figures["image sensor"] = (_times([pitch_mm * count for count in raw]), "mm")
+        figures["LEDs"] = (len(design.lights), "")
         window = design.window
         if window is not None:
-            across = f"{window.size_mm[0]:.4g} x {window.size_mm[1]:.4g}"
-            figures.append(
-                DerivedFigure(
-                    "window", f"{window.shape} {across} x {window.thickness_mm:.4g}", "mm"
-                )
-            )
+            size = _times([*window.size_mm, window.thickness_mm])
+            figures["window"] = (f"{window.shape} {size}", "mm")
     if markers is not None:
         count = markers.rows * markers.columns
-        figures.append(DerivedFigure("markers", f"{markers.columns} x {markers.rows} = {count}"))
+        figures["markers"] = (f"{markers.columns} x {markers.rows} = {count}", "")
     if housing is not None:
-        figures.append(
-            DerivedFigure("housing", " x ".join(f"{v:.4g}" for v in housing.size_mm), "mm")
-        )
-        depth = housing.size_mm[2] - housing.front_z_mm
-        figures.append(DerivedFigure("depth in all", max(depth, float(size[2])), "mm"))
+        figures["housing"] = (_times(housing.size_mm), "mm")
+        depth = max(housing.size_mm[2] - housing.front_z_mm, float(np.ptp(pad.bounds_mm()[:, 2])))
+        figures["depth in all"] = (depth, "mm")
     return figures
+
+
+def figure_text(value: Figure, unit: str) -> str:
+    """Value and unit for people."""
+    return (
+        f"{value:.4g} {unit}".rstrip() if isinstance(value, float) else f"{value} {unit}".rstrip()
+    )
 
 
 def describe_sensor(parameters: FamilyParameters) -> dict[str, Any]:
@@ -97,7 +79,8 @@ def describe_sensor(parameters: FamilyParameters) -> dict[str, Any]:
     materials = zip(pad.layer_names, parameters.layer_materials(), strict=True)
     return {
         "derived": {
-            f.name: {"value": f.value, "unit": f.unit} for f in derived_figures(parameters)
+            name: {"value": value, "unit": unit}
+            for name, (value, unit) in derived_figures(parameters).items()
         },
         "pad": {"type": type(pad).__name__, "values": pad.values(), "figures": pad.figures()},
         "layers": {name: asdict(material) for name, material in materials},
@@ -140,13 +123,13 @@ def pad_words(pad: Pad) -> str:
 
 def size_words(pad: Pad) -> str:
     """Extents of the pad [mm] in words."""
-    return " x ".join(f"{v:.4g}" for v in np.ptp(pad.bounds_mm(), axis=0))
+    return _times(np.ptp(pad.bounds_mm(), axis=0))
 
 
 def share_in_image(parameters: FamilyParameters, *views: FamilyParameters) -> float:
     """Part of the gel's plan that the tactile image shows, 0..1; that of further ``views``, too."""
     pad = parameters.pad()
-    xy = plan_points_mm(pad)
+    xy = pad.plan_points_mm()
     gel = np.isfinite(pad.top_mm(xy))
     seen = gel.copy()
     for grid in (one.grid() for one in (parameters, *views)):
@@ -175,6 +158,10 @@ def lens_difference(parameters: CameraParameters) -> float:
     """
     from_lens = parameters.apparent_distance_mm() / parameters.lens_px()
     return from_lens / parameters.mm_per_px - 1
+
+
+def _times(lengths: Iterable[float]) -> str:
+    return " x ".join(f"{length:.4g}" for length in lengths)
 
 
 def _pair(x: float, y: float) -> str:

@@ -11,19 +11,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh, sound_gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
-from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.geometry import TetMesh
+from taccel_lab.guards import require_known
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily, hardness_of
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts, issue_of
+from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, issue_of, sensor_parts
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -72,13 +72,13 @@ def design_sensor(
     ``edge_mm`` is the target edge length of the mesh [mm], that of ``sound_gel_mesh`` (tetwild:
     ``usual_edge_mm``) when None, ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh,
     quality, parameters, preview and profile are always written. ``first_look`` draws the design
-    before anything is built, such as ``studies.sensor_picture.write_sections``.
+    before anything is built, such as ``sensors.sensor_picture.write_sections``.
     ``progress`` is called when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
-    check_parts(parts)
-    if mesher not in MESHERS:
-        raise InputError(f"mesher {mesher!r} is not allowed; use one of {', '.join(MESHERS)}")
+    for kind in parts:
+        require_known("part of a design", kind, WORKSHOP_PARTS)
+    require_known("mesher", mesher, MESHERS)
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
@@ -94,8 +94,7 @@ def design_sensor(
         tell("cad")
         from taccel_lab.cad.export import dimensions
         from taccel_lab.cad.mesh.tessellate import tessellate_solid
-        from taccel_lab.cad.parts.pad_solid import labelled_solid
-        from taccel_lab.sensors.assembly import gel_layers, sensor_parts
+        from taccel_lab.cad.parts.pad_solid import gel_layers, labelled_solid
 
         part = labelled_solid(pad)
 
@@ -152,7 +151,7 @@ def design_sensor(
             if kind in parts:
                 tell(kind)
                 with _hint(parts, kind):
-                    workshop.write((kind,))
+                    workshop.write(kind)
         tell("files")
         workshop.write_mesh(mesh, mesher)
         save_profile(profile, workshop.path("profile", "profile"))

@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's own gel from a file as the same files that a design gives."""
+"""A user's own gel from a file as the same files that a design gives.
+
+A file has the gel's shape alone. Camera, lights, coating, material and markers are those of
+the family that the sensor is said to be like, with the parameters that are given, and every block
+of the profile says so.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from taccel_lab.cad.gel_import.gel_file import MAX_FACETS
-from taccel_lab.cad.mesh.mesh_pad import SurfacePad
+from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
 from taccel_lab.cad.mesh.quality import (
     GateResult,
     MeshQuality,
@@ -18,17 +24,18 @@ from taccel_lab.cad.mesh.quality import (
     measure_quality,
     require_quality,
 )
-from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import TetMesh
-from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.guards import require_known
+from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
-from taccel_lab.sensors.imported_profile import imported_profile
-from taccel_lab.sensors.profile_family import imported_gel, require_no_shape
+from taccel_lab.sensors.profile import designed_profile
+from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, imported_gel, require_no_shape
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
+from taccel_lab.sensors.workshop import Workshop, issue_of
 
 if TYPE_CHECKING:
     from taccel_lab.cad.gel_import import FaceSelection, ImportedGel
@@ -40,6 +47,14 @@ EDGE_MM = 2.0
 """Edge of the tets of an imported gel where nobody asks for another [mm]."""
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
+MESHERS = {
+    "tetwild": "fTetWild mesh of the gel of a file",
+    "file": "the tets of a file, as they stand there",
+}
+"""Where the mesh of such a gel comes from, in words."""
+_UNNAMED = ("", "COMPOUND", "SOLID")
+"""What CAD programs call a body that nobody has named."""
+_Block = TypeVar("_Block", bound=Block)
 
 
 @dataclass(frozen=True)
@@ -79,11 +94,8 @@ def import_design(
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
-    check_parts(parts)
-    if "assembly" in parts:
-        raise InputError(
-            f"an imported gel has no assembly; parts are any of {', '.join(IMPORT_PARTS)}"
-        )
+    for kind in parts:
+        require_known("part of an imported gel", kind, IMPORT_PARTS)
     require_replaceable(out_dir)
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
@@ -110,7 +122,7 @@ def import_design(
         workshop = Workshop(gel.name, folder, solid, gel.surface, layers, issue=issue)
         for kind in parts:
             tell(kind)
-            workshop.write((kind,))
+            workshop.write(kind)
         tell("files")
         workshop.write_mesh(found.mesh, found.mesher)
         profile = found.profile()
@@ -153,7 +165,7 @@ class _Meshed:
     gel: ImportedGel
     mesh: TetMesh
     mesher: str
-    """Mesher, one of ``imported_profile.MESHERS``."""
+    """Mesher, one of ``MESHERS``."""
     edge_mm: float
     quality: MeshQuality
     passed: GateResult
@@ -162,9 +174,44 @@ class _Meshed:
     overrides: Mapping[str, Any]
 
     def profile(self) -> SensorProfile:
-        return imported_profile(
-            self.path, self.gel, self.mesh, self.quality, self.like, self.overrides, self.mesher
+        """Profile of the gel; what the family lends is assumed."""
+        path, gel = self.path, self.gel
+        pad = MeshPad(gel.thickness_mm, mesh=self.mesh)
+        family = imported_gel(sensor_family(self.like), pad)
+        parameters = family.parameters(self.overrides)
+        base = designed_profile(family, parameters, self.mesh, self.quality, mesher=self.mesher)
+        given = ", ".join(f"{name} = {value}" for name, value in self.overrides.items())
+        method = f"that of {self.like}, which the sensor is said to be like"
+
+        def assumed(block: _Block) -> _Block:
+            source = block.provenance.source
+            return block.replace(
+                provenance=Provenance(kind="assumed", method=method, source=source)
+            )
+
+        file = Provenance(
+            kind="designed",
+            method="gel of a file; camera, lights and material as stated beside it",
+            source=f"{path.name}, {gel.name}; like {self.like}"
+            + (f" with {given}" if given else ""),
+            inputs={path.name: file_sha256(path)},
         )
+        blocks = {key: assumed(block) for key, block in base.blocks().items()}
+        blocks["sensor"] = SensorBlock(
+            name=_name(path.stem if gel.name in _UNNAMED else gel.name),
+            family=IMPORTED,
+            parameters={LIKE_KEY: self.like, **parameters.values()},
+            provenance=file,
+        )
+        blocks["gel"] = base.gel.replace(provenance=file.replace(method=MESHERS[self.mesher]))
+        profile = SensorProfile(mesh=self.mesh, **blocks)  # type: ignore[arg-type]
+        for name in base.views:
+            view = profile.with_block(assumed(base.seen_by(name).camera))
+            optics = base.seen_by(name).optics
+            if optics is not None:
+                view = view.with_block(assumed(optics))
+            profile = profile.with_view(name, view)
+        return profile
 
 
 def family_like(like: str, overrides: Mapping[str, Any]) -> SensorFamily:
@@ -240,3 +287,7 @@ def _description(path: Path, found: _Meshed, measured: dict[str, Any]) -> dict[s
         "part": measured,
         "faces": [vars(face) for face in gel.faces.table],
     }
+
+
+def _name(text: str) -> str:
+    return re.sub(r"[^\w.+-]+", "_", text).strip("_") or IMPORTED

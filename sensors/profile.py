@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+from taccel_lab.cad.mesh.gel_mesh import MESH_ARRAYS, kept_mesh, sound_gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_quality
-from taccel_lab.cad.mesh.sound_mesh import kept_mesh, sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -217,8 +217,8 @@ def _sound_mesh(pad: Pad) -> tuple[TetMesh, MeshQuality]:
     written."""
     mesh, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
     require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
-    for array in (mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers):
-        array.flags.writeable = False
+    for name in MESH_ARRAYS:
+        getattr(mesh, name).flags.writeable = False
     return mesh, quality
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -51,12 +51,17 @@ _MEASURED = ("calibrated", "measured")
 class ProfileFamily(SensorFamily):
     """A family whose defaults are the values of a profile."""
 
+    parameters_type: type[FamilyParameters] = field(init=False)
     like: SensorFamily
     """Family of the catalogue."""
-    defaults: Mapping[str, Any]
+    defaults: Mapping[str, Any] = field(default_factory=dict)
     """Values other than those of ``like``."""
     gel: SurfacePad | None = None
     """The gel, where it is not the pad of ``like``."""
+
+    def __post_init__(self) -> None:
+        made = _parameters_type(self.like, self.defaults, self.gel)
+        object.__setattr__(self, "parameters_type", made)
 
     @property
     def label(self) -> str:
@@ -77,9 +82,13 @@ class ProfileFamily(SensorFamily):
             known = {name: value for name, value in known.items() if name not in STIFFNESS}
         return super().parameters({**known, **given})
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __getstate__(self) -> dict[str, Any]:
         # The type of the parameters is made here and found in no module.
-        return _made, (self.name, self.title, self.references, self.like, self.defaults, self.gel)
+        return {name: value for name, value in vars(self).items() if name != "parameters_type"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
 
 
 def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> ProfileFamily:
@@ -98,7 +107,14 @@ def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> Pro
     defaults = {k: value for k, value in values.items() if value != known[k].default or k in kept}
     pad = MeshPad(profile.gel.thickness_mm, mesh=profile.mesh) if imported else None
     what = f"its own gel, all else like {like.name}" if imported else like.title
-    return _made(name, f"{profile.sensor.name}: {what}", like.references, like, defaults, pad)
+    return ProfileFamily(
+        name=name,
+        title=f"{profile.sensor.name}: {what}",
+        references=like.references,
+        like=like,
+        defaults=defaults,
+        gel=pad,
+    )
 
 
 def like_name(sensor: SensorBlock) -> str:
@@ -120,7 +136,8 @@ def like_name(sensor: SensorBlock) -> str:
 
 def imported_gel(like: SensorFamily, gel: SurfacePad) -> ProfileFamily:
     """A sensor that is ``like`` one of the catalogue but for its gel."""
-    return _made(IMPORTED, f"its own gel, all else like {like.name}", (), like, {}, gel)
+    title = f"its own gel, all else like {like.name}"
+    return ProfileFamily(name=IMPORTED, title=title, like=like, gel=gel)
 
 
 def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:
@@ -133,26 +150,6 @@ def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:
             f"{', '.join(useless)}: of no use beside a file, which gives the gel's shape; "
             f"parameters of {', '.join(allowed)} can be set"
         )
-
-
-def _made(
-    name: str,
-    title: str,
-    references: tuple[str, ...],
-    like: SensorFamily,
-    defaults: Mapping[str, Any],
-    gel: SurfacePad | None,
-) -> ProfileFamily:
-    kind = _parameters_type(like, defaults, gel)
-    return ProfileFamily(
-        name=name,
-        title=title,
-        parameters_type=kind,
-        references=references,
-        like=like,
-        defaults=defaults,
-        gel=gel,
-    )
 
 
 def _parameters_type(

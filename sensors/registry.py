@@ -32,20 +32,22 @@ if TYPE_CHECKING:
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
 _PROFILE_FILE = "profile.toml"
-_BUILT_IN = {
-    "digit": "digit",
-    "digit_360": "digit_360",
-    "flat_pad": "flat_pad",
-    "gelsight": "gelsight",
-    "gelsight_40": "gelsight_40",
-    "gelsight_mini": "gelsight_mini",
-    "gelsight_r15": "gelsight_r15",
-    "gelsight_wedge": "gelsight_wedge",
-    "9dtact": "ninedtact",
-    "rtac": "rtac",
-    "stereo_pad": "stereo_pad",
-}
-"""Name of a family -> folder of this package with a module ``family`` and its ``FAMILY``."""
+_BUILT_IN = (
+    "digit",
+    "digit_360",
+    "flat_pad",
+    "gelsight",
+    "gelsight_40",
+    "gelsight_mini",
+    "gelsight_r15",
+    "gelsight_wedge",
+    "9dtact",
+    "rtac",
+    "stereo_pad",
+)
+"""Families with a module in ``families``."""
+_MODULES = {"9dtact": "ninedtact"}
+"""Modules that are not called as their family: no module's name begins with a digit."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def catalogue() -> Catalogue:
 
 
 def _built_in(name: str) -> SensorFamily:
-    return import_module(f"taccel_lab.sensors.{_BUILT_IN[name]}.family").FAMILY
+    return import_module(f"taccel_lab.sensors.families.{_MODULES.get(name, name)}").FAMILY
 
 
 def sensor_families() -> dict[str, SensorFamily]:

@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files for the workshop: pad, assembly, moulds and drawings of one design."""
+"""Files for the workshop: pad, assembly, moulds and drawings of one design; its parts together."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
-from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id, write_json
-from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.sensors.base import FamilyParameters, all_optics
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
     from taccel_lab.cad.assembly import Assembly
     from taccel_lab.cad.drawing.title import Issue
     from taccel_lab.cad.mesh.surface import LabelledSurface
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-    from taccel_lab.cad.parts.part import Part
+    from taccel_lab.cad.parts.part import LabelledSolid, Part
 
 WORKSHOP_PARTS = ("pad", "assembly", "mould", "drawing")
 """What can be left out of a design's folder."""
@@ -64,16 +63,9 @@ class Workshop:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, parts: Sequence[str]) -> None:
-        """Write the kinds of files named in ``parts``."""
-        if "pad" in parts:
-            self.write_pad()
-        if "assembly" in parts and self.assembly is not None:
-            self.write_assembly(self.assembly)
-        if "mould" in parts:
-            self.write_moulds()
-        if "drawing" in parts:
-            self.write_drawings()
+    def write(self, kind: str) -> None:
+        """Write the files of one of ``WORKSHOP_PARTS``."""
+        getattr(self, f"write_{kind}")()
 
     def write_pad(self) -> None:
         """The gel as STEP with named faces, STL, 3MF (a body each layer) and DXF."""
@@ -94,11 +86,13 @@ class Workshop:
             return []
         return [gel_part(layer, f"{self.name}_{name}") for name, layer in self.layers.items()]
 
-    def write_assembly(self, assembly: Assembly) -> None:
+    def write_assembly(self) -> None:
         """All parts in their places as one STEP, rigid ones also by themselves, and a report."""
         from taccel_lab.cad.assembly import require_no_overlap
         from taccel_lab.cad.export import write_assembly_step, write_part_step, write_part_stl
 
+        assembly = self.assembly
+        assert assembly is not None  # It is built where its files are wanted.
         clearances = assembly.clearances()
         self.warnings += [*assembly.notes, *require_no_overlap(clearances)]
         write_assembly_step(
@@ -111,7 +105,7 @@ class Workshop:
             write_part_step(part, self.path(f"{part.name}_step", f"parts/{part.name}.step"))
             write_part_stl(part, self.path(f"{part.name}_stl", f"parts/{part.name}.stl"))
 
-    def write_moulds(self) -> None:
+    def write_mould(self) -> None:
         """One mould a casting step: STEP of cavity and lid, 3MF of both, a report of the checks."""
         from taccel_lab.cad.export import write_3mf, write_part_step
         from taccel_lab.cad.moulds import casting_moulds
@@ -124,13 +118,13 @@ class Workshop:
             report[mould.name] = {
                 "options": mould.options.describe(),
                 "gates": [vars(gate) for gate in mould.gates],
-                **checked.to_json(),
+                **asdict(checked),
             }
         write_json(self.path("mould_report", "mould.json"), report)
 
-    def write_drawings(self) -> None:
+    def write_drawing(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
-        from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
+        from taccel_lab.cad.drawing.assembly_drawing import assembly_drawing
         from taccel_lab.cad.drawing.pad_drawing import pad_drawing
 
         layers = dict(self.layers) if len(self.layers) > 1 else {}
@@ -145,13 +139,12 @@ class Workshop:
             issue=self.issue,
         ).save(self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf"))
         if self.assembly is not None:
-            write_assembly_drawing(
+            assembly_drawing(
                 self.assembly,
-                [self.path("assembly_drawing", "assembly.svg")],
                 title=f"{self.name}: assembly",
                 notes=self.assembly.notes,
                 issue=self.issue,
-            )
+            ).save(self.path("assembly_drawing", "assembly.svg"))
 
     def write_mesh(self, mesh: TetMesh, mesher: str) -> None:
         """The mesh with its labels and a picture of it."""
@@ -183,6 +176,41 @@ class Workshop:
         )
 
 
+def sensor_parts(
+    name: str, parameters: FamilyParameters, gel: LabelledSolid | None = None
+) -> Assembly:
+    """The assembly of a sensor; ``gel`` is the solid of its pad if it is already at hand.
+
+    Raises InputError when a part cannot be built, naming the bound that is broken.
+    """
+    from taccel_lab.cad.assembly import sensor_assembly
+    from taccel_lab.cad.parts.pad_solid import gel_parts, labelled_solid
+
+    pad, optics = parameters.pad(), parameters.optics()
+    gel = gel or labelled_solid(pad)
+    return sensor_assembly(
+        name,
+        gel_parts(pad, gel),
+        pad.thickness_mm,
+        window=None if optics is None else optics.window,
+        housing=parameters.housing(),
+        cameras=tuple(design.camera for design in all_optics(parameters)),
+        leds=() if optics is None else optics.lights,
+        view_mm=_view_mm(gel),
+    )
+
+
+def _view_mm(gel: LabelledSolid) -> tuple[float, float]:
+    """Extents of the gel's window face in plan [mm]."""
+    boxes = [face.bounding_box() for face in gel.faces(Region.WINDOW)]
+    if not boxes:
+        return (0.0, 0.0)
+    return (
+        max(b.max.X for b in boxes) - min(b.min.X for b in boxes),
+        max(b.max.Y for b in boxes) - min(b.min.Y for b in boxes),
+    )
+
+
 def issue_of(content: Any) -> Issue:
     """The issue of a design with this content, today: on the day of ``SOURCE_DATE_EPOCH`` [s since
     1970, UTC] where that is set, as in builds that are to be repeated to the byte."""
@@ -191,12 +219,3 @@ def issue_of(content: Any) -> Issue:
     seconds = float(os.environ.get("SOURCE_DATE_EPOCH") or time.time())
     day = datetime.fromtimestamp(seconds, UTC).date().isoformat()
     return Issue(f"{content_id(content)[:8]}, taccel-lab {__version__}", day)
-
-
-def check_parts(parts: Sequence[str]) -> None:
-    """Raise InputError for a kind of files that does not exist."""
-    unknown = [part for part in parts if part not in WORKSHOP_PARTS]
-    if unknown:
-        raise InputError(
-            f"parts {', '.join(unknown)} do not exist; use any of {', '.join(WORKSHOP_PARTS)}"
-        )

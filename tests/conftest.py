@@ -27,8 +27,7 @@ import warp._src.build as native
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
-from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
-from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import TetMesh

@@ -7,7 +7,6 @@ Parts that overlap are drawn red in both views and named in a note.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import to_hex
@@ -33,15 +32,14 @@ _BALLOON_MM = 9.0
 _RED = "#c1121f"
 
 
-def write_assembly_drawing(
+def assembly_drawing(
     assembly: Assembly,
-    paths: Sequence[Path],
     *,
     title: str,
     notes: Sequence[str] = (),
     issue: Issue | None = None,
-) -> None:
-    """Draw section y = 0 (z up) and plan (y up) of ``assembly`` and write them to ``paths``.
+) -> DrawingSheet:
+    """The drawing of ``assembly``: section y = 0 (z up) and plan (y up).
 
     Parts that the plane misses are listed without a number in the section; the plan shows all
     lights. Raises InputError when made parts interpenetrate.
@@ -101,8 +99,7 @@ def write_assembly_drawing(
             },
         ),
     )  # fmt: skip
-    for path in paths:
-        sheet.save(path)
+    return sheet
 
 
 def _fill(part: Part) -> str:

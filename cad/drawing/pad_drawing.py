@@ -32,8 +32,8 @@ from taccel_lab.cad.drawing.title import (
     sheet_and_scale,
     write_title,
 )
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.parts.outline import base_outline
+from taccel_lab.cad.parts.part import LabelledSolid
+from taccel_lab.cad.parts.solids import base_outline
 from taccel_lab.geometry import Region
 
 _LEFT, _ABOVE, _BETWEEN, _RIGHT, _BELOW = 34.0, 30.0, 30.0, 22.0, 20.0

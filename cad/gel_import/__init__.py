@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gels from files of other programs, their faces selected by name, direction or number."""
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, PartFaces, listing
 from taccel_lab.cad.gel_import.gel_file import SUFFIXES, import_gel, part_faces, workshop_solid
-from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.gel_import.importer import (
+    FaceSelection,
+    ImportedGel,
+    listing,
+)
 from taccel_lab.cad.gel_import.labelling import propose
 
 __all__ = [
     "SUFFIXES",
-    "FaceInfo",
     "FaceSelection",
     "ImportedGel",
-    "PartFaces",
     "import_gel",
     "listing",
     "part_faces",

@@ -9,20 +9,21 @@ has passed every check.
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Hashable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from taccel_lab.cad.gel_import.faces import PartFaces
-from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel
-from taccel_lab.cad.gel_import.step_parts import require_step_file
-from taccel_lab.cad.mesh.surface import LabelledSurface
+from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel, PartFaces
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files import tet_file, triangle_file
 from taccel_lab.files.apart import read_apart
-from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.files.declared import require_few_copies
+from taccel_lab.files.regular_file import read_regular_file, require_regular_file
+from taccel_lab.guards import require_known
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import LabelledSolid
 
 STEP = (".step", ".stp")
 SUFFIXES = (*STEP, *triangle_file.SUFFIXES, *tet_file.SUFFIXES)
@@ -32,6 +33,17 @@ LIMIT_S = 120.0
 MAX_FACETS = 1_000
 """Triangles of a gel that get a solid."""
 _ORIGINS = ("center", "file")
+MAX_BYTES = 50 << 20
+"""Limit of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces
+take 0.5 MiB; the CAD kernel needs some 30 times the size of a file."""
+MAX_PARTS = 1_000
+"""Bodies and assemblies of a file, each counted as often as it is placed: of a sensor that is
+assembled with its housing, screws and all."""
+_ENTITY = re.compile(
+    rb"#(\d+)\s*=\s*(NEXT_ASSEMBLY_USAGE_OCCURRENCE|MAPPED_ITEM|REPRESENTATION_MAP"
+    rb"|\w*SHAPE_REPRESENTATION)\s*\(([^;]*);"
+)
+_REFERENCE = re.compile(rb"#(\d+)")
 
 
 def part_faces(path: Path | str, body: str = "", unit: str = "") -> PartFaces:
@@ -41,18 +53,13 @@ def part_faces(path: Path | str, body: str = "", unit: str = "") -> PartFaces:
     Raises InputError for a file without exactly one body, or one of the name or number ``body``.
     """
     path = Path(path)
-    kind = _kind(path)
-    if kind == "triangles":
-        from taccel_lab.cad.gel_import.triangle_gel import faces_of_triangle_file
-
-        return faces_of_triangle_file(path, body, unit)
-    if kind == "tets":
-        from taccel_lab.cad.gel_import.triangle_gel import faces_of_tet_file
-
-        return faces_of_tet_file(path, body, unit)
-    path = require_step_file(path)
     with naming(path):
-        return read_apart(str(path), _faces_of_step, path, body, by="OCP", limit_s=LIMIT_S)
+        kind = _kind(path)
+        if kind == "step":
+            return _by_kernel(str(path), "faces_of_step", require_step_file(path), body)
+        from taccel_lab.cad.gel_import.triangle_gel import faces_of_cells
+
+        return faces_of_cells(path, kind, body, unit)
 
 
 def import_gel(path: Path | str, selection: FaceSelection | None = None) -> ImportedGel:
@@ -63,21 +70,13 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
     """
     path, selection = Path(path), selection or FaceSelection()
     with naming(path):
-        if selection.origin not in _ORIGINS:
-            raise InputError(
-                f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}"
-            )
+        require_known("origin", selection.origin, _ORIGINS)
         kind = _kind(path)
-        if kind == "triangles":
-            from taccel_lab.cad.gel_import.triangle_gel import gel_of_triangle_file
+        if kind == "step":
+            return _by_kernel(str(path), "gel_of_step", require_step_file(path), selection)
+        from taccel_lab.cad.gel_import.triangle_gel import gel_of_cells
 
-            return gel_of_triangle_file(path, selection)
-        if kind == "tets":
-            from taccel_lab.cad.gel_import.triangle_gel import gel_of_tet_file
-
-            return gel_of_tet_file(path, selection)
-        path = require_step_file(path)
-        return read_apart(str(path), _gel_of_step, path, selection, by="OCP", limit_s=LIMIT_S)
+        return gel_of_cells(path, kind, selection)
 
 
 def workshop_solid(gel: ImportedGel) -> LabelledSolid | None:
@@ -88,10 +87,11 @@ def workshop_solid(gel: ImportedGel) -> LabelledSolid | None:
     """
     if gel.part is not None or len(gel.surface.triangles) > MAX_FACETS:
         return gel.part
-    return read_apart(gel.name, _facet_solid, gel.surface, by="OCP", limit_s=LIMIT_S)
+    return _by_kernel(gel.name, "facet_solid", gel.surface)
 
 
 def _kind(path: Path) -> str:
+    """What a file holds: ``triangles``, ``tets`` or ``step``."""
     require_regular_file(path, triangle_file.MAX_BYTES, "a gel's file")
     # A link may be named by its digest, and so may the file that it leads to.
     names = (path, Path(os.path.realpath(path)))
@@ -105,20 +105,39 @@ def _kind(path: Path) -> str:
     raise InputError(f"{path}: a gel is read from {', '.join(SUFFIXES)}; not from {suffix!r}")
 
 
-# Called in the readers' process: only there does the kernel load for them.
-def _faces_of_step(path: Path, body: str) -> PartFaces:
-    from taccel_lab.cad.gel_import.step_gel import faces_of_step
-
-    return faces_of_step(path, body)
+def _by_kernel(what: str, function: str, *arguments: Any) -> Any:
+    """What a function of ``step_gel`` gives in the readers' process."""
+    return read_apart(what, _of_step_gel, function, *arguments, by="OCP", limit_s=LIMIT_S)
 
 
-def _gel_of_step(path: Path, selection: FaceSelection) -> ImportedGel:
-    from taccel_lab.cad.gel_import.step_gel import gel_of_step
+def _of_step_gel(function: str, *arguments: Any) -> Any:
+    # Called in the readers' process: only there does the kernel load.
+    from taccel_lab.cad.gel_import import step_gel
 
-    return gel_of_step(path, selection)
+    return getattr(step_gel, function)(*arguments)
 
 
-def _facet_solid(surface: LabelledSurface) -> LabelledSolid:
-    from taccel_lab.cad.gel_import.facet_solid import facet_solid
+def require_step_file(path: Path) -> Path:
+    """``path``, if a file lies there that the kernel may meet: it visits all parts that one places.
 
-    return facet_solid(surface)
+    Raises InputError for one that is too large, and for assemblies of assemblies that place more
+    than ``MAX_PARTS``. Counted in the text by the entities of ISO 10303-44 (occurrences in
+    assemblies) and 10303-43 (mapped items).
+    """
+    content = read_regular_file(path, MAX_BYTES, "a STEP file")
+    parts: dict[Hashable, list[Hashable]] = {}
+    placed: set[Hashable] = set()
+    for number, kind, rest in _ENTITY.findall(content):
+        names = _REFERENCE.findall(rest)
+        if kind == b"NEXT_ASSEMBLY_USAGE_OCCURRENCE":
+            parts.setdefault(b"".join(names[:1]), []).extend(names[1:2])
+            placed.update(names[1:2])
+        else:
+            # A mapped item is of a map, a map of a representation, that one of what it lists.
+            parts[number] = names[:1] if kind == b"MAPPED_ITEM" else names
+            placed.update([number] if kind == b"MAPPED_ITEM" else [])
+    inner = {name for names in parts.values() for name in names}
+    roots = [name for name in parts if name not in inner]
+    own = {name: int(name in placed) for name in (*parts, *inner)}
+    require_few_copies(path, parts, roots, MAX_PARTS, own=own)
+    return path

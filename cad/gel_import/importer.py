@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's own gel from a file, as it is requested and as it comes back."""
+"""A user's own gel from a file: its numbered faces, what is asked for, and what comes back."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,13 +11,63 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, StrictStr
 
-from taccel_lab.cad.gel_import.faces import PartFaces
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.geometry import Region, TetMesh
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import LabelledSolid
+
+
+@dataclass(frozen=True)
+class FaceInfo:
+    """What a user sees of one face."""
+
+    index: int
+    name: str
+    kind: str
+    """"plane", "cylinder", "bspline" and so on; "curved" where the file has triangles alone."""
+    area_mm2: float
+    center_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    """Outward unit normal at the middle."""
+    color: str
+
+    def __str__(self) -> str:
+        center = ", ".join(f"{v:z.2f}" for v in self.center_mm)
+        normal = ", ".join(f"{v:z.2f}" for v in self.normal)
+        return (
+            f"{self.index:4d}  {self.kind:<9} {self.area_mm2:10.3f} mm^2  at ({center})  "
+            f"normal ({normal})  {self.color or '-':<6}  {self.name or '-'}"
+        )
+
+
+def triple(vector: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers, rounded to the kernel's noise and without negative zeros."""
+    x, y, z = (round(float(v), 9) + 0.0 for v in vector)
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class PartFaces:
+    """A part's faces and its triangles, in the frame and the unit of its file."""
+
+    table: list[FaceInfo]
+    vertices: np.ndarray
+    """float64, [n, 3]."""
+    triangles: np.ndarray
+    """Outward, int32, [m, 3]."""
+    face_of: np.ndarray
+    """Number of each triangle's face, int32, [m]."""
+
+
+def listing(table: Sequence[FaceInfo], most: int = 40) -> str:
+    """The table of faces as text."""
+    lines = ["index  type           area        middle [mm], outward normal, colour, name"]
+    lines += [str(info) for info in table[:most]]
+    if len(table) > most:
+        lines.append(f"  ... and {len(table) - most} more")
+    return "\n".join(lines)
 
 
 def _as_tuple(value: Any) -> Any:

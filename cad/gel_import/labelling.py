@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, PartFaces, listing
-from taccel_lab.cad.gel_import.importer import FaceSelection, right_of
+from taccel_lab.cad.gel_import.importer import FaceInfo, FaceSelection, PartFaces, listing, right_of
 from taccel_lab.cad.gel_import.selection import direction, rectangle_of, select_faces
-from taccel_lab.errors import InputError, naming
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
 REGIONS: dict[str, Region] = {
@@ -52,9 +50,7 @@ class Labelling:
     """Gel from file, without scale, [3, 3]."""
 
 
-def label_faces(
-    faces: PartFaces, selection: FaceSelection, path: Path, scale: float = 1.0
-) -> Labelling:
+def label_faces(faces: PartFaces, selection: FaceSelection, scale: float = 1.0) -> Labelling:
     """Complete and apply ``selection``; ``scale`` is the millimetres of a unit of the file.
 
     Raises InputError, with the list of faces, where a selector chooses nothing or a face twice, and
@@ -62,11 +58,11 @@ def label_faces(
     """
     assumed = selection.assumed()
     stated = selection.model_fields_set
-    selection = _with_bond(selection, faces.table, path)
-    selection = _with_normal(selection, faces.table, path)
-    selection = _with_contact(selection, faces.table, path)
+    selection = _with_bond(selection, faces.table)
+    selection = _with_normal(selection, faces.table)
+    selection = _with_contact(selection, faces.table)
     rotation = _rotation(selection)
-    selection = _with_window(selection, faces, scale * rotation, path)
+    selection = _with_window(selection, faces, scale * rotation)
     again = FaceSelection(normal=selection.normal, right=selection.right).assumed()
     assumed = {name: again.get(name, text) for name, text in assumed.items()}
     if "normal" in assumed:
@@ -75,10 +71,10 @@ def label_faces(
         chosen = getattr(selection, name)
         if name not in stated and chosen != FaceSelection.model_fields[name].default:
             assumed[name] = f"{' '.join(chosen)}, as --{name} takes it"
-    regions, rectangle = _regions(faces.table, selection, path)
+    regions, rectangle = _regions(faces.table, selection)
     outline = None
     if rectangle is not None:
-        points, shift = _in_gel(selection, faces, scale * rotation, path)
+        points, shift = _in_gel(selection, faces, scale * rotation)
         bond = np.array([region == Region.BOND for region in regions])[faces.face_of]
         heights = _level(points[faces.triangles[bond]])[:, 0, 2]
         x, y = rectangle[0] / 2, rectangle[1] / 2
@@ -89,13 +85,12 @@ def label_faces(
 
 
 def _in_gel(
-    selection: FaceSelection, faces: PartFaces, turn: np.ndarray, path: Path
+    selection: FaceSelection, faces: PartFaces, turn: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The part's points [mm] in the gel frame, and their shift there."""
     points, shift = faces.vertices @ turn.T, np.zeros(3)
     if selection.origin == "center":
-        with naming(path):
-            contact = select_faces(selection.contact, faces.table, "contact")
+        contact = select_faces(selection.contact, faces.table, "contact")
         touched = np.isin(faces.face_of, list(contact))
         shift = center_shift(points, faces.triangles, touched)
     return points + shift, shift
@@ -106,12 +101,12 @@ def _level(corners: np.ndarray) -> np.ndarray:
     return corners[np.ptp(corners[..., 2], axis=1) < 1e-6]
 
 
-def propose(faces: PartFaces, selection: FaceSelection, path: Path) -> tuple[Labelling | None, str]:
+def propose(faces: PartFaces, selection: FaceSelection) -> tuple[Labelling | None, str]:
     """Labels faces as ``label_faces``; or gives None and the first line of why not."""
     try:
-        return label_faces(faces, selection, path), ""
+        return label_faces(faces, selection), ""
     except InputError as error:
-        return None, str(error).partition("\n")[0].removeprefix(f"{path}: ")
+        return None, str(error).partition("\n")[0]
 
 
 def center_shift(points_mm: np.ndarray, triangles: np.ndarray, contact: np.ndarray) -> np.ndarray:
@@ -126,13 +121,12 @@ def _named(selection: FaceSelection, name: str, table: Sequence[FaceInfo]) -> bo
     return name in selection.model_fields_set or any(info.name == name for info in table)
 
 
-def _with_bond(selection: FaceSelection, table: Sequence[FaceInfo], path: Path) -> FaceSelection:
+def _with_bond(selection: FaceSelection, table: Sequence[FaceInfo]) -> FaceSelection:
     if _named(selection, "bond", table):
         return selection
     sides = _SIDES
     if "normal" in selection.model_fields_set:
-        with naming(path):
-            direction(selection.normal)
+        direction(selection.normal)
         axis = selection.normal.strip()[-1]
         sides = (("+" if selection.normal.strip().startswith("-") else "-") + axis,)
     best, largest = "", 0.0
@@ -143,7 +137,7 @@ def _with_bond(selection: FaceSelection, table: Sequence[FaceInfo], path: Path) 
             best, largest = side, area
     if not best:
         raise InputError(
-            f"{path}: no plane face that faces {' or '.join(sides)} can be proposed as the glued "
+            f"no plane face that faces {' or '.join(sides)} can be proposed as the glued "
             f"back; select one with --bond\n{listing(table)}"
         )
     return selection.model_copy(update={"bond": (f"plane:{best}",)})
@@ -156,12 +150,11 @@ def _outermost(side: str, table: Sequence[FaceInfo]) -> set[int]:
         return set()
 
 
-def _with_normal(selection: FaceSelection, table: Sequence[FaceInfo], path: Path) -> FaceSelection:
+def _with_normal(selection: FaceSelection, table: Sequence[FaceInfo]) -> FaceSelection:
     """Away from a bond that is plane and square to an axis, unless stated."""
     if "normal" in selection.model_fields_set:
         return selection
-    with naming(path):
-        bond = select_faces(selection.bond, table, "bond")
+    bond = select_faces(selection.bond, table, "bond")
     if not bond or any(table[k].kind != "plane" for k in bond):
         return selection
     normals = np.array([table[k].normal for k in bond])
@@ -171,23 +164,19 @@ def _with_normal(selection: FaceSelection, table: Sequence[FaceInfo], path: Path
     return selection
 
 
-def _with_contact(selection: FaceSelection, table: Sequence[FaceInfo], path: Path) -> FaceSelection:
+def _with_contact(selection: FaceSelection, table: Sequence[FaceInfo]) -> FaceSelection:
     if _named(selection, "contact", table):
         return selection
     selector = f"normal:{selection.normal}"
-    with naming(path):
-        select_faces((selector,), table, "contact")
+    select_faces((selector,), table, "contact")
     return selection.model_copy(update={"contact": (selector,)})
 
 
-def _with_window(
-    selection: FaceSelection, faces: PartFaces, turn: np.ndarray, path: Path
-) -> FaceSelection:
+def _with_window(selection: FaceSelection, faces: PartFaces, turn: np.ndarray) -> FaceSelection:
     if _named(selection, "window", faces.table):
         return selection
-    with naming(path):
-        bond = select_faces(selection.bond, faces.table, "bond")
-    points, _ = _in_gel(selection, faces, turn, path)
+    bond = select_faces(selection.bond, faces.table, "bond")
+    points, _ = _in_gel(selection, faces, turn)
     inner = _inner_face(bond, faces, points)
     if inner is not None:
         rest = ",".join(str(k) for k in sorted(bond - {inner}))
@@ -197,7 +186,7 @@ def _with_window(
     size = _rectangle_in(points[faces.triangles[np.isin(faces.face_of, list(bond))]])
     if size is None:
         raise InputError(
-            f"{path}: no window can be proposed, since no rectangle about the gel's middle lies on "
+            f"no window can be proposed, since no rectangle about the gel's middle lies on "
             f"the glued plane; select faces with --window\n{listing(faces.table)}"
         )
     return selection.model_copy(update={"window": (f"rect:{size[0]:g}x{size[1]:g}",)})
@@ -256,7 +245,7 @@ def _rotation(selection: FaceSelection) -> np.ndarray:
 
 
 def _regions(
-    table: Sequence[FaceInfo], selection: FaceSelection, path: Path
+    table: Sequence[FaceInfo], selection: FaceSelection
 ) -> tuple[list[Region], tuple[float, float] | None]:
     """Region of each face, and the size of the window to split off."""
     regions = [Region.SIDE] * len(table)
@@ -264,14 +253,13 @@ def _regions(
     for name, region in REGIONS.items():
         if region == Region.WINDOW and rectangle is not None:
             continue
-        with naming(path):
-            chosen = select_faces(getattr(selection, name), table, name)
+        chosen = select_faces(getattr(selection, name), table, name)
         if not chosen:
-            raise InputError(f"{path}: no faces are selected for {name}\n{listing(table)}")
+            raise InputError(f"no faces are selected for {name}\n{listing(table)}")
         for index in sorted(chosen):
             if regions[index] != Region.SIDE:
                 raise InputError(
-                    f"{path}: face {index} is selected for {regions[index].name.lower()} and for "
+                    f"face {index} is selected for {regions[index].name.lower()} and for "
                     f"{name}\n{listing(table)}"
                 )
             regions[index] = region

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, PartFaces
+from taccel_lab.cad.gel_import.importer import FaceInfo, PartFaces, triple
 from taccel_lab.cad.mesh.surface import doubled_areas
 from taccel_lab.geometry.connectivity import pieces_of_pairs
 from taccel_lab.geometry.tet_checks import unique_rows
@@ -129,12 +129,7 @@ def _described(
         name="",
         kind="plane" if plane[own[0]] else "curved",
         area_mm2=float(areas[own].sum()),
-        center_mm=_triple(center),
-        normal=_triple(normal / length),
+        center_mm=triple(center),
+        normal=triple(normal / length),
         color="",
     )
-
-
-def _triple(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in np.round(vector, 9) + 0.0)
-    return x, y, z

@@ -23,7 +23,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from taccel_lab.cad.gel_import.faces import FaceInfo, listing
+from taccel_lab.cad.gel_import.importer import FaceInfo, listing
 from taccel_lab.errors import InputError
 
 KINDS = ("name", "color", "plane", "normal", "index", "rect")

@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from taccel_lab.cad.mesh.convex_polygon import second_moments, side_normals, where_rays_leave
-from taccel_lab.cad.mesh.grid import plan_quads
-from taccel_lab.cad.mesh.o_grid import coons_patch, spoke_angles
+from taccel_lab.cad.mesh.grid import coons_patch, plan_quads, spoke_angles
 from taccel_lab.cad.mesh.plan_smoothing import smooth_plan
 from taccel_lab.cad.mesh.template import growth_factor
 

@@ -33,12 +33,14 @@ from taccel_lab.cad.mesh.template import (
     level_fractions,
 )
 from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
-from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
+from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.meridian import Piece
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.guards import require_range
 
+Dome = ShellDomePad | SolidDomePad
+"""Domes that have a structured mesh."""
 EVEN_DEG, FOCUSED_DEG = 11.5, 3.0
 """Tets with a smaller dihedral angle are smoothed [deg]; cells far from a contact may be flat."""
 _POWERS = (4, 8, 16, 16, 16)
@@ -90,7 +92,7 @@ class _Columns:
         )
 
 
-def even_dome_mesh(pad: DomePad, edge_mm: float) -> TetMesh:
+def even_dome_mesh(pad: Dome, edge_mm: float) -> TetMesh:
     """Mesh whose cells on the contact face are about ``edge_mm`` large; see ``gel_mesh``.
 
     All borders of regions are exact circles of nodes.
@@ -102,17 +104,15 @@ def even_dome_mesh(pad: DomePad, edge_mm: float) -> TetMesh:
         window_angle = pad.window_angle if pad.window_deg else None
         columns = _columns(pad, counts, even_cap(counts, pad.cap_angle, window_angle))
         shares = np.linspace(0, 1, counts.layers + 1)[:, None]
-    elif isinstance(pad, SolidDomePad):
+    else:
         counts, growth = _even_solid_counts(pad, edge_mm)
         columns = _columns(pad, counts, even_cap(counts, pad.cap_angle, None))
         shares = _even_solid_shares(pad, columns, counts, growth)
-    else:
-        raise InputError(f"no structured mesher for {type(pad).__name__}; use the mesher tetwild")
     levels = columns_mm(_inside_mm(pad, counts, columns), _outside_mm(pad, columns), shares)
     return _meshed(pad, counts, levels, EVEN_DEG)
 
 
-def focused_dome_mesh(pad: DomePad, focus: FocusOptions) -> TetMesh:
+def focused_dome_mesh(pad: Dome, focus: FocusOptions) -> TetMesh:
     """Mesh that is fine around a contact; see ``focused_gel_mesh``.
 
     Layers grow from the uppermost by the focus's ratio or more. A solid dome has as many layers of
@@ -130,11 +130,9 @@ def focused_dome_mesh(pad: DomePad, focus: FocusOptions) -> TetMesh:
         )
         deep = replace(focus, radius_mm=wide * focus.radius_mm, size_mm=wide * focus.size_mm)
         below = focused_cap(counts, pad, deep, back)
-    elif isinstance(pad, SolidDomePad):
+    else:
         counts = _focused_solid_counts(pad, focus)
         below = even_cap_around(counts, pad, focus)
-    else:
-        raise InputError(f"no focused mesher for {type(pad).__name__}")
     disc = focused_cap(counts, pad, focus, face)
     outside = _outside_mm(pad, _columns(pad, counts, disc))
     inside = _inside_mm(pad, counts, _columns(pad, counts, below))
@@ -155,12 +153,10 @@ def focused_dome_mesh(pad: DomePad, focus: FocusOptions) -> TetMesh:
     return _meshed(pad, counts, columns_mm(inside, outside, shares), FOCUSED_DEG)
 
 
-def _meshed(pad: DomePad, counts: DomeCounts, levels: np.ndarray, wanted_deg: float) -> TetMesh:
+def _meshed(pad: Dome, counts: DomeCounts, levels: np.ndarray, wanted_deg: float) -> TetMesh:
     """The mesh with inner nodes moved where tets are flatter than wanted; the surface stays."""
     grid = grid_of(counts.core, counts.rings, counts.layers, halved_layers=counts.halved_layers)
-    glued_rim = isinstance(pad, SolidDomePad) or (
-        isinstance(pad, ShellDomePad) and pad.rim == "bonded"
-    )
+    glued_rim = isinstance(pad, SolidDomePad) or pad.rim == "bonded"
     whole = counts.rings if isinstance(pad, SolidDomePad) else counts.cap_rings
     template = Template(
         grid,
@@ -201,7 +197,7 @@ def graded_shares(size_mm: np.ndarray, length_mm: np.ndarray, layers: int) -> np
     return shares
 
 
-def _check_focus(pad: DomePad, focus: FocusOptions) -> None:
+def _check_focus(pad: Dome, focus: FocusOptions) -> None:
     if focus.rings % 2:
         raise InputError(f"rings = {focus.rings} is odd; domes need an even number")
     away = float(np.hypot(*focus.at_mm))
@@ -289,7 +285,7 @@ def _focused_solid_counts(pad: SolidDomePad, focus: FocusOptions) -> DomeCounts:
 # Columns --------------------------------------------------------------------------------------
 
 
-def _columns(pad: DomePad, counts: DomeCounts, disc: np.ndarray) -> _Columns:
+def _columns(pad: Dome, counts: DomeCounts, disc: np.ndarray) -> _Columns:
     """Columns through ``disc`` points of the cap, the last ring on its edge, and the wall's."""
     drops, spokes = _wall_drops(pad, counts), 4 * counts.core
     theta = angle_from_disc(np.abs(disc), pad.cap_angle)
@@ -302,27 +298,25 @@ def _columns(pad: DomePad, counts: DomeCounts, disc: np.ndarray) -> _Columns:
     )
 
 
-def _wall_drops(pad: DomePad, counts: DomeCounts) -> np.ndarray:
+def _wall_drops(pad: Dome, counts: DomeCounts) -> np.ndarray:
     """Distance of each wall ring below the cap's edge [mm], shape [free + bonded rings]."""
-    free, glued = 0.0, 0.0
     if isinstance(pad, ShellDomePad):
-        free = pad.skirt_mm
-    elif isinstance(pad, SolidDomePad):
+        free, glued = pad.skirt_mm, 0.0
+    else:
         free, glued = pad.wall_height_mm - pad.bonded_wall_mm, pad.bonded_wall_mm
     above = free * np.arange(1, counts.free_rings + 1) / max(counts.free_rings, 1)
     below = glued * np.arange(1, counts.bonded_rings + 1) / max(counts.bonded_rings, 1)
     return np.concatenate([above, free + below])
 
 
-def _outside_mm(pad: DomePad, columns: _Columns) -> np.ndarray:
+def _outside_mm(pad: Dome, columns: _Columns) -> np.ndarray:
     return columns.on_sphere_and_wall(pad.dome_radius_mm, -pad.dome_radius_mm)
 
 
-def _inside_mm(pad: DomePad, counts: DomeCounts, columns: _Columns) -> np.ndarray:
+def _inside_mm(pad: Dome, counts: DomeCounts, columns: _Columns) -> np.ndarray:
     """Where columns begin: on the core of a shell or in the pocket [mm], shape [n, 3]."""
     if isinstance(pad, ShellDomePad):
         return columns.on_sphere_and_wall(pad.core_radius_mm, -pad.dome_radius_mm)
-    assert isinstance(pad, SolidDomePad)
     return _on_pocket(pad, counts, columns)
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from taccel_lab.cad.mesh.conformal import disc_automorphism
 from taccel_lab.cad.mesh.contact_plan import ContactOutline, contact_plan
 from taccel_lab.cad.mesh.focus import FocusOptions, graded_rings
-from taccel_lab.cad.mesh.grid import core_perimeter
-from taccel_lab.cad.mesh.o_grid import bulged_core, spoke_angles
+from taccel_lab.cad.mesh.grid import bulged_core, core_perimeter, spoke_angles
 from taccel_lab.cad.parts.dome_pad import DomePad
 
 LARGEST_CORE = 0.52

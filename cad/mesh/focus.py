@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.cad.mesh.contact_plan import ContactOutline
-from taccel_lab.cad.mesh.o_grid import bulged_core, bulged_radius, ring_radii, spoke_angles
+from taccel_lab.cad.mesh.grid import bulged_core, bulged_radius, ring_radii, spoke_angles
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
 

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,8 +28,6 @@ class SurfacePad(Pad):
     """The gel in a labelled surface. Over a place where its contact face lies in folds, the highest
     counts."""
 
-    one_connectivity: ClassVar[bool] = False
-
     thickness_mm: float  # pyright: ignore[reportGeneralTypeIssues]
     surface: LabelledSurface = field(kw_only=True)
 
@@ -48,12 +46,10 @@ class SurfacePad(Pad):
         return f"{type(self).__name__}(thickness_mm={self.thickness_mm!r}, gel={self.digest})"
 
     def bounds_mm(self) -> np.ndarray:
-        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
         points = self.surface.vertices_mm
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """z of the contact face over gel xy [mm], NaN beside it; [..., 2] -> [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         return self._top(xy.reshape(-1, 2))[0].reshape(xy.shape[:-1])
 
@@ -67,8 +63,6 @@ class SurfacePad(Pad):
         return normal.reshape(*xy.shape[:-1], 3)
 
     def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Distance in plan to the edge of the contact face [mm], positive inside;
-        [..., 2] -> [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         points = xy.reshape(-1, 2)
         away = np.full(len(points), np.inf)
@@ -84,13 +78,14 @@ class SurfacePad(Pad):
         return self._closest(Region.CONTACT)(np.asarray(points_mm, dtype=np.float64))[0]
 
     def bond_projection_mm(self, points_mm: np.ndarray) -> np.ndarray:
-        """Closest points on the glued surface (bond and window) [mm], [n, 3] -> [n, 3]."""
         closest = self._closest(Region.BOND, Region.WINDOW)
         return closest.project(np.asarray(points_mm, dtype=np.float64))[0]
 
     def figures(self) -> dict[str, float]:
-        """Its volume [mm^3]."""
-        return {"volume_mm3": self.surface.volume_mm3()}
+        return {"volume_mm3": self.volume_mm3()}
+
+    def volume_mm3(self) -> float:
+        return self.surface.volume_mm3()
 
     def _closest(self, *regions: Region) -> ClosestPoint:
         from taccel_lab.cad.mesh.closest import ClosestPoint

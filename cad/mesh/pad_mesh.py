@@ -15,8 +15,7 @@ import numpy as np
 
 from taccel_lab.cad.mesh.focus import MIN_FOCUS_EDGE_MM, FocusOptions
 from taccel_lab.cad.mesh.grid import core_perimeter, grid_of
-from taccel_lab.cad.mesh.pad_counts import PadCounts, even_counts
-from taccel_lab.cad.mesh.pad_plan_even import EvenPlan, even_plan
+from taccel_lab.cad.mesh.pad_plan_even import EvenPlan, PadCounts, even_counts, even_plan
 from taccel_lab.cad.mesh.pad_plan_focused import focus_plan, rim_distances_mm, rim_rings
 from taccel_lab.cad.mesh.template import (
     Template,
@@ -162,7 +161,7 @@ def _focused_counts(pad: HeightPad, focus: FocusOptions) -> PadCounts:
         band=edge_rings,
         gel_layers=focus.layers - skin_layers,
         skin_layers=skin_layers,
-        skin_rings=int((rim_distances_mm(pad) < pad.skin_wall_mm).sum()),
+        skin_rings=int((rim_distances_mm(pad) < pad.skin_side_mm).sum()),
         sides_bonded=pad.sides_bonded,
     )
 

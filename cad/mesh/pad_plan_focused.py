@@ -53,7 +53,7 @@ def rim_distances_mm(pad: HeightPad) -> np.ndarray:
     The first is the border of the conformal grid. Arcs and bevels wider than the corner radius have
     no rings: their nodes lie on the formula, their edges between nodes.
     """
-    distances = [0.0, pad.skin_wall_mm]
+    distances = [0.0, pad.skin_side_mm]
     width = pad.rim_setback_mm()
     if pad.has_fillet:
         distances += [width, 0.5 * width, width * (1 - float(np.sqrt(0.75)))]

@@ -12,8 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.surface import check_closed, doubled_areas, enclosed_volume, weld
-from taccel_lab.cad.mesh.thickness import least_thickness
+from taccel_lab.cad.mesh.surface import (
+    check_closed,
+    doubled_areas,
+    enclosed_volume,
+    least_thickness,
+    weld,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.connectivity import compacted, piece_of_cells
 
@@ -51,28 +56,20 @@ def repair_surface(
     InputError for what cannot be repaired: no triangles, bigger holes, several bodies, a surface
     that crosses itself in more than 5 % of its triangles, regions without thickness.
     """
-    pymeshlab = _load()
-    actions: list[str] = []
-    points, faces = _checked(vertices, triangles, actions)
-    points, faces = _welded(points, faces, actions)
+    surface = _Surface(_load(), vertices, triangles, max_hole_edges)
+    surface.weld()
     try:
-        points, faces = _manifold(pymeshlab, points, faces, actions)
-        points, faces = _one_piece(points, faces, actions)
-        before = len(faces)
-        points, faces = _closed(pymeshlab, points, faces, max_hole_edges, actions)
-        points, faces = _without_crossings(
-            pymeshlab, points, faces, before, max_hole_edges, actions
-        )
-    except pymeshlab.PyMeshLabException as error:
+        surface.make_manifold()
+        surface.keep_one_piece()
+        before = len(surface.faces)
+        surface.close()
+        surface.cut_crossings(before)
+    except surface.pymeshlab.PyMeshLabException as error:
         # A filter that finds no manifold surface, after those that make one.
         cause = str(error).partition("Details:")[2].strip() or str(error)
         raise InputError(f"pymeshlab cannot repair the surface: {cause}") from error
-    check_closed(faces, "the repaired surface")
-    if enclosed_volume(points[faces]) < 0:
-        faces = faces[:, ::-1].copy()
-        actions.append("turned the surface inside out, so that it faces outward")
-    _check_thickness(points, faces)
-    return RepairedSurface(points, faces, tuple(actions))
+    surface.face_outward()
+    return RepairedSurface(surface.points, surface.faces, tuple(surface.actions))
 
 
 def self_intersections(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -82,162 +79,169 @@ def self_intersections(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarra
     return np.asarray(meshes.current_mesh().face_selection_array(), dtype=bool)
 
 
-def _checked(
-    vertices: np.ndarray, triangles: np.ndarray, actions: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
-    faces = np.ascontiguousarray(triangles, dtype=np.int32)
-    shaped = points.ndim == 2 and faces.ndim == 2
-    if not shaped or points.shape[1] != 3 or faces.shape[1] != 3 or not len(faces):
-        raise InputError("a surface to repair needs vertices [n, 3] and triangles [m, 3]")
-    if faces.max() >= len(points) or faces.min() < 0:
-        raise InputError(
-            f"the surface to repair has triangles of vertices {int(faces.min())} to "
-            f"{int(faces.max())}, but {len(points)} vertices"
-        )
-    whole = np.isfinite(points[faces]).all(axis=(1, 2))
-    if not whole.any():
-        raise InputError("every triangle of the surface to repair has NaN or infinite corners")
-    if not whole.all():
-        actions.append(f"cut out {int((~whole).sum())} triangles with NaN or infinite corners")
-    return _used(points, faces[whole])
+class _Surface:
+    """Triangles while they are repaired, and what was done to them."""
 
+    def __init__(
+        self,
+        pymeshlab: ModuleType,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        max_hole_edges: int,
+    ) -> None:
+        self.pymeshlab, self.max_hole_edges = pymeshlab, max_hole_edges
+        self.points = np.ascontiguousarray(vertices, dtype=np.float64)
+        self.faces = np.ascontiguousarray(triangles, dtype=np.int32)
+        self.actions: list[str] = []
+        points, faces = self.points, self.faces
+        shaped = points.ndim == 2 and faces.ndim == 2
+        if not shaped or points.shape[1] != 3 or faces.shape[1] != 3 or not len(faces):
+            raise InputError("a surface to repair needs vertices [n, 3] and triangles [m, 3]")
+        if faces.max() >= len(points) or faces.min() < 0:
+            raise InputError(
+                f"the surface to repair has triangles of vertices {int(faces.min())} to "
+                f"{int(faces.max())}, but {len(points)} vertices"
+            )
+        whole = np.asarray(np.isfinite(points[faces]).all(axis=(1, 2)))
+        if not whole.any():
+            raise InputError("every triangle of the surface to repair has NaN or infinite corners")
+        if not whole.all():
+            self._note(f"cut out {int((~whole).sum())} triangles with NaN or infinite corners")
+        self._keep(whole)
 
-def _welded(
-    points: np.ndarray, faces: np.ndarray, actions: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    tolerance = _WELD_SHARE * float(np.linalg.norm(np.ptp(points, axis=0)))
-    if tolerance <= 0:
-        raise InputError("all triangles of the surface to repair lie in one point")
-    merged, faces = weld(points, faces, tolerance)
-    if len(merged) < len(points):
-        actions.append(f"merged {len(points) - len(merged)} vertices of the same place")
-    corners = merged[faces]
-    cross = doubled_areas(corners)
-    thin = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    thin |= np.linalg.norm(cross, axis=1) <= tolerance**2
-    if thin.any():
-        actions.append(f"cut out {int(thin.sum())} triangles without area")
-    faces = faces[~thin]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    if len(first) < len(faces):
-        actions.append(f"cut out {len(faces) - len(first)} duplicate triangles")
-    if not len(first):
-        raise InputError("no triangle of the surface to repair has an area")
-    return _used(merged, faces[np.sort(first)])
+    def weld(self) -> None:
+        """Merge vertices of a place; drop triangles without area and those that are there twice."""
+        tolerance = _WELD_SHARE * float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        if tolerance <= 0:
+            raise InputError("all triangles of the surface to repair lie in one point")
+        count = len(self.points)
+        self.points, self.faces = weld(self.points, self.faces, tolerance)
+        if len(self.points) < count:
+            self._note(f"merged {count - len(self.points)} vertices of the same place")
+        cross = doubled_areas(self.points[self.faces])
+        thin = (self.faces == np.roll(self.faces, 1, axis=1)).any(axis=1)
+        thin |= np.linalg.norm(cross, axis=1) <= tolerance**2
+        if thin.any():
+            self._note(f"cut out {int(thin.sum())} triangles without area")
+        self.faces = self.faces[~thin]
+        _, first = np.unique(np.sort(self.faces, axis=1), axis=0, return_index=True)
+        if len(first) < len(self.faces):
+            self._note(f"cut out {len(self.faces) - len(first)} duplicate triangles")
+        if not len(first):
+            raise InputError("no triangle of the surface to repair has an area")
+        self._keep(np.sort(first))
 
+    def make_manifold(self) -> None:
+        """Take edges apart that more than two triangles share."""
+        meshes = self._mesh_set()
+        edges = meshes.get_topological_measures()["non_two_manifold_edges"]
+        if edges:
+            meshes.meshing_repair_non_manifold_edges()
+            self._note(f"took apart {edges} edges that are not manifold")
+        self._take(meshes)
 
-def _manifold(
-    pymeshlab: ModuleType, points: np.ndarray, faces: np.ndarray, actions: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    meshes = _mesh_set(pymeshlab, points, faces)
-    edges = meshes.get_topological_measures()["non_two_manifold_edges"]
-    if edges:
-        meshes.meshing_repair_non_manifold_edges()
-        actions.append(f"took apart {edges} edges that are not manifold")
-    return _arrays(meshes)
+    def keep_one_piece(self) -> None:
+        """The largest connected piece without debris; several pieces of size are rejected."""
+        piece = piece_of_cells(self.faces)
+        areas = np.linalg.norm(doubled_areas(self.points[self.faces]), axis=1)
+        shares = np.bincount(piece, areas) / areas.sum()
+        large = np.flatnonzero(shares >= _DEBRIS_SHARE)
+        if len(large) > 1:
+            raise InputError(
+                f"the surface to repair has {len(large)} separate pieces; one body is needed. "
+                "Export the gel alone, or join the pieces in the program that they come from"
+            )
+        kept = np.asarray(piece == large[0])
+        if not kept.all():
+            pieces = int((shares > 0).sum()) - 1
+            self._note(f"cut out {pieces} loose pieces of {int((~kept).sum())} triangles")
+        self._keep(kept)
 
+    def close(self) -> None:
+        """Close holes, take vertices apart that are not manifold, turn triangles one way."""
+        meshes = self._mesh_set()
+        measures = meshes.get_topological_measures()
+        open_edges, corners = measures["boundary_edges"], measures["non_two_manifold_vertices"]
+        most = self.max_hole_edges
+        if open_edges:
+            # Lids that cross nothing where there are any, then the rest: crossings are sought
+            # later.
+            meshes.meshing_close_holes(maxholesize=most, selfintersection=True)
+            corners = meshes.get_topological_measures()["non_two_manifold_vertices"]
+        if corners:
+            meshes.meshing_repair_non_manifold_vertices()
+            self._note(f"took apart {corners} vertices that are not manifold")
+        if meshes.get_topological_measures()["boundary_edges"]:
+            meshes.meshing_close_holes(maxholesize=most, selfintersection=False)
+        before = np.asarray(meshes.current_mesh().face_matrix())
+        meshes.meshing_re_orient_faces_coherently()
+        turned = int((np.asarray(meshes.current_mesh().face_matrix()) != before).any(axis=1).sum())
+        if 0 < turned < len(before):
+            self._note(f"turned {turned} triangles the way of their neighbours")
+        left = meshes.get_topological_measures()["boundary_edges"]
+        if left:
+            raise InputError(
+                f"the repaired surface is not a closed manifold surface: {left} open edges are "
+                f"left, at holes of more than {most} edges or with tangled borders; close them in "
+                "your CAD program"
+            )
+        count = len(self.faces)
+        self._take(meshes)
+        if open_edges:
+            lids = len(self.faces) - count
+            self._note(f"closed holes of {open_edges} edges with {lids} triangles")
 
-def _one_piece(
-    points: np.ndarray, faces: np.ndarray, actions: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The largest connected piece without debris; several pieces of size are rejected."""
-    piece = piece_of_cells(faces)
-    areas = np.linalg.norm(doubled_areas(points[faces]), axis=1)
-    shares = np.bincount(piece, areas) / areas.sum()
-    large = np.flatnonzero(shares >= _DEBRIS_SHARE)
-    if len(large) > 1:
-        raise InputError(
-            f"the surface to repair has {len(large)} separate pieces; one body is needed. Export "
-            "the gel alone, or join the pieces in the program that they come from"
-        )
-    kept = piece == large[0]
-    if not kept.all():
-        pieces = int((shares > 0).sum()) - 1
-        actions.append(f"cut out {pieces} loose pieces of {int((~kept).sum())} triangles")
-    return _used(points, faces[kept])
-
-
-def _closed(
-    pymeshlab: ModuleType,
-    points: np.ndarray,
-    faces: np.ndarray,
-    max_hole_edges: int,
-    actions: list[str],
-) -> tuple[np.ndarray, np.ndarray]:
-    meshes = _mesh_set(pymeshlab, points, faces)
-    measures = meshes.get_topological_measures()
-    open_edges, corners = measures["boundary_edges"], measures["non_two_manifold_vertices"]
-    if open_edges:
-        # Lids that cross nothing where there are any, then the rest: crossings are sought later.
-        meshes.meshing_close_holes(maxholesize=max_hole_edges, selfintersection=True)
-        corners = meshes.get_topological_measures()["non_two_manifold_vertices"]
-    if corners:
-        meshes.meshing_repair_non_manifold_vertices()
-        actions.append(f"took apart {corners} vertices that are not manifold")
-    if meshes.get_topological_measures()["boundary_edges"]:
-        meshes.meshing_close_holes(maxholesize=max_hole_edges, selfintersection=False)
-    before = np.asarray(meshes.current_mesh().face_matrix())
-    meshes.meshing_re_orient_faces_coherently()
-    turned = int((np.asarray(meshes.current_mesh().face_matrix()) != before).any(axis=1).sum())
-    if 0 < turned < len(before):
-        actions.append(f"turned {turned} triangles the way of their neighbours")
-    left = meshes.get_topological_measures()["boundary_edges"]
-    if left:
-        raise InputError(
-            f"the repaired surface is not a closed manifold surface: {left} open edges are left, "
-            f"at holes of more than {max_hole_edges} edges or with tangled borders; close them in "
-            "your CAD program"
-        )
-    closed_points, closed = _arrays(meshes)
-    if open_edges:
-        lids = len(closed) - len(faces)
-        actions.append(f"closed holes of {open_edges} edges with {lids} triangles")
-    return closed_points, closed
-
-
-def _without_crossings(
-    pymeshlab: ModuleType,
-    points: np.ndarray,
-    faces: np.ndarray,
-    triangle_count: int,
-    max_hole_edges: int,
-    actions: list[str],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cut out triangles that pass through others and close what opens, a few times."""
-    for _ in range(_ROUNDS):
-        crossing = self_intersections(points, faces)
+    def cut_crossings(self, triangle_count: int) -> None:
+        """Cut out triangles that pass through others and close what opens, a few times."""
+        for _ in range(_ROUNDS):
+            crossing = self_intersections(self.points, self.faces)
+            if not crossing.any():
+                return
+            if crossing.sum() > _MOST_CROSSING_SHARE * triangle_count:
+                break
+            self._note(f"cut out {int(crossing.sum())} triangles that pass through others")
+            self._keep(~crossing)
+            self.make_manifold()
+            self.close()
+        crossing = self_intersections(self.points, self.faces)
         if not crossing.any():
-            return points, faces
-        if crossing.sum() > _MOST_CROSSING_SHARE * triangle_count:
-            break
-        actions.append(f"cut out {int(crossing.sum())} triangles that pass through others")
-        points, faces = _used(points, faces[~crossing])
-        points, faces = _manifold(pymeshlab, points, faces, actions)
-        points, faces = _closed(pymeshlab, points, faces, max_hole_edges, actions)
-    crossing = self_intersections(points, faces)
-    if not crossing.any():
-        return points, faces
-    x, y, z = points[faces[crossing]].mean(axis=(0, 1))
-    raise InputError(
-        f"the surface passes through itself in {int(crossing.sum())} of {len(faces)} triangles "
-        f"around x {x:.3g}, y {y:.3g}, z {z:.3g}; repair it in the program that it comes from"
-    )
-
-
-def _check_thickness(points: np.ndarray, faces: np.ndarray) -> None:
-    least = _MIN_THICKNESS_SHARE * float(np.linalg.norm(np.ptp(points, axis=0)))
-    thickness, (x, y, z) = least_thickness(points, faces)
-    if thickness < least:
+            return
+        x, y, z = self.points[self.faces[crossing]].mean(axis=(0, 1))
         raise InputError(
-            f"the body is {thickness:.3g} thick at x {x:.3g}, y {y:.3g}, z {z:.3g}, in the unit of "
-            f"the file; allowed: at least {least:.3g}. Thicken or remove the sheet"
+            f"the surface passes through itself in {int(crossing.sum())} of {len(self.faces)} "
+            f"triangles around x {x:.3g}, y {y:.3g}, z {z:.3g}; repair it in the program that it "
+            "comes from"
         )
 
+    def face_outward(self) -> None:
+        """Turn an inside-out surface; InputError for one that is open or too thin."""
+        check_closed(self.faces, "the repaired surface")
+        if enclosed_volume(self.points[self.faces]) < 0:
+            self.faces = self.faces[:, ::-1].copy()
+            self._note("turned the surface inside out, so that it faces outward")
+        least = _MIN_THICKNESS_SHARE * float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        thickness, (x, y, z) = least_thickness(self.points, self.faces)
+        if thickness < least:
+            raise InputError(
+                f"the body is {thickness:.3g} thick at x {x:.3g}, y {y:.3g}, z {z:.3g}, in the "
+                f"unit of the file; allowed: at least {least:.3g}. Thicken or remove the sheet"
+            )
 
-def _used(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, packed = compacted(faces)
-    return points[used], packed.astype(np.int32)
+    def _note(self, action: str) -> None:
+        self.actions.append(action)
+
+    def _keep(self, chosen: np.ndarray) -> None:
+        used, packed = compacted(self.faces[chosen])
+        self.points, self.faces = self.points[used], packed.astype(np.int32)
+
+    def _mesh_set(self) -> Any:
+        return _mesh_set(self.pymeshlab, self.points, self.faces)
+
+    def _take(self, meshes: Any) -> None:
+        mesh = meshes.current_mesh()
+        mesh.compact()
+        self.points = np.asarray(mesh.vertex_matrix(), dtype=np.float64)
+        self.faces = np.asarray(mesh.face_matrix(), dtype=np.int32)
 
 
 def _mesh_set(pymeshlab: ModuleType, points: np.ndarray, faces: np.ndarray) -> Any:
@@ -249,13 +253,6 @@ def _mesh_set(pymeshlab: ModuleType, points: np.ndarray, faces: np.ndarray) -> A
         )
     )
     return meshes
-
-
-def _arrays(meshes: Any) -> tuple[np.ndarray, np.ndarray]:
-    mesh = meshes.current_mesh()
-    mesh.compact()
-    points = np.asarray(mesh.vertex_matrix(), dtype=np.float64)
-    return points, np.asarray(mesh.face_matrix(), dtype=np.int32)
 
 
 def _load() -> ModuleType:

@@ -13,7 +13,7 @@ from OCP.TopAbs import TopAbs_Orientation
 from OCP.TopLoc import TopLoc_Location
 
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 
 _WELD_MM = 1e-5

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.cad.mesh.bond_planes import bond_projection
-from taccel_lab.cad.mesh.closest import ClosestPoint
+from taccel_lab.cad.mesh.closest import ClosestPoint, bond_projection
+from taccel_lab.cad.mesh.gel_mesh import MESH_ARRAYS
 from taccel_lab.cad.mesh.quality import (
     GateResult,
     MeshQuality,
@@ -29,9 +29,9 @@ from taccel_lab.cad.mesh.quality import (
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetwild import TetWildInput, run_tetwild
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.geometry import Region, TetMesh
@@ -39,7 +39,6 @@ from taccel_lab.guards import require_range
 
 RECIPE = "tetwild-3"
 """Changes with the method, so that meshes of an older one are not taken for it."""
-_ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 EDGE_BOUNDS_MM = (0.2, 20.0)
 MAX_TETS = 1e6
 """Limit beyond which fTetWild takes hours: 20 million were not made in 10 min, and took 14 GB."""
@@ -70,13 +69,12 @@ def tetwild_gel_mesh(
     pad: Pad,
     edge_mm: float = 1.0,
     *,
-    epsilon: float | None = None,
     part: LabelledSolid | None = None,
     picture_folder: Path | str | None = None,
 ) -> TetMesh:
-    """Mesh ``pad`` with tets of about ``edge_mm``; its surface keeps within epsilon x diagonal.
+    """Mesh ``pad`` with tets of about ``edge_mm``; its surface keeps within half of the distance
+    that the gate at this edge allows.
 
-    ``epsilon`` is half of the surface distance that the gate at this edge allows, unless given.
     ``part`` is the solid of the pad if it is already at hand. Regions come from the CAD faces,
     nodes of the glued surface lie exactly on it, and layers meet at faces of tets. Raises
     InputError when no run passes the gate, with the picture of the best one in ``picture_folder``
@@ -88,16 +86,15 @@ def tetwild_gel_mesh(
     given = TetWildInput(surface, _inner_triangles(pad, surface), pad.bond_projection_mm)
     exact: list[LabelledSurface] = []
 
-    def measure(mesh: TetMesh) -> MeshQuality:
+    def measured(mesh: TetMesh) -> tuple[TetMesh, MeshQuality]:
         if not exact:
             exact.append(tessellate_solid(part))
-        return measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=exact[0])
-
-    def layered(mesh: TetMesh) -> TetMesh:
         centers = mesh.nodes_m[mesh.tets].mean(axis=1) * 1e3
-        return replace(mesh, tet_layers=pad.layer_of(centers))
+        mesh = replace(mesh, tet_layers=pad.layer_of(centers))
+        cad = {"cad_volume_mm3": part.volume_mm3, "cad_surface": exact[0]}
+        return mesh, measure_quality(mesh, pad, **cad)
 
-    return _best(given, edge_mm, epsilon, measure, layered, picture_folder)
+    return _best(given, edge_mm, measured, picture_folder)
 
 
 def tetwild_mesh(
@@ -122,20 +119,19 @@ def tetwild_mesh(
         )
     given = TetWildInput(surface, np.zeros((0, 3, 3)), bond_projection(surface))
 
-    def measure(mesh: TetMesh) -> MeshQuality:
-        return measure_quality(mesh, None, cad_volume_mm3=volume, cad_surface=surface)
+    def measured(mesh: TetMesh) -> tuple[TetMesh, MeshQuality]:
+        return mesh, measure_quality(mesh, None, cad_volume_mm3=volume, cad_surface=surface)
 
-    return _best(given, edge_mm, None, measure, lambda mesh: mesh, picture_folder)
+    return _best(given, edge_mm, measured, picture_folder)
 
 
 def _best(
     given: TetWildInput,
     edge_mm: float,
-    epsilon: float | None,
-    measure: Callable[[TetMesh], MeshQuality],
-    layered: Callable[[TetMesh], TetMesh],
+    measured: Callable[[TetMesh], tuple[TetMesh, MeshQuality]],
     picture_folder: Path | str | None,
 ) -> TetMesh:
+    """The first mesh that passes the gate; ``measured``: it with its layers, and its quality."""
     extents = np.ptp(given.surface.vertices_mm, axis=0)
     low, high = EDGE_BOUNDS_MM[0], min(EDGE_BOUNDS_MM[1], float(extents.max()) / 2)
     require_range("edge_mm", edge_mm, low, high)
@@ -148,14 +144,11 @@ def _best(
             f"{' x '.join(f'{e:.4g}' for e in extents)} mm; at least {least_mm:.2g} mm is needed"
         )
     gate = QualityGate().at_edge(edge_mm)
-    smallest, largest = EPSILON_BOUNDS
-    if epsilon is None:
-        wanted = 0.5 * gate.max_hausdorff_mm / float(np.linalg.norm(extents))
-        epsilon = float(np.clip(wanted, smallest, largest))
-    require_range("epsilon", epsilon, smallest, largest)
+    wanted = 0.5 * gate.max_hausdorff_mm / float(np.linalg.norm(extents))
+    epsilon = float(np.clip(wanted, *EPSILON_BOUNDS))
 
     def build() -> TetMesh:
-        return _build(given, edge_mm, epsilon, gate, measure, layered, picture_folder)
+        return _build(given, edge_mm, epsilon, gate, measured, picture_folder)
 
     recipe = {
         "mesher": RECIPE,
@@ -176,7 +169,7 @@ def cached_mesh(recipe: Mapping[str, Any]) -> CachedFile[TetMesh]:
         "meshes",
         recipe,
         lambda file: TetMesh(**load_arrays(file)),
-        lambda file, mesh: save_arrays(file, {name: getattr(mesh, name) for name in _ARRAYS}),
+        lambda file, mesh: save_arrays(file, {name: getattr(mesh, name) for name in MESH_ARRAYS}),
     )
 
 
@@ -185,8 +178,7 @@ def _build(
     edge_mm: float,
     epsilon: float,
     gate: QualityGate,
-    measure: Callable[[TetMesh], MeshQuality],
-    layered: Callable[[TetMesh], TetMesh],
+    measured: Callable[[TetMesh], tuple[TetMesh, MeshQuality]],
     picture_folder: Path | str | None,
 ) -> TetMesh:
     runs: list[tuple[float, float]] = []
@@ -205,8 +197,8 @@ def _build(
             except InputError as error:
                 tried.append(_Try(edge, eps, None, None, str(error)))
                 continue
-            mesh = layered(mesh)
-            result = check_quality(mesh, measure(mesh), gate)
+            mesh, quality = measured(mesh)
+            result = check_quality(mesh, quality, gate)
             if result.passed:
                 return mesh
             text = "; ".join(violation.text for violation in result.violations)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from build123d import Edge, Face, Solid, Vector, Wire
 
-from taccel_lab.cad.parts.outline import base_outline, grown, prism
+from taccel_lab.cad.parts.solids import base_outline, grown, prism
 from taccel_lab.errors import InputError
 
 _VERTICAL = 1e-4

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a mould closes, holds the right volume and lets go of the gel."""
+"""The moulds of a gel, one a casting step; whether each closes, holds its volume and lets go."""
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,8 @@ from build123d import Plane, Solid
 from taccel_lab.cad.assembly import OVERLAP_MM3
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.moulds.cast_body import is_vertical
-from taccel_lab.cad.moulds.two_part import Mould
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+from taccel_lab.cad.moulds.two_part import Mould, gel_mould
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
@@ -48,10 +48,6 @@ class MouldReport:
     """Area of the halves that the gel would catch on."""
     fill_mm3: float
     """Gel to pour, without the holes."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return dataclasses.asdict(self)
 
 
 def check_mould(mould: Mould, gel: LabelledSolid) -> MouldReport:
@@ -129,3 +125,25 @@ def _undercut(mould: Mould) -> tuple[float, np.ndarray]:
         area += float(sizes.sum())
         moment += (corners[wrong].mean(axis=1) * sizes[:, None]).sum(axis=0)
     return area, moment / max(area, 1e-300)
+
+
+def casting_moulds(
+    gel: LabelledSolid,
+    layers: Mapping[str, LabelledSolid] | None = None,
+) -> list[tuple[Mould, MouldReport]]:
+    """Build and check the moulds of ``gel``.
+
+    ``layers`` are its layers by name, core first; two make two moulds: the first casts the core,
+    the second the skin round the core, which lies in it on the lid. Raises InputError when a layer
+    cannot be cast.
+    """
+    names = list(layers or {})
+    if len(names) < 2:
+        mould = gel_mould(gel)
+        return [(mould, check_mould(mould, gel))]
+    if len(names) > 2 or layers is None:
+        raise InputError(f"moulds cast gels of one or two layers, this one has {len(names)}")
+    core, skin = layers[names[0]], layers[names[1]]
+    first = gel_mould(core, name=f"mould_1_{names[0]}")
+    second = gel_mould(gel, name=f"mould_2_{names[1]}", insert=core, fill=skin)
+    return [(first, check_mould(first, core)), (second, check_mould(second, gel))]

@@ -3,29 +3,81 @@
 
 The parting plane is where the gel is glued. The cavity is released along +z (out of the gel); what
 shapes the inside of a hollow gel is a core on the lid, released along -z.
+
+Gel is poured in and air gets out through holes in the lid, over the gel's back. They leave a mark,
+so that they keep to the faces given, such as the bonded margin beside the window. The pour hole
+goes where there is most room, the vents as far from it and from each other as can be, because air
+that is pushed ahead of the gel collects there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from build123d import Face, Plane, ShapeList, Solid
+import numpy as np
+from build123d import Face, GeomType, Plane, ShapeList, Solid
 from build123d.topology import Shape
 
 from taccel_lab.cad.moulds.cast_body import CastBody, cast_body
-from taccel_lab.cad.moulds.gates import Gate, place_gates
-from taccel_lab.cad.moulds.options import MouldOptions
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.parts.outline import prism, rounded_rectangle
-from taccel_lab.cad.parts.part import Part
+from taccel_lab.cad.parameters import ParameterSet, parameter
+from taccel_lab.cad.parts.part import LabelledSolid, Part
+from taccel_lab.cad.parts.solids import prism, rounded_rectangle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
+_PRACTICE = "common practice for silicone cast in printed or milled moulds"
 _ON_PLANE_MM = 1e-4
 _PIN_TIP_MM = 0.5
 _PIN_HOLE_SPARE_MM = 0.5
 _CORNER_MM = 2.0
 _MATERIAL = "resin print or aluminium; polish what shapes contact face and window"
+_RIM_MM = 0.1
+"""Least distance of a hole from the edge of its face."""
+_LEAST_DIAMETER_MM = 0.5
+_GRID = 120
+_EDGE_POINTS = 48
+
+
+@dataclass(frozen=True)
+class MouldOptions(ParameterSet):
+    """Dimensions of a two-part mould."""
+
+    draft_deg: float = parameter(
+        2.0, minimum=0, maximum=10, unit="deg", source=_PRACTICE,
+        description="angle by which vertical walls open towards the parting plane",
+    )  # fmt: skip
+    shrinkage_percent: float = parameter(
+        0.1, minimum=0, maximum=5, unit="%",
+        source="data sheets of platinum-cured silicones: under 0.1 %; condensation-cured up to 1 %",
+        description="linear shrinkage of the gel while it cures; the cavity is that much larger",
+    )  # fmt: skip
+    wall_mm: float = parameter(
+        9.0, minimum=5, maximum=50, unit="mm", source=_PRACTICE,
+        description="mould material beside and above the cavity",
+    )  # fmt: skip
+    lid_mm: float = parameter(
+        6.0, minimum=2, maximum=30, unit="mm", source=_PRACTICE,
+        description="thickness of the lid",
+    )  # fmt: skip
+    pin_mm: float = parameter(
+        4.0, minimum=2, maximum=10, unit="mm", source=_PRACTICE,
+        description="diameter of the thicker registration pin; the other is 1 mm thinner, so that "
+        "the lid fits one way round only",
+    )  # fmt: skip
+    pin_clearance_mm: float = parameter(
+        0.1, minimum=0.02, maximum=0.5, unit="mm", source=_PRACTICE,
+        description="radial gap between pins and holes",
+    )  # fmt: skip
+    pour_mm: float = parameter(
+        3.0, minimum=0.6, maximum=10, unit="mm", source=_PRACTICE,
+        description="diameter of the pour hole, where the gel's back leaves room for it",
+    )  # fmt: skip
+    vent_mm: float = parameter(
+        1.0, minimum=0.4, maximum=3, unit="mm", source=_PRACTICE,
+        description="diameter of the vents, where the gel's back leaves room for them",
+    )  # fmt: skip
+    vents: int = parameter(3, minimum=1, maximum=8, source=_PRACTICE, description="number of vents")
 
 
 @dataclass(frozen=True)
@@ -121,11 +173,8 @@ def _with_pins(
 ) -> tuple[Solid, Solid]:
     """Two pins of unequal thickness on the lid, in opposite corners, and their holes."""
     inset = max(options.wall_mm / 2, options.pin_mm / 2 + 1)
-    if 2 * inset > options.wall_mm + 1e-9:
-        raise InputError(
-            f"pin_mm = {options.pin_mm:g} does not fit beside the cavity in wall_mm = "
-            f"{options.wall_mm:g}; allowed: up to {options.wall_mm - 2:g} mm"
-        )
+    beside = f"does not fit beside the cavity in wall_mm = {options.wall_mm:g}"
+    options.require("pin_mm", beside, high=options.wall_mm - 2 + 1e-9)
     length = min(options.pin_mm * 1.5, depth + options.wall_mm - _PIN_HOLE_SPARE_MM - 1)
     for sign, diameter in ((1, options.pin_mm), (-1, options.pin_mm - 1)):
         x, y = (c + sign * (s / 2 - inset) for c, s in zip(center, size, strict=True))
@@ -175,3 +224,85 @@ def _single(shape: Shape | ShapeList | None, what: str) -> Solid:
             "needed; change wall_mm, lid_mm or pin_mm a little"
         )
     return solids[0]
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One vertical hole through the lid."""
+
+    kind: str
+    """"pour" or "vent"."""
+    at_mm: tuple[float, float]
+    diameter_mm: float
+
+
+def place_gates(
+    faces: Sequence[Face], *, pour_mm: float, vent_mm: float, vents: int
+) -> tuple[Gate, ...]:
+    """Pour hole and vents over horizontal ``faces``, as large as wanted or as there is room for.
+
+    Raises InputError when not even holes of 0.5 mm fit.
+    """
+    starts, ends = _segments(faces)
+    points, room = _places(starts, ends)
+    best = 2 * (float(room.max(initial=0)) - _RIM_MM)
+    if best < _LEAST_DIAMETER_MM:
+        raise InputError(
+            f"the back of the gel leaves room for a pour hole of {max(best, 0):.2f} mm only; "
+            f"allowed: at least {_LEAST_DIAMETER_MM} mm. Make the margin round the window wider"
+        )
+    # Of equally roomy places the rightmost, so that the choice does not depend on rounding.
+    pour = int((room.round(2) * 1e6 + points[:, 0]).argmax())
+    gates = [Gate("pour", _xy(points[pour]), min(pour_mm, best))]
+    vent = min(vent_mm, max(0.6 * best, _LEAST_DIAMETER_MM))
+    open_to = np.flatnonzero(room >= vent / 2 + _RIM_MM)
+    distance = np.linalg.norm(points[open_to] - points[pour], axis=1)
+    for _ in range(vents):
+        farthest = int(distance.argmax())
+        if distance[farthest] < pour_mm + vent:
+            break
+        place = points[open_to[farthest]]
+        gates.append(Gate("vent", _xy(place), vent))
+        distance = np.minimum(distance, np.linalg.norm(points[open_to] - place, axis=1))
+    if len(gates) == 1:
+        raise InputError("the back of the gel leaves no room for a vent beside the pour hole")
+    return tuple(gates)
+
+
+def _xy(point: np.ndarray) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+def _segments(faces: Sequence[Face]) -> tuple[np.ndarray, np.ndarray]:
+    """Straight pieces of all edges of the faces in plan, shape [n, 2] twice."""
+    chains = []
+    for face in faces:
+        for edge in face.edges():
+            straight = edge.geom_type == GeomType.LINE
+            t = np.linspace(0, 1, 2 if straight else _EDGE_POINTS)
+            chains.append(np.array([[p.X, p.Y] for p in edge.positions(t.tolist())]))
+    return (
+        np.concatenate([chain[:-1] for chain in chains]),
+        np.concatenate([chain[1:] for chain in chains]),
+    )
+
+
+def _places(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points inside the faces on a grid, and their distances to the edges."""
+    low, high = starts.min(axis=0), starts.max(axis=0)
+    # Off the round fractions of the outline, so that no ray below meets a corner of it.
+    fractions = (np.arange(_GRID) + 0.382) / _GRID
+    axes = [a + (b - a) * fractions for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = np.zeros(len(grid), dtype=bool)
+    room = np.full(len(grid), np.inf)
+    for a, b in zip(starts, ends, strict=True):
+        along = b - a
+        t = np.clip((grid - a) @ along / max(float(along @ along), 1e-300), 0, 1)
+        room = np.minimum(room, np.linalg.norm(grid - a - t[:, None] * along, axis=1))
+        # Even-odd rule: a ray along +x crosses the edges an odd number of times from inside.
+        if a[1] != b[1]:
+            crosses = (a[1] > grid[:, 1]) != (b[1] > grid[:, 1])
+            at_x = a[0] + (grid[:, 1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+            inside ^= crosses & (grid[:, 0] < at_x)
+    return grid[inside], room[inside]

@@ -22,8 +22,6 @@ from numpy.polynomial import polynomial
 from taccel_lab.cad.parameters import parameter
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad_outline import PadOutline, d_shape
-from taccel_lab.cad.parts.rim_fillet import fillet_height_mm
-from taccel_lab.errors import InputError
 
 _GEL = "measured on the gel of digit-design (facebookresearch, figures only)"
 _FIT_RADIUS_MM = 21.4
@@ -108,28 +106,12 @@ class DigitPad(HeightPad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        half = self.width_mm / 2
-        if self.base_corner_mm > half - 0.05:
-            raise InputError(
-                f"base_corner_mm = {self.base_corner_mm:g} does not fit a width_mm of "
-                f"{self.width_mm:g}; allowed: up to {half - 0.05:g} mm"
-            )
-        shortest = half + self.base_corner_mm + 1
-        if self.length_mm < shortest:
-            raise InputError(
-                f"length_mm = {self.length_mm:g} is too short for width_mm = {self.width_mm:g}; "
-                f"allowed: at least {shortest:g} mm"
-            )
-        if self.rim_mm > 0.9 * self.base_corner_mm:
-            raise InputError(
-                f"rim_mm = {self.rim_mm:g} cannot be built with base_corner_mm = "
-                f"{self.base_corner_mm:g}; allowed: up to {0.9 * self.base_corner_mm:g} mm"
-            )
-        if self.mid_radius_mm and self.mid_radius_mm < 1.3 * half:
-            raise InputError(
-                f"mid_radius_mm = {self.mid_radius_mm:g} is too small for width_mm = "
-                f"{self.width_mm:g}; allowed: at least {1.3 * half:g} mm"
-            )
+        half, width = self.width_mm / 2, f"width_mm = {self.width_mm:g}"
+        corner, built = self.base_corner_mm, f"with base_corner_mm = {self.base_corner_mm:g}"
+        self.require("base_corner_mm", f"does not fit {width}", high=half - 0.05)
+        self.require("length_mm", f"is too short for {width}", low=half + corner + 1)
+        self.require("rim_mm", f"cannot be built {built}", high=0.9 * corner)
+        self.require("mid_radius_mm", f"is too small for {width}", low=1.3 * half)
         self._check_wall()
         self._check_window()
 
@@ -160,12 +142,10 @@ class DigitPad(HeightPad):
         return polynomial.polyder(c, axis=0), polynomial.polyder(c, axis=1)
 
     def crown_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Height of the crown without its rim [mm], 0 at the apex, shape [...]."""
         u, w = self._uw(xy_mm)
         return polynomial.polyval2d(u**2, w, self._coefficients_mm)
 
     def crown_slope(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Gradient of the crown (dh/dx, dh/dy), shape [..., 2]."""
         u, w = self._uw(xy_mm)
         by_u2, by_w = (polynomial.polyval2d(u**2, w, c) for c in self._slope_coefficients)
         slopes = [by_u2 * 2 * u * 2 / self.width_mm, by_w * 2 / self.length_mm]
@@ -175,12 +155,5 @@ class DigitPad(HeightPad):
         xy = np.asarray(xy_mm, dtype=np.float64)
         return 2 * xy[..., 0] / self.width_mm, 2 * xy[..., 1] / self.length_mm
 
-    def height_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Height of the contact face with its rim [mm] (z in the gel frame), shape [...]."""
-        if not self.rim_mm:
-            return self.crown_mm(xy_mm)
-        return fillet_height_mm(self.outline, self.rim_mm, self.crown_mm, self.crown_slope, xy_mm)
-
     def rim_setback_mm(self) -> float:
-        """Greatest width of the rim band in plan [mm]; 0 without a rim."""
         return self.rim_mm

@@ -46,14 +46,12 @@ class DomePad(Pad):
         return self.dome_radius_mm * math.sin(self.cap_angle)
 
     def bounds_mm(self) -> np.ndarray:
-        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
         f = np.linspace(0, 1, 65)
         ends = np.concatenate([piece.point(f) for piece in self.meridian.pieces])
         r, low = self.cap_radius_mm, float(ends[:, 1].min())
         return np.array([[-r, -r, low], [r, r, 0.0]])
 
     def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """z of the contact face over gel xy [mm], NaN beside it; [..., 2] -> [...]."""
         r2 = (np.asarray(xy_mm, dtype=np.float64) ** 2).sum(axis=-1)
         big = self.dome_radius_mm
         root = np.sqrt(np.maximum(big**2 - r2, 0))
@@ -61,15 +59,12 @@ class DomePad(Pad):
         return np.where(r2 <= self.cap_radius_mm**2, -r2 / (big + root), np.nan)
 
     def top_normal(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Outward unit normal of the contact face, NaN beside it; [..., 2] -> [..., 3]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         height = self.top_mm(xy)[..., None] + self.dome_radius_mm
         normal = np.concatenate([np.where(np.isnan(height), np.nan, xy), height], axis=-1)
         return normal / self.dome_radius_mm
 
     def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Distance in plan to the edge of the contact face [mm], positive inside;
-        [..., 2] -> [...]."""
         return self.cap_radius_mm - np.linalg.norm(np.asarray(xy_mm, dtype=np.float64), axis=-1)
 
     def arc_to_edge_mm(self, xy_mm: np.ndarray) -> float:
@@ -94,15 +89,17 @@ class DomePad(Pad):
         return np.array([int(piece.region) for piece in pieces], dtype=np.int32)[nearest]
 
     def figures(self) -> dict[str, float]:
-        """What a drawing states beside the parameters [mm, mm^2, mm^3]."""
         low, high = self.bounds_mm()
         return {
             "total_height": float(high[2] - low[2]),
             "base_diameter": float(high[0] - low[0]),
             "gel_under_apex": self.thickness_mm,
-            "volume_mm3": self.meridian.volume_mm3(),
+            "volume_mm3": self.volume_mm3(),
             "contact_area_mm2": self.meridian.area_mm2(Region.CONTACT),
         }
+
+    def volume_mm3(self) -> float:
+        return self.meridian.volume_mm3()
 
 
 @dataclass(frozen=True)
@@ -148,27 +145,12 @@ class SolidDomePad(DomePad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.bonded_wall_mm > self.wall_height_mm - 0.5:
-            raise InputError(
-                f"bonded_wall_mm = {self.bonded_wall_mm:g} leaves less than 0.5 mm of the wall of "
-                f"{self.wall_height_mm:g} mm free; allowed: up to {self.wall_height_mm - 0.5:g} mm"
-            )
-        limit = self.dome_radius_mm - max(1.0, 0.1 * self.dome_radius_mm)
-        if self.pocket_radius_mm > limit:
-            raise InputError(
-                f"pocket_radius_mm = {self.pocket_radius_mm:g} leaves too narrow a base in a dome "
-                f"of radius {self.dome_radius_mm:g} mm; allowed: up to {limit:g} mm"
-            )
-        edge = self._pocket_edge()
-        if edge is None or edge.wall_mm < 0.1:
-            raise InputError(
-                f"a pocket of radius {self.pocket_radius_mm:g}, depth {self.pocket_depth_mm:g} and "
-                f"edge fillet {self.pocket_edge_radius_mm:g} mm has no room for its wall under a "
-                f"ceiling of radius {self.pocket_dome_radius_mm:g} mm; allowed: a deeper pocket, a "
-                "smaller pocket_edge_radius_mm or pocket_taper_deg, or a pocket_dome_radius_mm "
-                f"above {self.pocket_radius_mm:g} mm"
-            )
+        free = f"leaves less than 0.5 mm of the wall of {self.wall_height_mm:g} mm free"
+        self.require("bonded_wall_mm", free, high=self.wall_height_mm - 0.5)
         needed = max(1.0, 0.1 * self.dome_radius_mm)
+        narrow = f"leaves too narrow a base in a dome of radius {self.dome_radius_mm:g} mm"
+        self.require("pocket_radius_mm", narrow, high=self.dome_radius_mm - needed)
+        edge = self._pocket_edge
         if self.thickness_mm < needed:
             raise InputError(
                 f"the pocket reaches {edge.apex_depth_mm:.3f} mm above the base and leaves "
@@ -194,23 +176,51 @@ class SolidDomePad(DomePad):
     @property
     def thickness_mm(self) -> float:  # type: ignore[override]
         """Gel between the apex and the top of the pocket [mm]."""
-        edge = self._pocket_edge()
-        assert edge is not None  # __post_init__ refuses such pads
-        return self.total_height_mm - edge.apex_depth_mm
+        return self.total_height_mm - self._pocket_edge.apex_depth_mm
 
-    def _pocket_edge(self) -> _PocketEdge | None:
-        return _pocket_edge(
-            self.pocket_radius_mm,
-            math.radians(self.pocket_taper_deg),
-            self.pocket_depth_mm,
-            self.pocket_edge_radius_mm,
-            self.pocket_dome_radius_mm,
+    @cached_property
+    def _pocket_edge(self) -> _PocketEdge:
+        """Where a ball of the fillet's radius touches the pocket's wall, a cone, and, from inside,
+        the ceiling's sphere.
+
+        Its centre is ``inner`` from the sphere's centre. Raises InputError when no ball fits.
+        """
+        taper, fillet = math.radians(self.pocket_taper_deg), self.pocket_edge_radius_mm
+        inner = self.pocket_dome_radius_mm - fillet
+        foot = self.pocket_radius_mm - fillet * (1 / math.cos(taper))
+        torus_depth, torus_r = self.pocket_depth_mm, 0.0
+        for _ in range(20):  # a contraction by tan(taper) fillet / inner
+            torus_r = foot - torus_depth * math.tan(taper)
+            if inner <= 0 or not 0 < torus_r < inner:
+                raise self._no_pocket()
+            rise = math.sqrt(inner**2 - torus_r**2)
+            torus_depth = self.pocket_depth_mm - rise * fillet / inner
+        joint_angle = math.atan2(torus_r, math.sqrt(inner**2 - torus_r**2))
+        wall = torus_depth + fillet * math.sin(taper)
+        if joint_angle >= math.pi / 2 - taper or wall < 0.1:
+            raise self._no_pocket()
+        return _PocketEdge(
+            torus_r=torus_r,
+            torus_depth=torus_depth,
+            joint_r=torus_r + fillet * math.sin(joint_angle),
+            joint_depth=torus_depth + fillet * math.cos(joint_angle),
+            joint_angle=joint_angle,
+            wall_mm=wall,
+            apex_depth_mm=torus_depth - inner * math.cos(joint_angle) + self.pocket_dome_radius_mm,
+        )
+
+    def _no_pocket(self) -> InputError:
+        return InputError(
+            f"a pocket of radius {self.pocket_radius_mm:g}, depth {self.pocket_depth_mm:g} and "
+            f"edge fillet {self.pocket_edge_radius_mm:g} mm has no room for its wall under a "
+            f"ceiling of radius {self.pocket_dome_radius_mm:g} mm; allowed: a deeper pocket, a "
+            "smaller pocket_edge_radius_mm or pocket_taper_deg, or a pocket_dome_radius_mm "
+            f"above {self.pocket_radius_mm:g} mm"
         )
 
     @cached_property
     def meridian(self) -> Meridian:
-        edge = self._pocket_edge()
-        assert edge is not None
+        edge = self._pocket_edge
         big, base = self.dome_radius_mm, -self.total_height_mm
         taper = math.radians(self.pocket_taper_deg)
         glue = base + self.bonded_wall_mm
@@ -237,8 +247,7 @@ class SolidDomePad(DomePad):
         return Meridian(tuple(pieces))
 
     def figures(self) -> dict[str, float]:
-        edge = self._pocket_edge()
-        assert edge is not None
+        edge = self._pocket_edge
         return {
             **super().figures(),
             "pocket_depth_at_axis": edge.apex_depth_mm,
@@ -262,36 +271,6 @@ class _PocketEdge:
     wall_mm: float
     """Height of the conical wall."""
     apex_depth_mm: float
-
-
-def _pocket_edge(
-    radius: float, taper: float, depth: float, fillet: float, ceiling: float
-) -> _PocketEdge | None:
-    """A ball of radius ``fillet`` that touches the cone and, from inside, the ceiling's sphere.
-
-    Its centre is ``ceiling - fillet`` from the sphere's centre. None when no ball fits.
-    """
-    inner = ceiling - fillet
-    foot = radius - fillet * (1 / math.cos(taper))
-    torus_depth, torus_r = depth, 0.0
-    for _ in range(20):  # a contraction by tan(taper) fillet / inner
-        torus_r = foot - torus_depth * math.tan(taper)
-        if inner <= 0 or not 0 < torus_r < inner:
-            return None
-        rise = math.sqrt(inner**2 - torus_r**2)
-        torus_depth = depth - rise * fillet / inner
-    joint_angle = math.atan2(torus_r, math.sqrt(inner**2 - torus_r**2))
-    if joint_angle >= math.pi / 2 - taper:
-        return None
-    return _PocketEdge(
-        torus_r=torus_r,
-        torus_depth=torus_depth,
-        joint_r=torus_r + fillet * math.sin(joint_angle),
-        joint_depth=torus_depth + fillet * math.cos(joint_angle),
-        joint_angle=joint_angle,
-        wall_mm=torus_depth + fillet * math.sin(taper),
-        apex_depth_mm=torus_depth - inner * math.cos(joint_angle) + ceiling,
-    )
 
 
 @dataclass(frozen=True)
@@ -329,22 +308,15 @@ class ShellDomePad(DomePad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.thickness_mm > 0.7 * self.dome_radius_mm:
-            raise InputError(
-                f"thickness_mm = {self.thickness_mm:g} leaves a core of radius "
-                f"{self.dome_radius_mm - self.thickness_mm:g} mm; allowed: up to "
-                f"{0.7 * self.dome_radius_mm:g} mm"
-            )
+        core = f"leaves a core of radius {self.dome_radius_mm - self.thickness_mm:g} mm"
+        self.require("thickness_mm", core, high=0.7 * self.dome_radius_mm)
         if self.skirt_mm and self.opening_deg < 90:
             raise InputError(
                 f"skirt_mm = {self.skirt_mm:g} needs a hemisphere to continue; allowed with "
                 f"opening_deg = {self.opening_deg:g}: 0 (no cylindrical part)"
             )
-        if self.window_deg > self.opening_deg - 1:
-            raise InputError(
-                f"window_deg = {self.window_deg:g} does not fit a cap of {self.opening_deg:g} deg; "
-                f"allowed: 0 (the whole cap) or up to {self.opening_deg - 1:g} deg"
-            )
+        cap = f"does not fit a cap of {self.opening_deg:g} deg"
+        self.require("window_deg", cap, high=self.opening_deg - 1, also=", or 0 (the whole cap)")
         if self.rim == "free" and not (self.skirt_mm or self.window_deg):
             raise InputError(
                 "with rim = 'free' and window_deg = 0 nothing but the window is glued; set "

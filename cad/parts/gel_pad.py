@@ -25,7 +25,6 @@ import numpy as np
 from taccel_lab.cad.parameters import parameter
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM, HeightPad
 from taccel_lab.cad.parts.pad_outline import PadOutline, rounded_rectangle
-from taccel_lab.cad.parts.rim_fillet import fillet_height_mm
 from taccel_lab.errors import InputError
 
 _NEUTRAL = "neutral value; a sensor family sets its own"
@@ -101,7 +100,7 @@ class GelPad(HeightPad):
         "no", choices=("no", "yes"), source=_NEUTRAL,
         description="whether the wall is glued to the housing, too",
     )  # fmt: skip
-    skin_mm: float = parameter(
+    skin_top_mm: float = parameter(
         0.0, minimum=0.05, maximum=5, unit="mm", source=_NEUTRAL, zero_means="no skin",
         description="thickness along z of a skin of another material on the contact face",
     )  # fmt: skip
@@ -120,43 +119,31 @@ class GelPad(HeightPad):
     def __post_init__(self) -> None:
         super().__post_init__()
         half = min(self.length_x_mm, self.length_y_mm) / 2
-        if self.corner_radius_mm > half - 0.05:
-            raise InputError(
-                f"corner_radius_mm = {self.corner_radius_mm:g} does not fit the outline "
-                f"{self.length_x_mm:g} x {self.length_y_mm:g} mm; allowed: up to {half - 0.05:g} mm"
-            )
+        outline = f"the outline {self.length_x_mm:g} x {self.length_y_mm:g} mm"
+        self.require("corner_radius_mm", f"does not fit {outline}", high=half - 0.05)
         self._check_crown()
-        self._check_rim(half)
+        self._check_rim(half, outline)
         self._check_wall()
         self._check_skin()
         self._check_window()
 
-    def _check_rim(self, half_mm: float) -> None:
+    def _check_rim(self, half_mm: float, outline: str) -> None:
         rolls = self.rim == "fillet" or (self.rim == "chamfer" and not self.wall_mm)
-        rolled = _MAX_RIM_PER_CORNER * self.corner_radius_mm
-        if rolls and self.rim_mm > rolled:
-            raise InputError(
-                f"rim_mm = {self.rim_mm:g} cannot be built with corner_radius_mm = "
-                f"{self.corner_radius_mm:g}; allowed: up to {rolled:g} mm"
-            )
+        if rolls:
+            corner = f"corner_radius_mm = {self.corner_radius_mm:g}"
+            self.require("rim_mm", f"cannot be built with {corner}", high=self._most_rolled_mm)
         if self.rim not in ("chamfer", "arc") or rolls:
             return
-        if self.rim_mm > 0.8 * half_mm:
-            raise InputError(
-                f"rim_mm = {self.rim_mm:g} is too wide for the outline {self.length_x_mm:g} x "
-                f"{self.length_y_mm:g} mm; allowed: up to {0.8 * half_mm:g} mm"
-            )
+        self.require("rim_mm", f"is too wide for {outline}", high=0.8 * half_mm)
         if self.rim == "chamfer" and not self.is_flat:
             raise InputError(
                 f"wall_mm = {self.wall_mm:g} with rim chamfer needs a flat contact face; allowed: "
                 "0, or rim arc, or crown radii 0"
             )
-        if self.rim == "arc" and self.rim_radius_mm < 1.05 * self.rim_mm:
-            raise InputError(
-                f"rim_radius_mm = {self.rim_radius_mm:g} is too small for a rim_mm of "
-                f"{self.rim_mm:g}; allowed: at least {1.05 * self.rim_mm:g} mm"
-            )
-        edge = self.outline_mm(64)
+        if self.rim == "arc":
+            small = f"is too small for a rim_mm of {self.rim_mm:g}"
+            self.require("rim_radius_mm", small, low=1.05 * self.rim_mm)
+        edge = self.outline.points_mm(64)
         highest = self.thickness_mm + float(
             self.crown_mm(self._band.fraction_and_foot(edge)[1]).min()
         )
@@ -167,34 +154,32 @@ class GelPad(HeightPad):
                 f"{highest - _MIN_RISE_MM:.3f} mm"
             )
 
+    @property
+    def _most_rolled_mm(self) -> float:
+        """Widest rim, or skin on the wall, that rolls around a corner."""
+        return _MAX_RIM_PER_CORNER * self.corner_radius_mm
+
     def _check_skin(self) -> None:
-        if not self.skin_mm and not self.skin_side_mm:
+        if not self.skin_top_mm and not self.skin_side_mm:
             return
-        rolled = _MAX_RIM_PER_CORNER * self.corner_radius_mm
-        if not self.skin_mm:
+        if not self.skin_top_mm:
             raise InputError(
                 f"skin_side_mm = {self.skin_side_mm:g} needs a skin on the contact face, too; set "
-                "skin_mm, or skin_side_mm to 0"
+                "skin_top_mm, or skin_side_mm to 0"
             )
         if self.rim == "fillet":
             raise InputError("a skin cannot have rim fillet; allowed: rim none, chamfer or arc")
-        if self.skin_side_mm > rolled:
-            raise InputError(
-                f"skin_side_mm = {self.skin_side_mm:g} does not fit corner_radius_mm = "
-                f"{self.corner_radius_mm:g}; allowed: up to {rolled:g} mm"
-            )
-        if self.skin_side_mm and self.rim != "none" and self.rim_mm > rolled:
-            raise InputError(
-                f"rim_mm = {self.rim_mm:g} is too wide for a skin on the wall; allowed: up to "
-                f"{rolled:g} mm, or skin_side_mm = 0"
-            )
+        corner = f"corner_radius_mm = {self.corner_radius_mm:g}"
+        self.require("skin_side_mm", f"does not fit {corner}", high=self._most_rolled_mm)
+        if self.skin_side_mm and self.rim != "none":
+            self.require(
+                "rim_mm", "is too wide for a skin on the wall", high=self._most_rolled_mm,
+                also=", or skin_side_mm = 0",
+            )  # fmt: skip
         core = self.outline.inset(self.skin_side_mm).points_mm(64)
-        gel = self.thickness_mm + float(self.height_mm(core).min()) - self.skin_mm
-        if gel < MIN_WALL_MM:
-            raise InputError(
-                f"skin_mm = {self.skin_mm:g} leaves {gel:.3f} mm of gel under the skin's edge; "
-                f"allowed: up to {self.skin_mm + gel - MIN_WALL_MM:.3f} mm"
-            )
+        gel = self.thickness_mm + float(self.height_mm(core).min()) - self.skin_top_mm
+        left = f"leaves {gel:.3f} mm of gel under the skin's edge"
+        self.require("skin_top_mm", left, high=self.skin_top_mm + gel - MIN_WALL_MM)
 
     def _check_crown(self) -> None:
         # Inside this bound the top stays less than 53 degrees steep, so that it is a height map.
@@ -222,7 +207,6 @@ class GelPad(HeightPad):
 
     @cached_property
     def outline(self) -> PadOutline:
-        """Outline in plan."""
         return rounded_rectangle(self.length_x_mm, self.length_y_mm, self.corner_radius_mm)
 
     @property
@@ -237,14 +221,6 @@ class GelPad(HeightPad):
     @property
     def sides_bonded(self) -> bool:
         return self.bond_sides == "yes"
-
-    @property
-    def skin_top_mm(self) -> float:
-        return self.skin_mm
-
-    @property
-    def skin_wall_mm(self) -> float:
-        return self.skin_side_mm
 
     @cached_property
     def _band(self) -> RimBand:
@@ -263,7 +239,6 @@ class GelPad(HeightPad):
         return self.crown_pillow / edge if edge else 0.0
 
     def crown_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Height of the crown without its rim [mm], 0 at the apex, shape [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         cx, cy = self._curvatures()
         x2, y2 = xy[..., 0] ** 2, xy[..., 1] ** 2
@@ -272,7 +247,6 @@ class GelPad(HeightPad):
         return level - (cx * x2 + cy * y2) / (1 + root)
 
     def crown_slope(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Gradient of the crown (dh/dx, dh/dy), shape [..., 2]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         c = np.array(self._curvatures())
         root = np.sqrt(np.maximum(1 - (c**2 * xy**2).sum(axis=-1), 1e-12))[..., None]
@@ -281,22 +255,19 @@ class GelPad(HeightPad):
         return level - (2 * c * xy * (1 + root) + sag * c**2 * xy / root) / (1 + root) ** 2
 
     def height_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Height of the contact face with its rim [mm] (z in the gel frame), shape [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
-        if self.rim == "none":
-            return self.crown_mm(xy)
         if self.has_band:
             fraction, foot = self._band.fraction_and_foot(xy)
             wall = self.wall_mm - self.thickness_mm
             return wall + (self.crown_mm(foot) - wall) * self._rise(fraction)
         if self.rim == "chamfer":
             return self._chamfered_mm(xy)
-        return fillet_height_mm(self.outline, self.rim_mm, self.crown_mm, self.crown_slope, xy)
+        return super().height_mm(xy)
 
     def _chamfered_mm(self, xy: np.ndarray) -> np.ndarray:
         """Straight from ``rim_mm`` down the wall to ``rim_mm`` along the crown's slope."""
         distance = np.maximum(self.inside_distance_mm(xy), 0)
-        normal = self.outward_normal(xy)
+        normal = self.outline.outward_normal(xy)
         edge = xy + distance[..., None] * normal
         slope = (self.crown_slope(edge) * normal).sum(axis=-1)
         width = self.rim_mm / np.sqrt(1 + slope**2)
@@ -317,7 +288,6 @@ class GelPad(HeightPad):
         return arc - ratio / low / (1 - low) * (fraction - inside)
 
     def rim_setback_mm(self) -> float:
-        """Greatest width of the rim band in plan [mm]; 0 without a rim."""
         return 0.0 if self.rim == "none" else self.rim_mm
 
 

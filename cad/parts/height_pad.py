@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.rim_fillet import FilletArc, fillet_arc, fillet_height_mm
 from taccel_lab.errors import InputError
 
 MIN_WALL_MM = 0.3
@@ -25,6 +26,10 @@ class HeightPad(Pad):
     window_x_mm: float
     """Window (the part of the back that the camera sees) along x [mm], centred."""
     window_y_mm: float
+    skin_top_mm: float = 0.0
+    """Thickness of the skin on the contact face, measured along z [mm]; 0 without one."""
+    skin_side_mm: float = 0.0
+    """Thickness of the skin on the wall [mm]; 0 without one."""
 
     @cached_property
     @abstractmethod
@@ -39,9 +44,20 @@ class HeightPad(Pad):
     def crown_slope(self, xy_mm: np.ndarray) -> np.ndarray:
         """Gradient of the crown (dh/dx, dh/dy), [..., 2] -> [..., 2]."""
 
-    @abstractmethod
     def height_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Height of the contact face with its rim [mm] (z in the gel frame), [..., 2] -> [...]."""
+        """Height of the contact face with its rim [mm] (z in the gel frame), [..., 2] -> [...].
+
+        Here that of the crown, with a fillet where there is one.
+        """
+        if not self.has_fillet:
+            return self.crown_mm(xy_mm)
+        radius = self.rim_setback_mm()
+        return fillet_height_mm(self.outline, radius, self.crown_mm, self.crown_slope, xy_mm)
+
+    def fillet_arc(self, edge_mm: np.ndarray) -> FilletArc:
+        """Arcs of the fillet at points on the outline [mm], shape [n, 2]."""
+        radius = self.rim_setback_mm()
+        return fillet_arc(self.outline, radius, self.crown_mm, self.crown_slope, edge_mm)
 
     @abstractmethod
     def rim_setback_mm(self) -> float:
@@ -58,50 +74,28 @@ class HeightPad(Pad):
         return False
 
     @property
-    def skin_top_mm(self) -> float:
-        """Thickness of the skin on the contact face, measured along z [mm]; 0 without one."""
-        return 0.0
-
-    @property
-    def skin_wall_mm(self) -> float:
-        """Thickness of the skin on the wall [mm]; 0 without one."""
-        return 0.0
-
-    @property
     def layer_names(self) -> tuple[str, ...]:  # type: ignore[override]  # depends on the values
         """Materials of the body by layer index."""
         return ("gel", "skin") if self.skin_top_mm else ("gel",)
 
     def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Distance to the outline [mm], positive inside, [..., 2] -> [...]."""
         return self.outline.inside_distance_mm(xy_mm)
-
-    def outward_normal(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Unit outward normal of the outline at the nearest outline point, [..., 2] -> [..., 2]."""
-        return self.outline.outward_normal(xy_mm)
-
-    def outline_mm(self, points_per_arc: int = 16) -> np.ndarray:
-        """Points on the outline's arcs, counter-clockwise [mm], shape [n, 2]."""
-        return self.outline.points_mm(points_per_arc)
 
     def min_wall_mm(self) -> float:
         """Least height of the wall above the glued back [mm]."""
         length = np.linspace(0, self.outline.perimeter_mm, 512, endpoint=False)
-        ends = np.concatenate([self.outline.at_mm(length)[0], self.outline_mm(16)])
+        ends = np.concatenate([self.outline.at_mm(length)[0], self.outline.points_mm()])
         return float(self.thickness_mm + self.height_mm(ends).min())
 
     def bounds_mm(self) -> np.ndarray:
-        """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
         low, high = self.outline.bounds_mm()
         return np.array([[*low, -self.thickness_mm], [*high, 0.0]])
 
     def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """z of the contact face over gel xy [mm], NaN beside the pad; [..., 2] -> [...]."""
         inside = self.inside_distance_mm(xy_mm) >= 0
         return np.where(inside, self.height_mm(xy_mm), np.nan)
 
     def top_normal(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Outward unit normal of the contact face, NaN beside the pad; [..., 2] -> [..., 3]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         steps = _SLOPE_STEP_MM * np.eye(2)
         slopes = [
@@ -125,7 +119,7 @@ class HeightPad(Pad):
             return moved
         distance = self.inside_distance_mm(points[:, :2])
         on_wall = points.copy()
-        on_wall[:, :2] += distance[:, None] * self.outward_normal(points[:, :2])
+        on_wall[:, :2] += distance[:, None] * self.outline.outward_normal(points[:, :2])
         nearer = np.abs(distance) < np.abs(points[:, 2] + self.thickness_mm)
         return np.where(nearer[:, None], on_wall, moved)
 
@@ -135,7 +129,7 @@ class HeightPad(Pad):
         if not self.skin_top_mm:
             return np.zeros(len(points), dtype=np.int32)
         xy = points[:, :2]
-        beside = self.inside_distance_mm(xy) < self.skin_wall_mm
+        beside = self.inside_distance_mm(xy) < self.skin_side_mm
         above = points[:, 2] > self.height_mm(xy) - self.skin_top_mm
         return (beside | above).astype(np.int32)
 
@@ -159,10 +153,10 @@ class HeightPad(Pad):
     def _check_window(self) -> None:
         size = np.array([self.window_x_mm, self.window_y_mm]) / 2
         corners = size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        margin = float(self.inside_distance_mm(corners).min()) - self.skin_wall_mm
+        margin = float(self.inside_distance_mm(corners).min()) - self.skin_side_mm
         if margin < MIN_WINDOW_MARGIN_MM:
             low, high = self.outline.bounds_mm()
-            edge = "skin inside the outline" if self.skin_wall_mm else "outline"
+            edge = "skin inside the outline" if self.skin_side_mm else "outline"
             raise InputError(
                 f"window_x_mm x window_y_mm = {self.window_x_mm:g} x {self.window_y_mm:g} mm comes "
                 f"within {margin:.3f} mm of the {edge} {high[0] - low[0]:g} x "

@@ -14,7 +14,6 @@ from build123d import Axis, BoundBox, Face, Location, Plane, Pos, ShapeList, Sol
 from build123d.topology import Shape
 
 from taccel_lab.cad.parts.housing_shape import CLEARANCE_MM, LEAST_RIM_MM, RIM_MM, HousingShape
-from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import (
     BOARD_MM,
@@ -24,7 +23,7 @@ from taccel_lab.cad.parts.placeholders import (
     led_location,
     led_part,
 )
-from taccel_lab.cad.parts.solids import common_volume_mm3
+from taccel_lab.cad.parts.solids import common_volume_mm3, grown, prism, rounded_rectangle
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import DesignedCamera, Light
 

@@ -15,15 +15,14 @@ import numpy as np
 
 from taccel_lab.cad.parameters import ParameterSet
 
+_GRID = 200
+
 
 class Pad(ParameterSet, ABC):
     """A gel body [mm]; subclasses are frozen dataclasses of ``parameter``."""
 
     layer_names: ClassVar[tuple[str, ...]] = ("gel",)
     """Materials of the body by layer index; 0 is the gel proper, 1 a skin over it."""
-
-    one_connectivity: ClassVar[bool] = True
-    """Whether its meshes for presses have the same connectivity wherever the press is."""
 
     thickness_mm: float
     """Gel under the apex, down to what it is glued to [mm]."""
@@ -57,6 +56,21 @@ class Pad(ParameterSet, ABC):
     @abstractmethod
     def figures(self) -> dict[str, float]:
         """What a drawing states beside the parameters, such as wall heights [mm]."""
+
+    def plan_points_mm(self) -> np.ndarray:
+        """Middles of equal cells of the plan [mm], shape [200, 200, 2]."""
+        low, high = self.bounds_mm()
+        steps = (np.arange(_GRID) + 0.5) / _GRID
+        axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
+        return np.stack(np.meshgrid(*axes), axis=-1)
+
+    def volume_mm3(self) -> float:
+        """Volume by the pad's own formula [mm^3], which mesh and CAD solid have to meet: here the
+        midpoint rule over its height map."""
+        low, high = self.bounds_mm()
+        height = self.top_mm(self.plan_points_mm()) - low[2]
+        cell = (high - low)[:2].prod() / _GRID**2
+        return float(np.nansum(height) * cell)
 
     def layer_of(self, points_mm: np.ndarray) -> np.ndarray:
         """Index into ``layer_names`` of points inside the body, int32, [n, 3] -> [n]."""

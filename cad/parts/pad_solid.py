@@ -34,13 +34,11 @@ from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.graph_surface import creased_graph_face, smooth_graph_face
 from taccel_lab.cad.parts.height_pad import HeightPad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.meridian import Arc, Piece
-from taccel_lab.cad.parts.outline import prism
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
-from taccel_lab.cad.parts.solids import imprint, one_solid
+from taccel_lab.cad.parts.part import LabelledSolid, Part, gel_part
+from taccel_lab.cad.parts.solids import imprint, one_solid, prism
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -50,6 +48,9 @@ _MARGIN_MM = 0.5
 _PLANE_TOLERANCE_MM = 1e-6
 _VOLUME_TOLERANCE, _GRID_TOLERANCE = 1e-6, 0.01
 """Relative errors of a dome's exact volume, and of one that is summed over the height map."""
+_ON_LAYER_MM = 1e-3
+_LAYER_GRID = (0.011, 0.27, 0.51, 0.73, 0.989)
+_LAYER_COLORS = {"gel": (0.93, 0.80, 0.62), "skin": (0.25, 0.25, 0.27)}
 _KERNEL_ERRORS = (ValueError, Standard_Failure, StdFail_NotDone)
 
 
@@ -77,7 +78,7 @@ def _height_pad_solid(pad: HeightPad) -> LabelledSolid:
             "larger radii of the contact face"
         ) from error
     # Between a nearly flat face and a rim the kernel may leave the rim out of a valid solid.
-    exact = pad_volume_mm3(pad)
+    exact = pad.volume_mm3()
     if not body.is_valid or abs(body.volume / exact - 1) > _GRID_TOLERANCE:
         raise InputError(
             f"the CAD kernel built an invalid solid for {rim}: {body.volume:.1f} mm3 where the pad "
@@ -96,7 +97,7 @@ def _dome_pad_solid(pad: DomePad) -> LabelledSolid:
         body = Solid.revolve(section, 360, Axis.Z)
     except _KERNEL_ERRORS as error:
         raise InputError(f"the CAD kernel cannot revolve this dome ({error})") from error
-    exact = pad.meridian.volume_mm3()
+    exact = pad.volume_mm3()
     if not body.is_valid or abs(body.volume / exact - 1) > _VOLUME_TOLERANCE:
         raise InputError(
             f"the CAD kernel built a dome of {body.volume:.3f} mm3 from a meridian that encloses "
@@ -114,15 +115,66 @@ def layer_solids(pad: Pad) -> dict[str, Solid]:
     body = labelled_solid(pad).solid
     if not isinstance(pad, HeightPad) or not pad.skin_top_mm:
         return {pad.layer_names[0]: body}
-    inside = _prism(pad, pad.outline.inset(pad.skin_wall_mm))
+    inside = _prism(pad, pad.outline.inset(pad.skin_side_mm))
     try:
         gel = one_solid(inside & (Pos(0, 0, -pad.skin_top_mm) * body))
         return {"gel": gel, "skin": one_solid(body - gel)}
     except _KERNEL_ERRORS as error:
         raise InputError(
             f"the CAD kernel cannot build the skin of {pad.skin_top_mm:g} mm on the contact face "
-            f"and {pad.skin_wall_mm:g} mm on the wall ({error}); change skin_mm or skin_side_mm"
+            f"and {pad.skin_side_mm:g} mm on the wall ({error}); change skin_top_mm or skin_side_mm"
         ) from error
+
+
+def gel_parts(pad: Pad, gel: LabelledSolid) -> tuple[Part, ...]:
+    """The gel as one part, or its layers as a part each, core first."""
+    layers = gel_layers(pad, gel)
+    if len(layers) < 2:
+        return (gel_part(gel),)
+    return tuple(
+        Part(
+            name=name,
+            solid=layer.solid,
+            face_names=tuple(region.name.lower() for region in layer.regions),
+            color=_LAYER_COLORS.get(name, (0.6, 0.6, 0.6)),
+            material=f"silicone, {name}",
+            gel=True,
+        )
+        for name, layer in layers.items()
+    )
+
+
+def gel_layers(pad: Pad, gel: LabelledSolid) -> dict[str, LabelledSolid]:
+    """The layers of the gel by name, core first; a face inside the gel counts as side."""
+    names: list[str] = list(pad.layer_names)
+    if len(names) == 1:
+        return {names[0]: gel}
+    layers = {name: _with_window(solid, gel) for name, solid in layer_solids(pad).items()}
+    return {
+        name: LabelledSolid(solid, [_region_of(face, gel) for face in solid.faces()])
+        for name, solid in layers.items()
+    }
+
+
+def _with_window(layer: Solid, gel: LabelledSolid) -> Solid:
+    """The layer with the gel's window drawn on a face that holds all of it."""
+    for window in gel.faces(Region.WINDOW):
+        for face in layer.faces():
+            spare = face.area - window.area
+            if spare > _ON_LAYER_MM and face.distance_to(window.center()) < _ON_LAYER_MM:
+                return imprint(layer, face, window.outer_wire())
+    return layer
+
+
+def _region_of(face: Face, gel: LabelledSolid) -> Region:
+    """Region of the face of the whole gel that a layer's face is a part of."""
+    # A face may have a hole in its middle.
+    grid = [(u, v) for u in _LAYER_GRID for v in _LAYER_GRID]
+    points = [point for point in (face.position_at(*uv) for uv in grid) if face.is_inside(point)]
+    for whole, region in zip(gel.solid.faces(), gel.regions, strict=True):
+        if points and all(whole.distance_to(point) < _ON_LAYER_MM for point in points):
+            return region
+    return Region.SIDE
 
 
 def outline_wire(outline: PadOutline, z_mm: float) -> Wire:

@@ -14,9 +14,8 @@ import math
 
 from build123d import Face, Location, Plane, Pos, Solid, Vector, Wire
 
-from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
-from taccel_lab.cad.parts.solids import imprint
+from taccel_lab.cad.parts.solids import grown, imprint, prism, rounded_rectangle
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Window
 

@@ -190,11 +190,8 @@ class MarkerParameters(ParameterSet):
         if self.marker_pitch_mm == 0:
             return None
         pitch = (self.marker_pitch_mm, self.marker_pitch_y_mm or self.marker_pitch_mm)
-        if self.marker_radius_mm > min(pitch) / 2:
-            raise InputError(
-                f"marker_radius_mm = {self.marker_radius_mm:g} makes dots overlap at a pitch of "
-                f"{min(pitch):g} mm; allowed: up to {min(pitch) / 2:g} mm"
-            )
+        overlap = f"makes dots overlap at a pitch of {min(pitch):g} mm"
+        self.require("marker_radius_mm", overlap, high=min(pitch) / 2)
         areas = (self.marker_area_x_mm, self.marker_area_y_mm)
         columns, rows = (
             math.floor(area / step * (1 + 1e-9)) + 1

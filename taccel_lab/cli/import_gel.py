@@ -126,7 +126,7 @@ class ImportGel:
         from taccel_lab.geometry import Region
 
         faces = part_faces(self.gel, selection.body, selection.unit)
-        labels, why = propose(faces, selection, self.gel)
+        labels, why = propose(faces, selection)
         if self.picture is not None:
             from taccel_lab.cad.preview import write_faces
             from taccel_lab.files.atomic_file import atomic_file

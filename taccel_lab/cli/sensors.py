@@ -121,12 +121,12 @@ def _print_sensor(console: Console, family: SensorFamily, parameters: FamilyPara
     from rich.table import Table
     from rich.text import Text
 
-    from taccel_lab.sensors.derived import derived_figures
+    from taccel_lab.sensors.derived import derived_figures, figure_text
 
     console.print(Text(family.title, style="bold"))
     figures = Table("figure", "value", title="derived", title_justify="left")
-    for figure in derived_figures(parameters):
-        figures.add_row(Text(figure.name, style="cyan"), Text(figure.text()))
+    for name, (value, unit) in derived_figures(parameters).items():
+        figures.add_row(Text(name, style="cyan"), Text(figure_text(value, unit)))
     console.print(figures)
     specs, values = parameters.parameters(), parameters.values()
     for group in _groups(specs):

@@ -13,11 +13,9 @@ from taccel_lab.bodies.mass_properties import StatedMass
 from taccel_lab.errors import InputError
 from taccel_lab.newton_bridge.newton_model import NewtonModel, unit_poses
 from taccel_lab.robots.shapes import (
-    BoxShape,
     CollisionShape,
-    CylinderShape,
+    PrimitiveShape,
     Shape,
-    SphereShape,
     SurfaceShape,
     convex_hull,
 )
@@ -96,11 +94,11 @@ def _shape(source: NewtonModel, shape: int) -> Shape:
     radius, half = float(size[0]), float(size[1])
     if kind == int(kinds.BOX):
         x, y, z = (2 * size).tolist()
-        return BoxShape((x, y, z))
+        return PrimitiveShape.box((x, y, z))
     if kind == int(kinds.SPHERE):
-        return SphereShape(radius)
+        return PrimitiveShape.sphere(radius)
     if kind == int(kinds.CYLINDER) and not size[2]:
-        return CylinderShape(radius, 2 * half)
+        return PrimitiveShape.cylinder(radius, 2 * half)
     if kind == int(kinds.CAPSULE):
         ball = sphere_mesh(radius, ROUND_EDGE * radius).vertices_m
         ends = np.concatenate([ball + [0, 0, half], ball - [0, 0, half]])

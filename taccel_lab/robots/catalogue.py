@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known
 from taccel_lab.robots.robot import Robot
 from taccel_lab.robots.urdf import load_urdf
 
@@ -102,10 +103,9 @@ def named(name: str) -> Robot:
 
     Raises InputError for another name, and where what it is read from is not installed.
     """
-    for entry in ENTRIES:
-        if entry.name == name:
-            return replace(entry.finish(load_urdf(entry.path())), name=name)
-    raise InputError(f"there is no robot {name!r}; there are {', '.join(names())}")
+    require_known("robot", name, names())
+    entry = ENTRIES[names().index(name)]
+    return replace(entry.finish(load_urdf(entry.path())), name=name)
 
 
 def _installed(name: str, file: str) -> Path:

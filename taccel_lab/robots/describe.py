@@ -15,14 +15,7 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.robots.catalogue import named, names
 from taccel_lab.robots.description import RobotJoint
 from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.shapes import (
-    BoxShape,
-    CylinderShape,
-    MeshShape,
-    Shape,
-    SphereShape,
-    SurfaceShape,
-)
+from taccel_lab.robots.shapes import PrimitiveShape
 from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.robots.urdf import load_urdf
 from taccel_lab.scene import Ball, TriangleMesh, sphere_mesh
@@ -51,13 +44,14 @@ def describe_robot(robot: Robot) -> dict[str, Any]:
     for link in robot.links:
         shapes = []
         for shape in link.shapes:
-            shapes.append(_shape(shape.shape))
+            hull = "hull of " if getattr(shape.shape, "hull", False) else ""
+            shapes.append(hull + shape.shape.what)
             try:
                 surface = shape.surface()[0]
             except InputError as error:
                 refused.append(f"collision shape of link {link.name!r}: {error}")
                 continue
-            if isinstance(shape.shape, (MeshShape, SurfaceShape)):
+            if not isinstance(shape.shape, PrimitiveShape):
                 assert isinstance(surface, TriangleMesh)
                 shapes[-1] += f" {size_words(surface.vertices_m)}"
         links[link.name] = {
@@ -87,17 +81,6 @@ def _joint(joint: RobotJoint) -> dict[str, Any]:
         "max_effort": float(joint.max_effort) if np.isfinite(joint.max_effort) else None,
         "mimics": joint.mimic and joint.mimic.joint,
     }
-
-
-def _shape(shape: Shape) -> str:
-    if isinstance(shape, BoxShape):
-        return f"box {' x '.join(f'{1e3 * edge:g}' for edge in shape.size_m)} mm"
-    if isinstance(shape, SphereShape):
-        return f"sphere r {1e3 * shape.radius_m:g} mm"
-    if isinstance(shape, CylinderShape):
-        return f"cylinder r {1e3 * shape.radius_m:g}, length {1e3 * shape.length_m:g} mm"
-    what = shape.what if isinstance(shape, SurfaceShape) else shape.path.name
-    return f"{'hull of ' if shape.hull else ''}{what}"
 
 
 LINK_COLOR, GEL_COLOR = "#b8b8b8", "#7fb2d9"

@@ -23,6 +23,7 @@ from taccel_lab.bodies.bodies import ALL_LAYERS
 from taccel_lab.bodies.joints import Drive, Joint, JointKind
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.errors import InputError, InputWarning
+from taccel_lab.guards import require_known, require_shape
 from taccel_lab.robots.description import LinkMass, RobotJoint, listed
 from taccel_lab.robots.mounts import GEL_LAYER, LINK_LAYER
 from taccel_lab.robots.robot import IDENTITY_POSE, Robot
@@ -79,10 +80,7 @@ class DrivenRobot:
         if world_from_base is None:
             world_from_base = self.robot.world_from_base
         at = np.asarray(world_from_base, dtype=np.float64)
-        if at.shape not in ((7,), (env_count, 7)) or not np.isfinite(at).all():
-            raise InputError(
-                f"world_from_base must be finite, [7] or [{env_count}, 7], got shape {at.shape}"
-            )
+        require_shape("world_from_base", at, (7,), (env_count, 7))
         turned = matrix_of(np.broadcast_to(at, (env_count, 7)))
         return pose_of(turned[:, None] @ matrix_of(_of_base(self.base, self.start_q)))
 
@@ -139,8 +137,7 @@ def drive(
             inside, or links that touch one another and overlap at the start.
     """
     q = robot.rest_q if start_q is None else np.asarray(start_q, dtype=np.float64)
-    if q.shape != (robot.dof,):
-        raise InputError(f"start_q must have shape [{robot.dof}], got {q.shape}")
+    require_shape("start_q", q, (robot.dof,))
     groups = rigid_groups(robot.link_names, robot.joints)
     robot.targets(q)  # Refuses coordinates out of the limits.
     fixed = [name for name, top in groups.items() if top == robot.base]
@@ -151,8 +148,7 @@ def drive(
     moving = [joint.name for joint in robot.joints if joint.moves]
     if isinstance(drives, Mapping):
         for name in drives:
-            if name not in moving:
-                raise InputError(f"there is no joint {name!r} to drive; there are {listed(moving)}")
+            require_known("joint to drive", name, moving)
     poses = dict(zip(robot.link_names, robot.forward_kinematics(q)[0], strict=True))
     bodies: list[AffineBody] = []
     joints: list[Joint] = []

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.guards import require_positive, require_range
 from taccel_lab.robots.kinematics import Kinematics
 from taccel_lab.robots.transforms import rotation_vector
 
@@ -37,12 +37,9 @@ class IKOptions:
 
     def __post_init__(self) -> None:
         for name in ("position_tolerance_m", "rotation_tolerance_rad"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} must be positive, got {value}")
+            require_positive(name, getattr(self, name))
         for name in ("attempts", "iterations"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+            require_range(name, getattr(self, name), 1, math.inf)
 
 
 @dataclass(frozen=True)

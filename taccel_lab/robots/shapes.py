@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,37 +21,33 @@ LINK_EXTENT_M = (1e-5, 5.0)
 
 
 @dataclass(frozen=True)
-class BoxShape:
-    """A box about the shape's origin."""
+class PrimitiveShape:
+    """A box, ball or cylinder about the shape's origin, the last one's axis along z."""
 
-    size_m: tuple[float, float, float]
+    what: str
+    """What it is, for people: "sphere r 5 mm"."""
+    make: Callable[[], TriangleMesh | Ball]
 
-    def surface(self) -> TriangleMesh:
-        """Its 12 triangles in the frame of the shape; InputError for a size out of range."""
-        return box_mesh(self.size_m)
+    @classmethod
+    def box(cls, size_m: tuple[float, float, float]) -> PrimitiveShape:
+        """A box of 12 triangles."""
+        size = " x ".join(f"{1e3 * edge:g}" for edge in size_m)
+        return cls(f"box {size} mm", partial(box_mesh, size_m))
 
+    @classmethod
+    def sphere(cls, radius_m: float) -> PrimitiveShape:
+        """A perfect ball."""
+        return cls(f"sphere r {1e3 * radius_m:g} mm", partial(Ball, radius_m))
 
-@dataclass(frozen=True)
-class SphereShape:
-    """A sphere about the shape's origin."""
+    @classmethod
+    def cylinder(cls, radius_m: float, length_m: float) -> PrimitiveShape:
+        """A cylinder, 64 triangles around."""
+        what = f"cylinder r {1e3 * radius_m:g}, length {1e3 * length_m:g} mm"
+        return cls(what, partial(cylinder_mesh, radius_m, length_m))
 
-    radius_m: float
-
-    def surface(self) -> Ball:
-        """A perfect ball; InputError for a size out of range."""
-        return Ball(self.radius_m)
-
-
-@dataclass(frozen=True)
-class CylinderShape:
-    """A cylinder about the shape's origin, its axis along z."""
-
-    radius_m: float
-    length_m: float
-
-    def surface(self) -> TriangleMesh:
-        """Its triangles in the frame of the shape, 64 around; InputError as of a box."""
-        return cylinder_mesh(self.radius_m, self.length_m)
+    def surface(self) -> TriangleMesh | Ball:
+        """What is touched, in the frame of the shape; InputError for a size out of range."""
+        return self.make()
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,11 @@ class MeshShape:
     """Whether its convex hull is touched instead of its triangles."""
     as_drawn: bool = False
     """Whether ``up_axis`` of a Collada file is left out."""
+
+    @property
+    def what(self) -> str:
+        """Name of the file, for people."""
+        return self.path.name
 
     def surface(self) -> TriangleMesh:
         """Its triangles in the frame of the shape [m].
@@ -104,7 +107,7 @@ class SurfaceShape:
         return self.mesh
 
 
-Shape = BoxShape | SphereShape | CylinderShape | MeshShape | SurfaceShape
+Shape = PrimitiveShape | MeshShape | SurfaceShape
 
 
 def check_touchable(points: np.ndarray, faces: np.ndarray) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot from a URDF file, read by yourdfpy (the extra ``robots``).
+"""A robot from a URDF file.
 
 What a file has to say is checked, and what of it is not supported refused by name. What is not used
 here - looks, transmissions, tags of other programs - is left out. http://wiki.ros.org/urdf/XML
@@ -7,14 +7,11 @@ here - looks, transmissions, tags of other programs - is left out. http://wiki.r
 
 from __future__ import annotations
 
-import io
 import math
 import warnings
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -28,16 +25,14 @@ from taccel_lab.files.triangle_file import SUFFIXES
 from taccel_lab.files.xml_file import read_xml
 from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint
 from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.shapes import (
-    BoxShape,
-    CollisionShape,
-    CylinderShape,
-    MeshShape,
-    Shape,
-    SphereShape,
-)
+from taccel_lab.robots.shapes import CollisionShape, MeshShape, PrimitiveShape, Shape
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_KINDS = {
+    "revolute": JointKind.REVOLUTE,
+    "continuous": JointKind.REVOLUTE,
+    "prismatic": JointKind.PRISMATIC,
+    "fixed": JointKind.FIXED,
+}
 _OTHER_TYPES = ("planar", "floating")
 _SHAPES = ("box", "sphere", "cylinder", "mesh")
 _PARTS: Mapping[str, tuple[str, ...]] = {
@@ -84,13 +79,9 @@ _NEEDED_PARTS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def checked_urdf(root: Element, shapes: bool = True) -> Element:
-    """The robot of a URDF file's root, with the elements that are used alone.
-
-    ``shapes``: whether collision shapes are.
-
-    Raises InputError: what is missing, no number, of an unknown kind or not supported.
-    """
+def check_urdf(root: Element, shapes: bool = True) -> None:
+    """Refuse a URDF file of which something that is used is missing, no number, of an unknown kind
+    or not supported; ``shapes``: whether collision shapes are used."""
     if root.tag != "robot":
         raise InputError(f"its root element is <{root.tag}>; a URDF file's is <robot>")
     if any("xacro" in str(element.tag) for element in root.iter()):
@@ -98,10 +89,10 @@ def checked_urdf(root: Element, shapes: bool = True) -> Element:
             "it holds xacro macros, which are not expanded here: make a URDF of it first, "
             "xacro robot.urdf.xacro > robot.urdf"
         )
-    return _checked(root, "the robot", () if shapes else ("collision",))
+    _check(root, "the robot", () if shapes else ("collision",))
 
 
-def _checked(element: Element, what: str, left_out: tuple[str, ...]) -> Element:
+def _check(element: Element, what: str, left_out: tuple[str, ...]) -> None:
     tag = str(element.tag)
     for name in _NEEDED.get(tag, ()):
         if not (element.get(name) or "").strip():
@@ -112,30 +103,14 @@ def _checked(element: Element, what: str, left_out: tuple[str, ...]) -> Element:
         if (text := element.get(name)) is not None:
             _check_numbers(text, count, f"{name} of <{tag}> of {what}")
     _check_kind(element, what)
-    kept = Element(tag, dict(element.attrib))
     for child in element:
-        if child.tag in _PARTS.get(tag, ()) and child.tag not in left_out:
-            if child.tag == "inertial" and child.find("mass") is None:
-                warnings.warn(
-                    f"<inertial> of {what} has no <mass> and is left out: where drives move the "
-                    "link, mass and inertia are estimated from its collision shapes",
-                    InputWarning,
-                    stacklevel=2,
-                )
-                continue
-            part = _checked(child, what, left_out)
-            if part.tag != "inertial" or _says_something(part):
-                kept.append(part)
+        used = child.tag in _PARTS.get(tag, ()) and child.tag not in left_out
+        # One without mass is left out, see ``_mass``.
+        if used and (child.tag != "inertial" or child.find("mass") is not None):
+            _check(child, what, left_out)
     for name in _NEEDED_PARTS.get(tag, ()):
-        if kept.find(name) is None:
+        if element.find(name) is None:
             raise InputError(f"<{tag}> of {what} has no <{name}>")
-    return kept
-
-
-def _says_something(inertial: Element) -> bool:
-    """Whether a link has mass: frames state 0 kg."""
-    mass = inertial.find("mass")
-    return mass is not None and float(str(mass.get("value"))) != 0
 
 
 def _check_kind(element: Element, what: str) -> None:
@@ -158,12 +133,12 @@ def _check_kind(element: Element, what: str) -> None:
     kind = str(element.get("type"))
     if kind in _OTHER_TYPES:
         raise InputError(
-            f"{what} is {kind}, which is not supported: joints may be {', '.join(JOINT_TYPES)}"
+            f"{what} is {kind}, which is not supported: joints may be {', '.join(_KINDS)}"
         )
-    if kind not in JOINT_TYPES:
+    if kind not in _KINDS:
         raise InputError(
             f"{what} is of type {shown(kind)}, which URDF does not know; allowed are "
-            f"{', '.join(JOINT_TYPES)}"
+            f"{', '.join(_KINDS)}"
         )
     if kind in ("revolute", "prismatic") and element.find("limit") is None:
         raise InputError(
@@ -224,12 +199,6 @@ def _beside(folder: Path, package: str) -> list[Path]:
     ]
 
 
-_KINDS = {
-    "revolute": JointKind.REVOLUTE,
-    "continuous": JointKind.REVOLUTE,
-    "prismatic": JointKind.PRISMATIC,
-    "fixed": JointKind.FIXED,
-}
 _UNIT_SLACK = 1e-3
 """How far the length of a slide's axis may be from 1: digits that were cut off."""
 
@@ -259,114 +228,130 @@ def load_urdf(
     Raises:
         InputError: Names the file and what of it cannot be taken over: no XML, something missing
             or no number, joints that are planar or floating, loops, an axis of no length, collision
-            meshes that are not there or not STL, PLY, OBJ or Collada. Also where yourdfpy is not
-            installed.
+            meshes that are not there or not STL, PLY, OBJ or Collada.
     """
     path = Path(path)
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     root = read_xml(path, "a URDF file")
     with naming(path):
-        parsed = _parse(checked_urdf(root, shapes))
-        return Robot(
-            parsed.name,
-            tuple(_link(link, path, folders, as_drawn) for link in parsed.links),
-            tuple(_joint(joint) for joint in parsed.joints),
-        )
+        check_urdf(root, shapes)
+        links = []
+        for link in root.findall("link"):
+            found = link.findall("collision") if shapes else []
+            items = [(_shape(item, path, folders, as_drawn), _origin(item)) for item in found]
+            collisions = tuple(CollisionShape(*item) for item in items)
+            links.append(Link(str(link.get("name")), collisions, _mass(link)))
+        joints = tuple(_joint(joint) for joint in root.findall("joint"))
+        return Robot(str(root.get("name")), tuple(links), joints)
 
 
-def _parse(root: ElementTree.Element) -> Any:
-    """yourdfpy's robot of a checked file."""
-    try:
-        from yourdfpy import URDF
-    except ImportError:
-        raise InputError(
-            "robots are read by yourdfpy, which is not installed: pip install 'taccel-lab[robots]'"
-        ) from None
-    text = io.BytesIO(ElementTree.tostring(root))
-    return URDF.load(text, build_scene_graph=False, load_meshes=False).robot
+def _attribute(element: Element, part: str, name: str) -> str:
+    """An attribute of a part that ``check_urdf`` has seen."""
+    found = element.find(part)
+    assert found is not None
+    return str(found.get(name))
 
 
-def _origin(matrix: np.ndarray | None) -> np.ndarray:
-    return np.eye(4) if matrix is None else np.asarray(matrix, dtype=np.float64)
+def _numbers(element: Element | None, name: str, default: str) -> np.ndarray:
+    """The numbers of an attribute, ``default`` where it or its element is left out."""
+    text = default if element is None else element.get(name, default)
+    return np.array(text.split(), dtype=np.float64)
 
 
-def _link(link: Any, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Link:
-    shapes = tuple(
-        CollisionShape(_shape(item.geometry, urdf, packages, as_drawn), _origin(item.origin))
-        for item in link.collisions
-    )
-    return Link(link.name, shapes, _mass(link))
+def _number(element: Element | None, name: str, default: float) -> float:
+    return float(_numbers(element, name, str(default))[0])
 
 
-def _mass(link: Any) -> LinkMass | None:
-    if link.inertial is None:
+def _origin(element: Element) -> np.ndarray:
+    """Pose that an element's origin states [4, 4]: turned about fixed x, then y, then z; moved."""
+    origin = element.find("origin")
+    roll, pitch, yaw = _numbers(origin, "rpy", "0 0 0").tolist()
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [cp * cy, sp * (sr * cy) - cr * sy, sp * (cr * cy) + sr * sy],
+        [cp * sy, sp * (sr * sy) + cr * cy, sp * (cr * sy) - sr * cy],
+        [-sp, cp * sr, cp * cr],
+    ]
+    pose[:3, 3] = _numbers(origin, "xyz", "0 0 0")
+    return pose
+
+
+def _mass(link: Element) -> LinkMass | None:
+    inertial = link.find("inertial")
+    if inertial is None:
         return None
-    mass, inertia = float(link.inertial.mass), np.asarray(link.inertial.inertia)
+    if inertial.find("mass") is None:
+        warnings.warn(
+            f"<inertial> of link {link.get('name')!r} has no <mass> and is left out: where drives "
+            "move the link, mass and inertia are estimated from its collision shapes",
+            InputWarning,
+            stacklevel=3,
+        )
+        return None
+    mass, of = _number(inertial.find("mass"), "value", 0.0), inertial.find("inertia")
+    if not mass:  # Frames state 0 kg.
+        return None
     if not mass > 0:
-        raise InputError(f"mass of link {link.name!r} must be positive, got {mass:g} kg")
-    origin = _origin(link.inertial.origin)
+        raise InputError(f"mass of link {link.get('name')!r} must be positive, got {mass:g} kg")
+    inertia = np.array(
+        [[_number(of, f"i{min(a, b)}{max(a, b)}", 0.0) for b in "xyz"] for a in "xyz"]
+    )
+    origin = _origin(inertial)
     turn = origin[:3, :3]
     return LinkMass(mass, origin[:3, 3], turn @ inertia @ turn.T)
 
 
-def _shape(geometry: Any, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Shape:
-    if geometry.box is not None:
-        x, y, z = map(float, geometry.box.size)
-        return BoxShape((x, y, z))
-    if geometry.sphere is not None:
-        return SphereShape(float(geometry.sphere.radius))
-    if geometry.cylinder is not None:
-        return CylinderShape(float(geometry.cylinder.radius), float(geometry.cylinder.length))
-    scale = geometry.mesh.scale
-    x, y, z = (1.0, 1.0, 1.0) if scale is None else map(float, scale)
-    file = mesh_path(geometry.mesh.filename, urdf, packages)
+def _shape(item: Element, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Shape:
+    (shape,) = item.findall("geometry/*")
+    if shape.tag == "box":
+        x, y, z = _numbers(shape, "size", "").tolist()
+        return PrimitiveShape.box((x, y, z))
+    if shape.tag == "sphere":
+        return PrimitiveShape.sphere(_number(shape, "radius", 0.0))
+    if shape.tag == "cylinder":
+        radius, length = _number(shape, "radius", 0.0), _number(shape, "length", 0.0)
+        return PrimitiveShape.cylinder(radius, length)
+    x, y, z = _numbers(shape, "scale", "1 1 1").tolist()
+    file = mesh_path(str(shape.get("filename")), urdf, packages)
     return MeshShape(file, (x, y, z), as_drawn=as_drawn)
 
 
-def _joint(joint: Any) -> RobotJoint:
-    kind = _KINDS[joint.type]
+def _joint(joint: Element) -> RobotJoint:
+    name, stated = str(joint.get("name")), str(joint.get("type"))
+    kind, limit = _KINDS[stated], joint.find("limit")
     axis = np.array([0.0, 0.0, 1.0])
     if kind is not JointKind.FIXED:
-        axis = np.asarray(joint.axis, dtype=np.float64)
+        axis = _numbers(joint.find("axis"), "xyz", "1 0 0")
         length = float(np.linalg.norm(axis))
         if not length > 1e-9:
-            raise InputError(f"axis of joint {joint.name!r} has no length: {joint.axis}")
+            raise InputError(f"axis of joint {name!r} has no length: {axis}")
         if kind is JointKind.PRISMATIC and abs(length - 1) > _UNIT_SLACK:
             raise InputError(
-                f"axis of joint {joint.name!r} must have length 1 for its slide to be in metres, "
+                f"axis of joint {name!r} must have length 1 for its slide to be in metres, "
                 f"got {length:g}"
             )
         axis = axis / length
-    lower, upper, effort = -math.inf, math.inf, math.inf
-    if joint.type in ("revolute", "prismatic"):
+    lower, upper = -math.inf, math.inf
+    if stated in ("revolute", "prismatic"):
         # The ends that a file leaves out are 0.
-        lower, upper = float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)
+        lower, upper = _number(limit, "lower", 0.0), _number(limit, "upper", 0.0)
         if lower > upper:
             raise InputError(
-                f"limits of joint {joint.name!r} must be lower <= upper, got {lower:g} and "
-                f"{upper:g}"
+                f"limits of joint {name!r} must be lower <= upper, got {lower:g} and {upper:g}"
             )
-    if joint.limit is not None and joint.limit.effort:
-        effort = float(joint.limit.effort)
-    elif joint.limit is not None and joint.limit.effort is not None:
+    effort = _number(limit, "effort", math.inf)
+    if not effort:
+        effort = math.inf
         warnings.warn(
-            f'effort="0" of joint {joint.name!r} is taken as no limit: a drive without force moves '
+            f'effort="0" of joint {name!r} is taken as no limit: a drive without force moves '
             "nothing; drive(robot, drives) limits it by max_effort",
             InputWarning,
             stacklevel=3,
         )
-    mimic = joint.mimic and Mimic(
-        joint.mimic.joint, float(joint.mimic.multiplier), float(joint.mimic.offset)
-    )
-    return RobotJoint(
-        joint.name,
-        kind,
-        joint.parent,
-        joint.child,
-        _origin(joint.origin),
-        axis,
-        lower,
-        upper,
-        effort,
-        mimic,
-    )
+    mimic, followed = None, joint.find("mimic")
+    if followed is not None:
+        factor, offset = _number(followed, "multiplier", 1.0), _number(followed, "offset", 0.0)
+        mimic = Mimic(str(followed.get("joint")), factor, offset)
+    parent, child = (_attribute(joint, end, "link") for end in ("parent", "child"))
+    return RobotJoint(name, kind, parent, child, _origin(joint), axis, lower, upper, effort, mimic)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.cad.mesh.gel_mesh import SoundMesh, is_formula, kept_mesh, sound_gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, check_quality
-from taccel_lab.cad.mesh.sound_mesh import SoundMesh, is_formula, kept_mesh, sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import TetMesh

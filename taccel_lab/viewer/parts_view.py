@@ -125,7 +125,7 @@ def cad_parts(name: str, parameters: FamilyParameters) -> dict[str, tuple[np.nda
 
     Raises InputError for parts that cannot be built.
     """
-    from taccel_lab.sensors.assembly import sensor_parts
+    from taccel_lab.sensors.workshop import sensor_parts
 
     found = {}
     for part in sensor_parts(name, parameters).parts:

@@ -15,7 +15,7 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions
-from taccel_lab.cad.mesh.sound_mesh import kept_mesh, sound_gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import kept_mesh, sound_gel_mesh
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n

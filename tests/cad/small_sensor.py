@@ -6,8 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from taccel_lab.cad.assembly import Assembly
-from taccel_lab.cad.assembly_sensor import sensor_assembly
+from taccel_lab.cad.assembly import Assembly, sensor_assembly
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad_solid import labelled_solid

@@ -20,8 +20,8 @@ from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.digit_pad import DigitPad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.cad.pads import BEVELLED, DIGIT, MINI, SKINNED
@@ -235,8 +235,8 @@ def test_glued_walls_are_bond() -> None:
         (MINI, {"rim_radius_mm": 3.2}, ["rim_radius_mm = 3.2", "at least 3.40935"]),
         (MINI, {"rim_mm": 9}, ["rim_mm = 9", "up to 8.3"]),
         (BEVELLED, {"crown_radius_x_mm": 200}, ["wall_mm", "flat contact face"]),
-        (SKINNED, {"skin_mm": 0}, ["skin_side_mm = 0.8", "skin_mm"]),
-        (SKINNED, {"skin_mm": 2.7}, ["skin_mm = 2.7", "up to 2.5"]),
+        (SKINNED, {"skin_top_mm": 0}, ["skin_side_mm = 0.8", "skin_top_mm"]),
+        (SKINNED, {"skin_top_mm": 2.7}, ["skin_top_mm = 2.7", "up to 2.5"]),
         (SKINNED, {"skin_side_mm": 1.7}, ["skin_side_mm = 1.7", "up to 1.62"]),
         (SKINNED, {"rim": "fillet"}, ["rim none, chamfer or arc"]),
         (SKINNED, {"window_x_mm": 29.4}, ["window_x_mm", "at least 0.2 mm"]),

@@ -12,14 +12,13 @@ from build123d import Axis, Face, Plane, Pos, Solid
 
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.moulds import Mould, MouldOptions, casting_moulds, check_mould, gel_mould
-from taccel_lab.cad.moulds.gates import place_gates
+from taccel_lab.cad.moulds.two_part import place_gates
 from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
-from taccel_lab.cad.parts.outline import rounded_rectangle
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
-from taccel_lab.cad.parts.solids import common_volume_mm3
+from taccel_lab.cad.parts.part import LabelledSolid
+from taccel_lab.cad.parts.solids import common_volume_mm3, rounded_rectangle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.support.variants import variants
@@ -151,7 +150,7 @@ def test_a_body_wider_than_its_foot_is_refused() -> None:
 
 
 def test_skin_is_cast_over_the_core() -> None:
-    pad: Pad = GelPad(thickness_mm=2.8, skin_mm=0.3, skin_side_mm=1.4)
+    pad: Pad = GelPad(thickness_mm=2.8, skin_top_mm=0.3, skin_side_mm=1.4)
     gel = labelled_solid(pad)
     layers = {
         name: LabelledSolid(solid, [_flat_back(face, solid) for face in solid.faces()])

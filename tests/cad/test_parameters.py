@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.cad.gel_import.units import MM_PER_UNIT, check_units
+from taccel_lab.cad.gel_import.gel_checks import MM_PER_UNIT, check_units
 from taccel_lab.cad.parameters import (
     ParameterSet,
     parameter,
@@ -151,19 +151,28 @@ def test_a_part_hands_its_parameter_on() -> None:
     @dataclass(frozen=True)
     class Shelf(ParameterSet):
         parameter_group = "shelf"
-        board_mm: float = restated(2.5, of=Box, name="width_mm", maximum=2.8, source="joiner")
+        width_mm: float = restated(2.5, of=Box, maximum=2.8, source="joiner")
 
-    found, declared = Shelf.parameters()["board_mm"], Box.parameters()["width_mm"]
+    found, declared = Shelf.parameters()["width_mm"], Box.parameters()["width_mm"]
     assert (found.default, found.maximum, found.source) == (2.5, 2.8, "joiner")
     assert (found.minimum, found.unit, found.group) == (declared.minimum, declared.unit, "shelf")
     assert found.description == declared.description
-    for wrong, says in (
-        (restated(2.5, of=Box), "needs a source"),
-        (restated(of=Box, maximum=1e9), "wider than those of Box"),
-        (restated(of=Box, name="board_mm"), "Box has that parameter"),
+    for name, wrong, says in (
+        ("width_mm", restated(2.5, of=Box), "needs a source"),
+        ("width_mm", restated(of=Box, maximum=1e9), "wider than those of Box"),
+        ("board_mm", restated(of=Box), "Box has that parameter"),
     ):
         with pytest.raises(TypeError, match=says):
-            type("Wrong", (ParameterSet,), {"width_mm": wrong})
+            type("Wrong", (ParameterSet,), {name: wrong})
+
+
+def test_a_value_that_others_leave_no_room_for_is_refused_with_the_bound() -> None:
+    box = Box(width_mm=2.0)
+    box.require("width_mm", "is too wide", low=2.0, high=2.0)
+    with pytest.raises(InputError, match=r"^width_mm = 2 is too wide; allowed: up to 1.5 mm$"):
+        box.require("width_mm", "is too wide", high=1.5)
+    with pytest.raises(InputError, match=r"allowed: at least 3 mm, or another box$"):
+        box.require("width_mm", "is too narrow", low=3.0, also=", or another box")
 
 
 @dataclass(frozen=True)
@@ -222,7 +231,7 @@ def test_millimetres_read_as_inches() -> None:
 def test_sheets_unknown_units_and_broken_boxes() -> None:
     with pytest.raises(InputError, match="sheet without volume"):
         check_units(MINI * [1, 1, 0.001])
-    with pytest.raises(InputError, match="use one of mm, cm"):
+    with pytest.raises(InputError, match="known: mm, cm"):
         check_units(MINI, "furlong")
     with pytest.raises(InputError, match="bounding box"):
         check_units(MINI * np.nan)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
+from taccel_lab.cad.mesh.gel_mesh import SHORTER, gel_mesh, sound_gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import (
     PRESS_GATE,
     QualityGate,
@@ -22,7 +22,6 @@ from taccel_lab.cad.mesh.quality import (
     require_quality,
 )
 from taccel_lab.cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
-from taccel_lab.cad.mesh.sound_mesh import SHORTER, sound_gel_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets

@@ -31,13 +31,12 @@ from taccel_lab.cad.gel_import import (
     import_gel,
     part_faces,
     step_gel,
-    step_parts,
 )
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.cad.small_sensor import PAD, small_sensor
@@ -193,7 +192,7 @@ def test_step_without_names_is_proposed_contact_bond_and_window(tmp_path: Path) 
         ({"window": ()}, r"no faces are selected for window"),
         ({"normal": "z+"}, r"'z\+' is not a direction"),
         ({"right": "-z"}, r"right = -z lies along normal"),
-        ({"origin": "corner"}, r"origin 'corner' is not allowed"),
+        ({"origin": "corner"}, r"no origin 'corner'.*known: center, file"),
         ({"body": "lid"}, r"0 solids of the name 'lid'"),
     ],
 )
@@ -274,7 +273,7 @@ def test_files_that_are_large_or_take_long(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(gel_file, "LIMIT_S", 1e-3)
     with pytest.raises(InputError, match=r"box\.step: the reader did not finish within 0\.001 s"):
         import_gel(path, BOX)
-    monkeypatch.setattr(step_parts, "MAX_BYTES", 1000)
+    monkeypatch.setattr(gel_file, "MAX_BYTES", 1000)
     for read in (import_gel, part_faces):
         with pytest.raises(InputError, match=r"box\.step has .* KiB; a STEP file .* 1000 bytes"):
             read(path)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.cad.mesh.bond_planes import bond_projection
+from taccel_lab.cad.mesh.closest import bond_projection
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import QualityGate, measure_quality, require_quality
-from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.mesh.tetrahedralize import cached_mesh, tetwild_gel_mesh, tetwild_mesh
+from taccel_lab.cad.mesh.tetwild import transfer_regions
 from taccel_lab.cad.parts.dome_pad import ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad import Pad
@@ -85,7 +85,7 @@ def test_any_pad_reaches_the_gate(pad: Pad) -> None:
 
 @pytest.mark.slow
 def test_layers_conform() -> None:
-    pad = small_pad(skin_mm=0.8)
+    pad = small_pad(skin_top_mm=0.8)
     mesh = check_gate(pad, 1.2)
     quality = measure_quality(mesh, pad)
     assert quality.interface_error_mm is not None and quality.interface_error_mm < 0.02
@@ -118,10 +118,13 @@ def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", poor)
     with pytest.raises(InputError, match=r"none of 3 runs: edge 1.6 mm") as error:
-        tetwild_gel_mesh(pad, 1.6, epsilon=1e-3, picture_folder=tmp_path)
-    for part in ("inside out", "edge 1.2 mm, epsilon 0.0004", "dihedral", "bad_mesh.png"):
+        tetwild_gel_mesh(pad, 1.6, picture_folder=tmp_path)
+    first = asked[0][1]
+    finer = f"edge 1.2 mm, epsilon {0.4 * first:g}"
+    for part in ("inside out", finer, "dihedral", "bad_mesh.png"):
         assert part in str(error.value)
-    assert asked == [(1.6, 1e-3), (1.6, 4e-4), (pytest.approx(1.2), 4e-4)]
+    assert [edge for edge, _ in asked] == [1.6, 1.6, pytest.approx(1.2)]
+    assert [epsilon for _, epsilon in asked[1:]] == [pytest.approx(0.4 * first)] * 2
     assert (tmp_path / "bad_mesh.png").stat().st_size > 10_000
 
 
@@ -151,9 +154,9 @@ def test_runs_that_miss_the_gate_by_flat_tets_alone_are_made_once_more(
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", drawn)
     if good_at is None:
         with pytest.raises(InputError, match=r"none of 6 runs.* dihedral"):
-            tetwild_gel_mesh(pad, 1.6, epsilon=1e-3)
+            tetwild_gel_mesh(pad, 1.6)
     else:
-        assert tetwild_gel_mesh(pad, 1.6, epsilon=1e-3).nodes_m.tobytes() == good.nodes_m.tobytes()
+        assert tetwild_gel_mesh(pad, 1.6).nodes_m.tobytes() == good.nodes_m.tobytes()
     assert asked[3:] == asked[: len(asked) - 3] and len(asked) == (good_at or 6)
 
 
@@ -192,13 +195,13 @@ def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) ->
     pad = small_pad()
     mesh = gel_mesh(pad, 1.5)
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
-    first = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
+    first = tetwild_gel_mesh(pad, 1.5)
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", None)
-    second = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
+    second = tetwild_gel_mesh(pad, 1.5)
     assert first.nodes_m.tobytes() == second.nodes_m.tobytes()
     assert np.array_equal(first.face_regions, second.face_regions)
     with pytest.raises(TypeError):
-        tetwild_gel_mesh(pad, 1.4, epsilon=5e-3)
+        tetwild_gel_mesh(pad, 1.4)
 
 
 def test_keys_follow_content() -> None:
@@ -220,7 +223,7 @@ def test_unwritable_cache_names_the_variable(
         cached_mesh({}).read_or_make(lambda: gel_mesh(GelPad(), 2.0))
 
 
-@pytest.mark.parametrize(("edge_mm", "epsilon"), [(0.0, 1e-3), (99.0, 1e-3), (1.0, 0.5)])
-def test_bad_options_are_refused(edge_mm: float, epsilon: float) -> None:
+@pytest.mark.parametrize("edge_mm", [0.0, 99.0])
+def test_bad_options_are_refused(edge_mm: float) -> None:
     with pytest.raises(InputError, match=r"must lie in \["):
-        tetwild_gel_mesh(GelPad(), edge_mm, epsilon=epsilon)
+        tetwild_gel_mesh(GelPad(), edge_mm)

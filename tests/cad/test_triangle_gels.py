@@ -12,8 +12,8 @@ import pytest
 from taccel_lab.cad.export import write_3mf, write_stl
 from taccel_lab.cad.gel_import import FaceSelection, import_gel, part_faces
 from taccel_lab.cad.gel_import import triangle_gel as module
-from taccel_lab.cad.gel_import.facet_solid import facet_solid
 from taccel_lab.cad.gel_import.patches import faces_of_triangles
+from taccel_lab.cad.gel_import.step_gel import facet_solid
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid

@@ -15,7 +15,7 @@ from build123d import Mesher, Unit
 from ezdxf import bbox
 
 from taccel_lab.cad.assembly import Assembly
-from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
+from taccel_lab.cad.drawing.assembly_drawing import assembly_drawing
 from taccel_lab.cad.drawing.pad_drawing import pad_drawing
 from taccel_lab.cad.drawing.sections import circle_through, section
 from taccel_lab.cad.drawing.title import Issue
@@ -28,8 +28,8 @@ from taccel_lab.cad.export import (
 )
 from taccel_lab.cad.gel_import.step_reader import read_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.part import LabelledSolid
 from taccel_lab.profile.optical_design import Light
 from tests.cad.small_sensor import PAD, small_sensor
 
@@ -173,7 +173,7 @@ def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> No
 
 def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "assembly.svg"
-    write_assembly_drawing(sensor, [path], title="small sensor", notes=["glue the gel"])
+    assembly_drawing(sensor, title="small sensor", notes=["glue the gel"]).save(path)
     words = texts(path)
     assert "30" in words and "gap gel_pad - housing: 0.100 mm" in words
     assert any(text.startswith("2 window (clear acrylic") for text in words)
@@ -185,7 +185,7 @@ def test_drawings_state_revision_date_and_tolerances(
 ) -> None:
     issue = Issue("0a1b2c3d, taccel-lab 9.9", "2031-02-03")
     pad_drawing(gel, title="pad", issue=issue).save(tmp_path / "pad.svg")
-    write_assembly_drawing(sensor, [tmp_path / "all.svg"], title="all", issue=issue)
+    assembly_drawing(sensor, title="all", issue=issue).save(tmp_path / "all.svg")
     for name in ("pad.svg", "all.svg"):
         words = texts(tmp_path / name)
         assert issue.revision in words and issue.date in words, words
@@ -200,7 +200,7 @@ def test_overlapping_leds_are_red_in_the_plan_and_named(tmp_path: Path) -> None:
     apart, crossed = tmp_path / "apart.svg", tmp_path / "crossed.svg"
     for path, shift in ((apart, 3.0), (crossed, 0.5)):
         leds = (bar("one", 0.0, 8.0), bar("two", 0.0, 8.0 - shift))
-        write_assembly_drawing(small_sensor(leds=leds), [path], title="leds")
+        assembly_drawing(small_sensor(leds=leds), title="leds").save(path)
     assert "red: overlaps another part" not in texts(apart) and "#c1121f" not in apart.read_text(
         "utf-8"
     )

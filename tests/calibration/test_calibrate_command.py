@@ -142,7 +142,10 @@ def test_a_profile_of_another_gel_than_the_captures_state_is_refused(folder: Pat
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ("thickness = 3", r"captures\.toml: .*no parameter 'thickness'; known: .*thickness_mm"),
+        (
+            "thickness = 3",
+            r"captures\.toml: .*no parameter 'thickness' \(did you mean thickness_mm",
+        ),
         ("thickness_mm = -3.0", r"captures\.toml: .*thickness_mm = -3 is below its bound"),
         ('thickness_mm = "thick"', r"captures\.toml: .*thickness_mm = 'thick' is not a number"),
     ],

@@ -53,7 +53,7 @@ def three_mf(path: Path) -> None:
 
 def dxf(path: Path) -> None:
     from taccel_lab.cad.export import write_dxf
-    from taccel_lab.cad.parts.labelled_solid import LabelledSolid
+    from taccel_lab.cad.parts.part import LabelledSolid
     from taccel_lab.geometry import Region
 
     write_dxf(LabelledSolid(solid().solid, [Region.SIDE] * 6), path)

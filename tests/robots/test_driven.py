@@ -31,7 +31,6 @@ from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.robot_files import CHAIN, REAL, write
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 SIDEWAYS = np.array([0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 G = 9.81
 
@@ -114,12 +113,12 @@ def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
     gripper, servo = named("parallel_gripper"), PositionDrive(100.0)
     chain = load_urdf(write(tmp_path, CHAIN)).touching([])
     for call, message in (
-        (lambda: drive(gripper, {"slide": servo}), "no joint 'slide' to drive; there are 'slide_l"),
+        (lambda: drive(gripper, {"slide": servo}), "no joint to drive 'slide'"),
         (
             lambda: drive(gripper, servo, [0.05]),
             r"0\.05 of joint 'slide_left' in row 0 is out of i",
         ),
-        (lambda: drive(gripper, servo, [0.0, 0.0]), r"start_q must have shape \[1\], got \(2,\)"),
+        (lambda: drive(gripper, servo, [0.0, 0.0]), r"start_q must have shape \[1\], got \[2\]"),
         (
             lambda: drive(gripper, servo).joint_targets([np.nan]),
             r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
@@ -303,5 +302,5 @@ def test_a_base_without_shapes_still_carries() -> None:
     assert {joint.second for joint in driven.joints} == {frame.name}
     away = np.array([1.0, 2, 3, 0, 0, 0, 1])
     np.testing.assert_allclose(driven.poses(2, away), np.tile(away, (2, 1, 1)), atol=1e-15)
-    with pytest.raises(InputError, match=r"world_from_base must be finite, \[7\] or \[2, 7\]"):
+    with pytest.raises(InputError, match=r"world_from_base must have shape \[7\] or \[2, 7\]"):
         driven.poses(2, np.zeros((3, 7)))

@@ -12,7 +12,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots import IKOptions, Robot, named
 from tests.support.robot_files import REAL, random_coordinates
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 HAND = named("three_finger_hand")
 
 
@@ -111,7 +110,9 @@ def test_bad_questions_are_refused() -> None:
         HAND.inverse_kinematics("pad_1", pose, np.zeros((2, 9)))
     with pytest.raises(InputError, match="unit length"):
         HAND.inverse_kinematics("pad_1", 2 * pose)
-    with pytest.raises(InputError, match="attempts must be at least 1, got 0"):
+    with pytest.raises(InputError, match="attempts must be at least 1 and finite, got 0"):
         IKOptions(attempts=0)
-    with pytest.raises(InputError, match="position_tolerance_m must be positive, got nan"):
+    with pytest.raises(
+        InputError, match="position_tolerance_m must be positive and finite, got nan"
+    ):
         IKOptions(position_tolerance_m=float("nan"))

@@ -154,7 +154,7 @@ def test_coordinates_and_links_that_are_not_there_are_refused() -> None:
 
 def test_names_of_the_catalogue() -> None:
     assert names()[:2] == ["parallel_gripper", "three_finger_hand"]
-    with pytest.raises(InputError, match="no robot 'hand'; there are parallel_gripper, three_"):
+    with pytest.raises(InputError, match=r"no robot 'hand'.*known: parallel_gripper, three_"):
         named("hand")
 
 
@@ -170,9 +170,6 @@ def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(catalogue, "PACKAGE", "no-such-robot-data")
     with pytest.raises(InputError, match=r"no-such-robot-data, which is not installed: pip inst"):
         named("panda")
-    monkeypatch.setitem(__import__("sys").modules, "yourdfpy", None)
-    with pytest.raises(InputError, match=r"yourdfpy, which is not installed: pip install 'taccel"):
-        named("parallel_gripper")
 
 
 DEVICES = [

@@ -36,7 +36,6 @@ from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3), jitter=0.1)
 GEL = SoftBody(PAD, Material(1e5, 0.45), friction_coefficient=0.8, element=Element.LINEAR)
 DT = 0.02

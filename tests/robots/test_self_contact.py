@@ -27,7 +27,6 @@ from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from tests.support.intersection import find_intersections
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3), jitter=0.1)
 GEL = SoftBody(PAD, Material(1e5, 0.45), friction_coefficient=0.8, element=Element.LINEAR)
 DRIVES = PositionDrive(stiffness=5.0, damping=0.05)

@@ -17,8 +17,6 @@ from taccel_lab.scene import Ball, PositionDrive, TriangleMesh
 from tests.files.test_triangle_file import collada
 from tests.support.robot_files import CHAIN, write
 
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
-
 TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"""
 WITH_MESH = """<robot name="m"><link name="a"><collision>
 <geometry><mesh filename="{file}" scale="{scale}"/></geometry></collision></link></robot>"""

@@ -17,11 +17,11 @@ from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
 from taccel_lab.presses.press_markers import PressMarkers
 from taccel_lab.profile import SensorProfile
-from taccel_lab.sensors.assembly import sensor_parts
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
+from taccel_lab.sensors.workshop import sensor_parts
 from taccel_lab.studies.report.preview import preview_design, write_preview
 
 BASELINE_MM = 9.0
@@ -110,7 +110,7 @@ def test_the_catalogues_stereo_sensor_looks_at_its_middle() -> None:
     for view in (parameters, other):
         assert isinstance(view, CameraSensorParameters)
         assert view.axis_meets_mm() == pytest.approx((0, 0), abs=0.02)
-    figures = {figure.name: figure.value for figure in derived_figures(parameters)}
+    figures = {name: value for name, (value, _) in derived_figures(parameters).items()}
     assert figures["cameras"] == 2
     assert 50 < float(figures["gel in all images"]) < float(figures["gel in the image"])
 

@@ -12,10 +12,10 @@ from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.cad.parameters import parse_overrides
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light
-from taccel_lab.sensors.assembly import sensor_parts
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.design import stiffness_words
 from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.workshop import sensor_parts
 
 LENS = {"scale_from": "lens_focal_mm", "lens_focal_mm": 2.1, "pixel_pitch_um": 1.4}
 

@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
-from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.workshop import issue_of
 from tests.geometry.vtu_files import read_mesh_vtu
 from tests.support.commands import done, refusal
@@ -93,7 +93,7 @@ def test_reports_of_assembly_and_mould_hold_their_checks(result: DesignResult) -
 def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
     found = design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
     assert set(found.files) == {"mesh", "quality", "parameters", "preview", "profile"}
-    with pytest.raises(InputError, match=r"parts engine do not exist; use any of pad, assembly"):
+    with pytest.raises(InputError, match=r"no part of a design 'engine'; known: pad, assembly"):
         design_sensor(FAMILY, None, tmp_path / "other", parts=("engine",))
     assert not (tmp_path / "other").exists()
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
 from taccel_lab.sensors.derived import lens_difference
-from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 
@@ -98,10 +97,10 @@ def test_pad_has_the_stated_size(name: str) -> None:
 @pytest.mark.parametrize("name", [n for n, s in STATED.items() if s.volume is not None])
 def test_gel_has_the_stated_volume(name: str) -> None:
     stated, pad = STATED[name], nominal(name).pad()
-    error = 100 * (pad_volume_mm3(pad) / (stated.volume or 0.0) - 1)
+    error = 100 * (pad.volume_mm3() / (stated.volume or 0.0) - 1)
     assert abs(error) < stated.volume_percent
     built = labelled_solid(pad).solid.volume
-    assert built == pytest.approx(pad_volume_mm3(pad), rel=2e-3)
+    assert built == pytest.approx(pad.volume_mm3(), rel=2e-3)
 
 
 @pytest.mark.parametrize("name", STATED)
@@ -279,5 +278,5 @@ def test_material_is_in_si() -> None:
     assert 0 <= material.poisson_ratio < 0.5
     with pytest.raises(InputError, match=r"sensor gelsight: .*poisson_ratio = 0\.5.* 0 to 0\.499"):
         FAMILY.parameters({"poisson_ratio": 0.5})
-    with pytest.raises(InputError, match=r"no parameter 'colour'.*thickness_mm"):
+    with pytest.raises(InputError, match=r"no parameter 'colour' \(did you mean led_colors"):
         FAMILY.parameters({"colour": "red"})

@@ -193,7 +193,7 @@ def test_what_is_stated_is_not_assumed() -> None:
 
 
 def test_an_imported_gel_has_no_assembly(step: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="an imported gel has no assembly"):
+    with pytest.raises(InputError, match="no part of an imported gel 'assembly'; known: pad"):
         import_design(step, SELECTION, tmp_path / "out", parts=("assembly",))
     with pytest.raises(InputError, match="matches none"):
         import_design(step, FaceSelection(bond=("name:glue",)), tmp_path / "out")

@@ -11,7 +11,7 @@ import pytest
 from taccel_lab.cli import app
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_families, sensor_family
-from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.registry import catalogue
 
 
@@ -40,7 +40,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Installed:
 
 GOOD = """
 from dataclasses import replace
-from taccel_lab.sensors.gelsight.family import FAMILY as gelsight
+from taccel_lab.sensors.families.gelsight import FAMILY as gelsight
 FAMILY = replace(gelsight, name="{name}", title="{title}")
 """
 

@@ -9,7 +9,7 @@ from build123d import Plane
 
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.cad.moulds import casting_moulds
-from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.pad_solid import gel_layers, labelled_solid
 from taccel_lab.cad.parts.placeholders import (
     camera_location,
     led_location,
@@ -17,8 +17,8 @@ from taccel_lab.cad.parts.placeholders import (
     led_part,
 )
 from taccel_lab.profile.optical_design import DesignedCamera, Light
-from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
+from taccel_lab.sensors.workshop import sensor_parts
 from tests.support.variants import variants
 
 FAMILIES = sorted(sensor_families())

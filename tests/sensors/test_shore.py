@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.sensors.parameter_groups.shore import FACTOR, READINGS, Scale, modulus_of_shore
+from taccel_lab.sensors.parameter_groups.material import FACTOR, READINGS, Scale, modulus_of_shore
 from taccel_lab.sensors.registry import sensor_family
 
 A_AND_00 = {20: 70, 25: 76, 30: 80, 35: 83}

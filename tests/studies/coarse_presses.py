@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
 from taccel_lab.presses import PHYSICS, Accuracy
-from taccel_lab.sensors.gelsight.family import GelSightParameters
+from taccel_lab.sensors.families.gelsight import GelSightParameters
 from taccel_lab.studies.presses.press_batch import simulate
 from taccel_lab.studies.presses.press_job import PressJob, press_jobs
 from taccel_lab.studies.presses.press_record import PressRecord

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.sensors.gelsight.family import GelSightParameters
+from taccel_lab.sensors.families.gelsight import GelSightParameters
 from taccel_lab.studies.metrics import METRICS, NoFigure, surface
 from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm, dent_mm
 from taccel_lab.studies.metrics.shear import lost_part

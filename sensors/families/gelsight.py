@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _GELMAP = "taxim 1.4.1, calib/gelsight/gelmap.npy"
 _TAXIM = "Taxim (Si and Yuan, RA-L 2022), Basics/sensorParams.py and calib/gelsight/params.json"
@@ -77,12 +77,8 @@ class GelSightParameters(RectangleSensorParameters):
 
     def pad(self) -> GelPad:
         """The gel pad with its spherical crown."""
-        return self.gel_pad(
-            crown_radius_x_mm=self.crown_radius_mm,
-            crown_radius_y_mm=self.crown_radius_mm,
-            rim=self.rim,
-            rim_mm=self.rim_mm,
-        )
+        radius = self.crown_radius_mm
+        return self.gel_pad(crown_radius_x_mm=radius, crown_radius_y_mm=radius)
 
 
 FAMILY = SensorFamily(

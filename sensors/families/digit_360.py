@@ -86,15 +86,7 @@ class Digit360Parameters(CameraSensorParameters):
 
     def pad(self) -> SolidDomePad:
         """The gel: hemisphere on a cylinder with the lens pocket."""
-        return SolidDomePad(
-            dome_radius_mm=self.dome_radius_mm,
-            wall_height_mm=self.wall_height_mm,
-            pocket_radius_mm=self.pocket_radius_mm,
-            pocket_taper_deg=2.0,
-            pocket_depth_mm=self.pocket_depth_mm,
-            pocket_edge_radius_mm=0.25,
-            pocket_dome_radius_mm=self.pocket_dome_radius_mm,
-        )
+        return self.part(SolidDomePad, pocket_taper_deg=2.0, pocket_edge_radius_mm=0.25)
 
     def window(self) -> None:
         """None: the lens itself is glued into the gel."""

@@ -76,7 +76,7 @@ class RTacParameters(CameraSensorParameters):
 
     def pad(self) -> ShellDomePad:
         """The soft shell; all of its inside and its rim are glued."""
-        return ShellDomePad(dome_radius_mm=self.dome_radius_mm, thickness_mm=self.thickness_mm)
+        return self.part(ShellDomePad)
 
     def window(self) -> Window:
         """The hard dome under the gel."""

@@ -9,8 +9,8 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 from taccel_lab.sensors.parameter_groups.material import SkinParameters
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _MOULD = "measured on the mould drawings of 9DTact (linchangyi1/9DTact, MIT)"
 _SHELL = "measured on the shell of 9DTact (linchangyi1/9DTact, MIT)"
@@ -34,7 +34,7 @@ class NineDTactParameters(RectangleSensorParameters):
         description="gel thickness with the skin",
     )  # fmt: skip
     skin_top_mm: float = restated(
-        0.3, of=GelPad, name="skin_mm", minimum=0.1, maximum=1.0, zero_means="",
+        0.3, of=GelPad, minimum=0.1, maximum=1.0, zero_means="",
         source=f"{_MOULD}: 2.8 mm less 2.5 mm",
     )  # fmt: skip
     skin_side_mm: float = restated(
@@ -93,9 +93,7 @@ class NineDTactParameters(RectangleSensorParameters):
 
     def pad(self) -> GelPad:
         """The flat pad: translucent core and black skin."""
-        return self.gel_pad(
-            inset_mm=self.skin_side_mm, skin_mm=self.skin_top_mm, skin_side_mm=self.skin_side_mm
-        )
+        return self.gel_pad(inset_mm=self.skin_side_mm)
 
     def layer_materials(self) -> tuple[GelMaterial, ...]:
         """Translucent core, black skin."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _TACSL = "TacSL, tacsl_gelsight_r15.yaml"
 _NOT_PUBLISHED = "assumption: no drawing of this sensor is published"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.flat_pad.family import FlatPadParameters
+from taccel_lab.sensors.families.flat_pad import FlatPadParameters
 
 _CHOSEN = "chosen: no figure is taken from a sensor that was built"
 

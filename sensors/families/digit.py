@@ -94,11 +94,8 @@ class DigitParameters(CameraSensorParameters):
         """The gel pad."""
         window_x, window_y = self._seen_inside_tip_mm()
         part = 1.0 if self.thin_crown == "kept" else self._crown_part()
-        return DigitPad(
-            width_mm=self.width_mm,
-            length_mm=self.length_mm,
-            base_corner_mm=self.base_corner_mm,
-            thickness_mm=self.thickness_mm,
+        return self.part(
+            DigitPad,
             mid_radius_mm=flatter_radius(self.mid_radius_mm, self.width_mm / 2, part),
             roll_off=self.roll_off * part,
             rim_mm=self.rim_mm if part > _RIM_FROM else 0.0,

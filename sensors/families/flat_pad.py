@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _STAND_IN = "assumption: a stand-in for a sensor that is not in the catalogue; set your own"
 

@@ -15,7 +15,7 @@ from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
 _FIT = (
@@ -128,15 +128,7 @@ class GelSightMiniParameters(RectangleSensorParameters):
     def pad(self) -> GelPad:
         """The gel pad: crown, and a rim that rises as an arc from the wall."""
         try:
-            return self.gel_pad(
-                crown_radius_x_mm=self.crown_radius_x_mm,
-                crown_radius_y_mm=self.crown_radius_y_mm,
-                crown_pillow=self.crown_pillow,
-                rim="arc",
-                rim_mm=self.rim_mm,
-                wall_mm=self.thickness_mm - self.rim_drop_mm,
-                rim_radius_mm=self.rim_radius_mm,
-            )
+            return self.gel_pad(rim="arc", wall_mm=self.thickness_mm - self.rim_drop_mm)
         except InputError as error:
             raise InputError(f"{error} (wall_mm is thickness_mm less rim_drop_mm)") from error
 

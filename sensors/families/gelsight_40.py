@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
-from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _PAD = "measured on the pad of Taccel's single_sensor (Taccel-Simulator/Taccel)"
 _TACCEL = "VBTSConfig and render.yml of Taccel"
@@ -79,12 +78,8 @@ class GelSight40Parameters(RectangleSensorParameters):
 
     def pad(self) -> GelPad:
         """The bevelled pad, its walls stuck to the frame."""
-        if self.bevel_height_mm > self.thickness_mm - MIN_WALL_MM:
-            raise InputError(
-                f"bevel_height_mm = {self.bevel_height_mm:g} leaves no wall under a gel of "
-                f"thickness_mm = {self.thickness_mm:g}; allowed: up to "
-                f"{self.thickness_mm - MIN_WALL_MM:g} mm"
-            )
+        wall = f"leaves no wall under a gel of thickness_mm = {self.thickness_mm:g}"
+        self.require("bevel_height_mm", wall, high=self.thickness_mm - MIN_WALL_MM)
         return self.gel_pad(
             rim="chamfer",
             rim_mm=self.bevel_mm,

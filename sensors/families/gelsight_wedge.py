@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
+from taccel_lab.sensors.camera_sensor import RectangleSensorParameters
 
 _MODULUS = "EstimateModulus (GelSight-lab)"
 _NOT_PUBLISHED = "assumption: no figure of this sensor is published"

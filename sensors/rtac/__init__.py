@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The R-Tac dome of PP-Tac."""
