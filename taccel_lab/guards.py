@@ -74,3 +74,13 @@ def require_shape(
         raise InputError(f"{name} must have shape {allowed}, got {list(found)}")
     if finite and not np.isfinite(array).all():
         raise InputError(f"{name} holds NaN or infinite values")
+
+
+MOST_SEED = 2**63 - 1
+"""What NumPy's and torch's generators both take."""
+
+
+def require_seed(seed: int) -> None:
+    """InputError for a seed that no generator takes, which would fail late in its own words."""
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(f"seed must lie in 0..{MOST_SEED}, got {seed}")

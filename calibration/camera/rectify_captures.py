@@ -15,9 +15,9 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, MarkerCa
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.inner_path import copy_inner
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.files.toml_file import read_toml
 
 LEFT_OUT = "{} were left out"
 _Write = Callable[[str, np.ndarray], str]

@@ -21,9 +21,8 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.calibration.capture.video import image_frame, load_markers
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import read_grey
+from taccel_lab.files.images import KeptImages, read_grey
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.kept_images import KeptImages
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.sensors.registry import profile_folder
 

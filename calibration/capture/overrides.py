@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.errors import InputError
-from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.printable import printable
 

@@ -11,8 +11,8 @@ from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
+from taccel_lab.files.images import KeptImages
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.kept_images import KeptImages
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.videos import count_frames, read_frames
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptions
 from taccel_lab.errors import InputError
-from taccel_lab.files.seed import require_seed
+from taccel_lab.guards import require_seed
 from taccel_lab.networks.position_encoding import require_bands
 
 MOST_SYNTHETIC = 10_000

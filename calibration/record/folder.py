@@ -26,9 +26,9 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION,
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.images import read_image
 from taccel_lab.files.output_folder import require_growable
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.sensors.registry import sensor_family
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import MAX_ARRAY_BYTES
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.regular_file import read_regular_file
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.profile import arrays
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.family_judge import judge_parameters

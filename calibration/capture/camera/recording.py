@@ -19,8 +19,7 @@ from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
-from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.files.videos import count_frames, read_timed_frames
+from taccel_lab.files.videos import RecordedFrame, count_frames, read_timed_frames
 
 HELD_BY = (
     f"a video ({', '.join(VIDEOS)}), an image ({', '.join(IMAGES)}), a folder of images, an HDF5 "

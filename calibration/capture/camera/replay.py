@@ -26,7 +26,7 @@ from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 
 
 @dataclass(frozen=True)

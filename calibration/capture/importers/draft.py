@@ -43,9 +43,9 @@ from taccel_lab.calibration.capture.suffixes import is_picture
 from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
-from taccel_lab.files.cell_number import number
 from taccel_lab.files.images import MAX_FILE_BYTES, Image, levels, read_image
 from taccel_lab.files.regular_file import LARGEST_BYTES, file_sha256, require_regular_file
+from taccel_lab.files.table_file import number
 from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 

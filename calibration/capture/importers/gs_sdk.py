@@ -19,8 +19,8 @@ from taccel_lab.calibration.capture.importers.files import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import read_npz
-from taccel_lab.files.cell_number import number
 from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.table_file import number
 
 _LABEL = ("center", "radius")
 _EXAMPLE = "assets/ball_image.png"

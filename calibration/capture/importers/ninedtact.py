@@ -20,9 +20,8 @@ from taccel_lab.calibration.capture.importers.draft import (
 )
 from taccel_lab.calibration.capture.importers.files import first_existing, images_in
 from taccel_lab.errors import InputError
+from taccel_lab.files.documents import number_at, read_yaml
 from taccel_lab.files.inner_path import inner_path, real_path
-from taccel_lab.files.plain_values import number_at
-from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
 
 BALL_RADIUS_MM = 4.0

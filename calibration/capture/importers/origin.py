@@ -11,7 +11,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path
-from taccel_lab.files.text_file import read_text
+from taccel_lab.files.regular_file import read_text
 from taccel_lab.printable import printable
 
 UNKNOWN = "unknown"

@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_repl
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.run import Order
 from taccel_lab.calibration.record.session import SessionStatus
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID
 
