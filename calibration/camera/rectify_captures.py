@@ -12,9 +12,9 @@ import numpy as np
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, MarkerCaptures
-from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.files.documents import read_toml
 from taccel_lab.files.inner_path import copy_inner
 from taccel_lab.files.output_folder import atomic_directory
@@ -52,7 +52,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
 
         def write(name: str, image: np.ndarray) -> str:
             """Write an image, rectified; returns its file name."""
-            write_png(target / f"{name}.png", maps.apply(image))
+            write_image(target / f"{name}.png", maps.apply(image))
             return f"{name}.png"
 
         document["schema_version"] = SCHEMA_VERSION
@@ -66,7 +66,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             usable = maps.inside((height, width))
             if folder.mask is not None:
                 usable &= maps.apply(folder.mask.astype(np.uint8)) > 0
-            write_png(target / "mask.png", usable.astype(np.uint8) * 255)
+            write_image(target / "mask.png", usable.astype(np.uint8) * 255)
         if folder.untouched:
             document["untouched"] = [
                 write(f"untouched_{i}", frame.image()) for i, frame in enumerate(folder.untouched)

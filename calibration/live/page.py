@@ -11,13 +11,13 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import StripChart, pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.pressure.reading_files import write_reading
 from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def save_snapshot(reading: LiveReading, reader: LiveReader, folder: Path) -> Pat
     taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
     stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
     path = folder / f"{stem}_image.png"
-    write_png(path, reading.image)
+    write_image(path, reading.image)
     if reading.surface is not None and not reading.refused:
         touch = TouchReading(
             **vars(reading.surface),

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.style import GREY, in_report_style, new_figure
 from taccel_lab.signals.color_model import ColorModel
 
@@ -85,7 +85,7 @@ def draw_color_discs(discs: tuple[NormalDisc, ...]) -> Figure:
     for disc in discs:
         panel = axes[rows.index(disc.pixel_uv[1]), columns.index(disc.pixel_uv[0])]
         image = panel.imshow(
-            as_uint8(128 + disc.delta_rgb),
+            eight_bit(128 + disc.delta_rgb),
             extent=(-SPAN, SPAN, SPAN, -SPAN),
             interpolation="bilinear",
         )

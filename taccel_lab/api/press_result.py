@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.api.press_photo import LIKE
-from taccel_lab.exporters.image_files import eight_bit
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import eight_bit, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.force_interval import ForceInterval, force_causes
 from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels

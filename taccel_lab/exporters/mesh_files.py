@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.exporters.frames import m_from_mm
 from taccel_lab.geometry import TetMesh, stl
 from taccel_lab.geometry.connectivity import compacted
 from taccel_lab.profile import HousingBlock
-from taccel_lab.profile.units import m_from_mm
 
 if TYPE_CHECKING:
     import pyvista

@@ -127,16 +127,25 @@ def write_bytes(path: Path | str, data: bytes | memoryview) -> None:
         staging.write_bytes(data)
 
 
-def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:
-    """Write an image, whole or not at all; the suffix says the format, ``parameters`` are OpenCV's.
+def eight_bit(levels: np.ndarray) -> np.ndarray:
+    """Levels 0..255 rounded to bytes, same shape; NaN becomes white."""
+    return np.nan_to_num(np.clip(np.rint(levels), 0, 255), nan=255.0).astype(np.uint8)
 
-    OpenCV's own writer ends the process at a path that is not UTF-8.
+
+def write_image(path: Path, levels: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    """Write RGB or grey levels 0..255, whole or not at all.
+
+    The suffix says the format, ``parameters`` are OpenCV's, whose own writer ends the process at a
+    path that is not UTF-8.
     """
     import cv2
 
-    done, data = cv2.imencode(path.suffix, bgr, list(parameters))
+    image = eight_bit(levels)
+    if image.ndim == 3:
+        image = np.ascontiguousarray(image[..., ::-1])
+    done, data = cv2.imencode(path.suffix, image, list(parameters))
     if not done:
-        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {bgr.shape}")
+        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {levels.shape}")
     write_bytes(path, data.data)
 
 

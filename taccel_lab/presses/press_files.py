@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
-from taccel_lab.exporters.image_files import eight_bit, write_rgb
-from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.files.atomic_file import eight_bit, write_by, write_image, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.optics.render import OpticalModel
@@ -141,12 +140,12 @@ def write_seen(
     call(write_by, folder / "signals.npz", partial(np.savez_compressed, **arrays))
     if rgb is not None:
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
-        call(write_rgb, folder / "image_raw.png", rgb)
+        call(write_image, folder / "image_raw.png", rgb)
     else:
         predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
         if predicted is not None:
             seen = predicted[0]
-            call(write_rgb, folder / "predicted.png", seen)
+            call(write_image, folder / "predicted.png", seen)
     if markers is not None:
         markers.write_csv(folder / MARKERS)
         places = markers.image_px, markers.rest_px, markers.places_px[-1]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.style import (
     BLUE,
@@ -71,7 +72,7 @@ def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -
     """RGB levels 0..255, shape [height_px, width_px, 3]."""
     _check_image("rgb", rgb, grid, 3)
     figure, axes = _map_axes(grid, title)
-    axes.imshow(as_uint8(rgb), extent=_extent_mm(grid))
+    axes.imshow(eight_bit(rgb), extent=_extent_mm(grid))
     return figure
 
 
@@ -89,7 +90,7 @@ def draw_press(
     figure.suptitle(title)
     extent = _extent_mm(grid)
     if rgb is not None:
-        axes[0].imshow(as_uint8(rgb), extent=extent)
+        axes[0].imshow(eight_bit(rgb), extent=extent)
     axes[0].set_title("tactile image" if rgb is not None else "no colour model")
     shown = axes[1].imshow(depth_mm, extent=extent, cmap="viridis")
     axes[1].set_title("depth")
@@ -119,7 +120,7 @@ def draw_comparison(
         (axes[1], f"simulated, {psnr_db:.1f} dB", simulated),
         (axes[2], "difference x 2", difference),
     ):
-        panel.imshow(as_uint8(image), extent=_extent_mm(grid))
+        panel.imshow(eight_bit(image), extent=_extent_mm(grid))
         panel.set_title(title)
         panel.set_xlabel("x [mm]")
     axes[0].set_ylabel("y [mm]")
@@ -149,7 +150,7 @@ def draw_markers(
     axes.set_xlabel("u [px]")
     axes.set_ylabel("v [px]")
     if rgb is not None:
-        axes.imshow(as_uint8(rgb), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
+        axes.imshow(eight_bit(rgb), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
     axes.plot(*rest_px.T, "o", mfc="none", mec=BLUE, ms=4, label="at rest")
     axes.plot(*now_px.T, "+", color=ORANGE, ms=5, label="now")
     for rest, now in zip(rest_px, now_px, strict=True):
@@ -256,8 +257,3 @@ def draw_force_depth(
     axes.set_ylim(0, 1.15 * max(float(np.nanmax(force_n)), 1e-9))
     axes.legend(loc="upper left", labelcolor=INK)
     return figure
-
-
-def as_uint8(rgb: np.ndarray) -> np.ndarray:
-    """Levels 0..255 rounded to bytes; NaN becomes white."""
-    return np.nan_to_num(np.clip(np.round(rgb), 0, 255), nan=255.0).astype(np.uint8)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -326,9 +325,9 @@ class Draft:
             if isinstance(content, str):
                 path.write_text(content, encoding="utf-8")
             elif not isinstance(content, Path):
-                write_png(path, levels(content))
+                write_image(path, levels(content))
             elif is_picture(content) and path.suffix == ".png" != content.suffix.lower():
-                write_png(path, read_image(content))
+                write_image(path, read_image(content))
             else:
                 # Before gigabytes are copied that no reader takes.
                 image = is_picture(content)
@@ -395,9 +394,3 @@ class CaptureLayout:
     """One draft for each sensor or set; none where it is of another layout, which may be looked for
     less closely than by ``recognises``. Raises InputError naming the file, what was found and what
     is allowed."""
-
-
-def write_png(path: Path, rgb: np.ndarray) -> None:
-    """Write RGB (or grey) levels, uint8, as PNG."""
-    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    write_image(path, bgr)
