@@ -189,7 +189,7 @@ def sight_paths(pad: Pad, design: OpticalDesign, axis: int) -> list[np.ndarray]:
     misses the gel, the outermost one that meets it stands in.
     """
     from taccel_lab.camera.camera_model import CameraModel
-    from taccel_lab.camera.media import media_between
+    from taccel_lab.camera.refraction import media_between
 
     camera = design.camera
     middle = np.array([camera.cx_px, camera.cy_px])

@@ -10,7 +10,7 @@ from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptio
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_seed
 from taccel_lab.networks.color_settings import INPUT_NAMES
-from taccel_lab.networks.position_encoding import require_bands
+from taccel_lab.networks.settings import require_bands
 
 DISC_RADII = 1.3
 """Contact radii within which the colours of a contact and its rim lie."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptions
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_seed
-from taccel_lab.networks.position_encoding import require_bands
+from taccel_lab.networks.settings import require_bands
 
 MOST_SYNTHETIC = 10_000
 """Synthetic presses; each takes a tenth of a second."""

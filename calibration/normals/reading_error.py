@@ -23,9 +23,13 @@ from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
 from taccel_lab.calibration.normals.samples import KnownPress, angle_between_deg
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
-from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
-from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
+from taccel_lab.signals.read_heights import (
+    BAND_SIGMAS,
+    HeightUncertainty,
+    ReadHeights,
+    read_heights,
+)
 
 LENGTHS_PX = (4.0, 8.0, 16.0)
 """Distances over which neighbours may err together that are tried."""

@@ -12,7 +12,7 @@ from taccel_lab.calibration.report import remarks
 from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
-from taccel_lab.report.figures_mesh import draw_mesh
+from taccel_lab.report.figures import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.page import Page, Picture, Table, picture
 from taccel_lab.report.remark import Remark, Severity

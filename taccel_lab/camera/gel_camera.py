@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.media import glued_back_mm, media_between
-from taccel_lab.camera.refraction import DomeMedia, FlatMedia, Media
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia, Media, glued_back_mm, media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.profile.optical_design import DesignedCamera, Light, OpticalDesign

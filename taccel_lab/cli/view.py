@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.report.page_options import PageOptions
+from taccel_lab.report.live_page import PageOptions
 
 
 @dataclass(frozen=True)

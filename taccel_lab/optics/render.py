@@ -19,14 +19,15 @@ import warp as wp
 
 from taccel_lab.camera.camera_model import CameraModel, resized
 from taccel_lab.camera.gel_camera import GelCamera
-from taccel_lab.camera.media import (
+from taccel_lab.camera.refraction import (
     OUTSIDE_INDEX,
+    FlatMedia,
+    Media,
     flat_back_z_mm,
     glued_back_mm,
     media_between,
     without_refraction,
 )
-from taccel_lab.camera.refraction import FlatMedia, Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.optics.frames import (

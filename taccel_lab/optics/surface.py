@@ -21,8 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.optics.shading_kernels import hit_kernel
-from taccel_lab.signals.contact_surface import ContactFaceMesh
-from taccel_lab.signals.gradient_recovery import recover_gradients
+from taccel_lab.signals.gradient_recovery import ContactFaceMesh, recover_gradients
 
 CREASE_DEG = 30.0
 """Faces that meet more sharply than this at rest are not smoothed into one another."""

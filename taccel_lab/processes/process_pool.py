@@ -6,7 +6,8 @@ from __future__ import annotations
 import os
 import pickle
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Generic, Self, TypeVar
@@ -185,3 +186,16 @@ def _serve(pipe: Connection, packed: bytes) -> None:
                 raise
             answer = "error", error
         pipe.send(answer)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Have the BLAS of the libraries that are loaded run in one thread meanwhile.
+
+    Threads that wait for each other take up to thirty times as long over a few hundred numbers, and
+    add them up in another order: what is made of them would depend on the machine's cores.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):
+        yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of one press: height map, image, normals, contact pressure, force over depth.
+"""Pictures of one press, and of a gel at rest: maps, image, normals, pressure, force, mesh.
 
 Each function returns a matplotlib figure; ``style.save_figure`` writes it as PNG. Maps are drawn
 as the camera sees them: x right, y down, in millimetres of the gel frame.
@@ -14,7 +14,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import eight_bit
-from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.report.style import (
     BLUE,
     INK,
@@ -26,6 +26,8 @@ from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from taccel_lab.geometry import PixelGrid
 
 
 def _extent_mm(grid: PixelGrid) -> tuple[float, float, float, float]:
@@ -256,4 +258,90 @@ def draw_force_depth(
     axes.set_xlim(left=0)
     axes.set_ylim(0, 1.15 * max(float(np.nanmax(force_n)), 1e-9))
     axes.legend(loc="upper left", labelcolor=INK)
+    return figure
+
+
+REGION_COLORS = {
+    Region.SIDE: "#e5e7eb",
+    Region.CONTACT: "#8ecae6",
+    Region.BOND: "#f4a261",
+    Region.WINDOW: "#e9c46a",
+}
+
+
+@in_report_style
+def draw_mesh(nodes_m: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> Figure:
+    """The contact face from above and the surface from the front.
+
+    Args:
+        nodes_m: Of the gel [m], shape [node, 3].
+        faces: Outward triangles, shape [face, 3].
+        regions: ``Region`` of each, shape [face].
+    """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    corners = nodes_m[faces] * 1e3
+    span = np.ptp(nodes_m, axis=0) * 1e3
+    height = min(0.9 + 6.0 * span[1] / span[0], 5.0)
+    figure, axes = new_figure(8.6, height + 2.0, 2, 1, height_ratios=[height, 1.6])
+    top, side = axes
+    contact = regions == int(Region.CONTACT)
+    top.add_collection(
+        PolyCollection(
+            corners[contact][:, :, :2].tolist(),
+            facecolor=REGION_COLORS[Region.CONTACT],
+            edgecolor=INK,
+            linewidth=0.25,
+        )
+    )
+    top.autoscale()
+    top.invert_yaxis()
+    top.set_aspect("equal")
+    top.set_title(f"contact face from above: {int(contact.sum())} triangles")
+    top.set_xlabel("x [mm]")
+    top.set_ylabel("y [mm]")
+    # Seen from the front: faces nearest to the viewer (largest y) hide the others.
+    order = np.argsort(corners[:, :, 1].mean(axis=1))
+    colors = [REGION_COLORS[Region(int(regions[face]))] for face in order]
+    side.add_collection(
+        PolyCollection(
+            corners[order][:, :, [0, 2]].tolist(), facecolor=colors, edgecolor=INK, linewidth=0.25
+        )
+    )
+    side.autoscale()
+    side.set_aspect("equal" if span[2] > 0.1 * span[0] else "auto")
+    side.set_title("from the front")
+    side.set_xlabel("x [mm]")
+    side.set_ylabel("z [mm]")
+    used = [region for region in Region if (regions == int(region)).any()]
+    figure.legend(
+        handles=[Patch(color=REGION_COLORS[r], label=r.name.lower()) for r in used],
+        loc="outside lower center",
+        ncols=len(used),
+    )
+    return figure
+
+
+@in_report_style
+def draw_image_at_rest(image: np.ndarray, grid: PixelGrid, dots_mm: np.ndarray | None) -> Figure:
+    """The untouched image over the gel's x and y [mm], with the dots that the profile states.
+
+    Args:
+        image: RGB levels, [H, W, 3].
+        grid: Of its pixels.
+        dots_mm: Of the printed dots in the gel frame [mm], [dot, 2]; None without any.
+    """
+    corners = grid.gel_from_pixel(
+        np.array([[-0.5, -0.5], [grid.width_px - 0.5, grid.height_px - 0.5]])
+    )
+    (left, top), (right, bottom) = corners
+    figure, axes = new_figure(7.0, 7.0 * (bottom - top) / (right - left) + 0.6)
+    axes.imshow(image.astype(np.uint8), extent=(left, right, bottom, top))
+    if dots_mm is not None:
+        axes.plot(dots_mm[:, 0], dots_mm[:, 1], "o", color="white", mfc="none", markersize=7)
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
     return figure

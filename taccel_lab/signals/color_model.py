@@ -6,7 +6,7 @@ to an RGB change; the change it gives for the undeformed surface at the same pix
 so that untouched gel renders as the background, exactly. Position and normal are the inputs of
 Taxim (Si and Yuan, RA-L 2022) and FOTS (Zhao et al., RA-L 2024); the displacement tells the floor
 of a dent from untouched gel, which has the same normal but lies closer to the lamps. The position
-may be given as sines and cosines, too (``position_encoding``).
+may be given as sines and cosines, too (``networks.settings``).
 
 Beyond the steepest surface that balls showed, the network would answer whatever it likes. A normal
 that leans further is answered as if it leaned that far, the same way (``within_cone``).

@@ -10,8 +10,7 @@ import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.camera.media import media_between
-from taccel_lab.camera.refraction import DomeMedia, FlatMedia
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia, media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
 from taccel_lab.optics import DesignedCamera, Light, MarkerGrid, OpticalDesign, Window

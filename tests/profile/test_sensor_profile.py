@@ -22,7 +22,6 @@ from taccel_lab.profile import (
     SensorBlock,
     SensorProfile,
 )
-from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
 from taccel_lab.profile.optical_design import Coating, DesignedCamera, Light, MarkerGrid, Window
 from taccel_lab.profile.optics_blocks import (
     CoatingBlock,
@@ -32,6 +31,7 @@ from taccel_lab.profile.optics_blocks import (
     WindowBlock,
 )
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.profile.sensor_view import OPTIONAL_BLOCKS
 from taccel_lab.sensors.profile import catalogue_profile
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from taccel_lab.calibration.report.color_discs import disc_normals
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.report import (
     draw_contact_forces,
@@ -25,7 +26,6 @@ from taccel_lab.report import (
     draw_normals,
     save_figure,
 )
-from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.live_page import (
     PageOptions,
     live_page,
@@ -109,7 +109,7 @@ def test_drawing_leaves_the_callers_settings_alone():
 
 
 def test_bytes_are_rounded_and_clipped():
-    assert as_uint8(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]
+    assert eight_bit(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]
 
 
 def test_names_between_dollars_are_no_formulas(tmp_path):

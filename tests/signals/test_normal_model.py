@@ -19,7 +19,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.force_settings import ForceModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.networks.position_encoding import MAX_BANDS
+from taccel_lab.networks.settings import MAX_BANDS
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.normal_features import (

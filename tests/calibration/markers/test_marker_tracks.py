@@ -26,7 +26,7 @@ from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import associate, track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus, marker_flow_mm
 from taccel_lab.camera.camera_model import CameraModel
-from taccel_lab.camera.media import media_between
+from taccel_lab.camera.refraction import media_between
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
