@@ -11,7 +11,7 @@ import numpy as np
 
 from taccel_lab.calibration.camera.options import LensName
 from taccel_lab.calibration.robust_fit import fit_robustly, rms
-from taccel_lab.camera.camera_model import CameraModel
+from taccel_lab.camera.gel_camera import CameraModel
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import DesignedCamera
 

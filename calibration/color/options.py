@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptions
 from taccel_lab.errors import InputError
-from taccel_lab.guards import require_seed
+from taccel_lab.guards import require_range, require_seed
 from taccel_lab.networks.color_settings import INPUT_NAMES
-from taccel_lab.networks.settings import require_bands
+from taccel_lab.networks.settings import MAX_BANDS
 
 DISC_RADII = 1.3
 """Contact radii within which the colours of a contact and its rim lie."""
@@ -65,7 +65,7 @@ class ColorFitOptions(ColorTraining):
         for name in ("learning_rate", "huber_levels"):
             if not 0 < getattr(self, name) < 1e3:
                 raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        require_bands("color model", self.position_bands)
+        require_range("color model position_bands", self.position_bands, 0, MAX_BANDS)
         require_seed(self.seed)
 
     @property

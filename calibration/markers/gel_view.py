@@ -18,8 +18,7 @@ from scipy.interpolate import LinearNDInterpolator
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.dots.lattice import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES, SCALE_NOT_MEASURED
-from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.gel_camera import profile_media
+from taccel_lab.camera.gel_camera import CameraModel, profile_media, resized
 from taccel_lab.camera.refraction import Media, without_refraction
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII, BallPressOptions
 from taccel_lab.errors import InputError
-from taccel_lab.guards import require_seed
-from taccel_lab.networks.settings import require_bands
+from taccel_lab.guards import require_range, require_seed
+from taccel_lab.networks.settings import MAX_BANDS
 
 MOST_SYNTHETIC = 10_000
 """Synthetic presses; each takes a tenth of a second."""
@@ -70,7 +70,7 @@ class InverseFitOptions(NormalTraining):
             raise InputError(
                 f"synthetic_presses must lie in 0..{MOST_SYNTHETIC}, got {self.synthetic_presses}"
             )
-        require_bands("normal model", self.position_bands)
+        require_range("normal model position_bands", self.position_bands, 0, MAX_BANDS)
         require_seed(self.seed)
         if not 0 < self.learning_rate < 1:
             raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")

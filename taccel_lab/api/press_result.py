@@ -24,8 +24,8 @@ from taccel_lab.presses.press_files import (
     write_seen,
 )
 from taccel_lab.presses.press_markers import PressMarkers
-from taccel_lab.processes.beside import Call, at_once
-from taccel_lab.report import save_figure
+from taccel_lab.processes.process_pool import Call, at_once
+from taccel_lab.report.style import save_figure
 from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
 from taccel_lab.with_error import with_error

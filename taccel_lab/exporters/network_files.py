@@ -31,6 +31,7 @@ from taccel_lab.signals import color_model, force_network, normal_model
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.normal_model import NormalModel
+from taccel_lab.signals.tensors import layer_tensors
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -222,7 +223,7 @@ def _color(profile: SensorProfile) -> Made:
     model = ColorModel.from_profile(profile)
     assert model is not None
     config = model.config
-    layers = color_model.layer_tensors(config, model.weights)
+    layers = layer_tensors(model.weights)
     mean, scale = torch.tensor(config.input_mean), torch.tensor(config.input_scale)
     cone = math.radians(model.cone_deg)
 
@@ -269,7 +270,7 @@ def _normals(profile: SensorProfile) -> Made:
 
     model = NormalModel.from_profile(profile)
     config = model.config
-    layers = normal_model.layer_tensors(config, model.weights)
+    layers = layer_tensors(model.weights)
     mean, scale = torch.tensor(config.input_mean), torch.tensor(config.input_scale)
     # What at_rest() leaves of the features is the same selection in every pixel.
     kept = config.at_rest(np.ones((1, config.input_count), dtype=np.float32))

@@ -16,13 +16,13 @@ from taccel_lab.networks.settings import (
     ACTIVATIONS,
     LEAST_CONE_DEG,
     LEAST_SCALE,
+    MAX_BANDS,
     QUESTIONS,
     NetworkSettings,
     encode_position,
     forward,
     layer_shapes,
     require_answers,
-    require_bands,
 )
 
 INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
@@ -87,7 +87,7 @@ class ColorModelConfig(NetworkSettings):
             require_range(f"color model input_mean of {name}", mean, low, reach)
             require_range(f"color model input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
         require_range("color model output_scale", self.output_scale, 0.01, 1e4)
-        require_bands("color model", self.position_bands)
+        require_range("color model position_bands", self.position_bands, 0, MAX_BANDS)
 
     @property
     def input_count(self) -> int:

@@ -15,13 +15,13 @@ from taccel_lab.guards import require_range
 from taccel_lab.networks.settings import (
     LEAST_CONE_DEG,
     LEAST_SCALE,
+    MAX_BANDS,
     QUESTIONS,
     NetworkSettings,
     band_names,
     forward,
     layer_shapes,
     require_answers,
-    require_bands,
 )
 
 MOST_UNITS = 8.0
@@ -100,7 +100,7 @@ class NormalModelConfig(NetworkSettings):
             for scale in getattr(self, name):
                 if scale or least:  # 0 is the pixel itself.
                     require_range(f"normal model {name}", scale, _LEAST_WINDOW_PX, largest)
-        require_bands("normal model", self.position_bands)
+        require_range("normal model position_bands", self.position_bands, 0, MAX_BANDS)
         for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
             values = getattr(self, name) or (default,) * self.input_count
             if len(values) != self.input_count:

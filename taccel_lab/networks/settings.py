@@ -161,12 +161,6 @@ MAX_BANDS = 8
 """128 periods over the image: no light changes within fewer pixels than that leaves."""
 
 
-def require_bands(model: str, bands: int) -> None:
-    """InputError unless ``bands`` is a number of bands that ``model`` may have."""
-    if not 0 <= bands <= MAX_BANDS:
-        raise InputError(f"{model} position_bands must lie in 0..{MAX_BANDS}, got {bands}")
-
-
 def band_names(bands: int) -> tuple[str, ...]:
     """Names of the features in order: sines of u and v, cosines of u and v, band by band."""
     return tuple(f"{wave}_{p}_{k}" for k in range(bands) for wave in ("sin", "cos") for p in "uv")

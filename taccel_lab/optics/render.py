@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.gel_camera import GelCamera
+from taccel_lab.camera.gel_camera import CameraModel, GelCamera, resized
 from taccel_lab.camera.refraction import (
     OUTSIDE_INDEX,
     FlatMedia,
@@ -30,6 +29,7 @@ from taccel_lab.camera.refraction import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.guards import require_range
 from taccel_lab.optics.frames import (
     Display,
     LightField,
@@ -94,12 +94,10 @@ class OpticalModel:
             InputError: Sizes out of range, a gel whose back does not fit the window, or a camera
                 that sees nothing of the gel or no light.
         """
-        if not 1 <= samples <= 1024:
-            raise InputError(f"samples must lie in [1, 1024], got {samples}")
+        require_range("samples", samples, 1, 1024)
         camera = design.camera
         if size_px is not None:
-            if min(size_px) < 2 or max(size_px) > 8192:
-                raise InputError(f"size_px must lie in [2, 8192], got {size_px}")
+            require_range("size_px", size_px, 2, 8192)
             camera = resized(camera, *size_px)
         self.design = design
         self.camera = CameraModel(camera)
@@ -181,9 +179,6 @@ class OpticalModel:
             if self._gel is None:
                 raise InputError("a model made from a formula has no nodes to move")
             face = self._gel.at(positions_m)
-        return self.light_of(face)
-
-    def light_of(self, face: FineFace) -> LightField:
         self._place(face)
         width, height = self.size_px
         count = width * height

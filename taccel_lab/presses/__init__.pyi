@@ -10,6 +10,7 @@ from taccel_lab.presses.physics import PressPhysics as PressPhysics
 from taccel_lab.presses.physics import physics_difference as physics_difference
 from taccel_lab.presses.press_env import PressEnv as PressEnv
 from taccel_lab.presses.press_force import press_to_force as press_to_force
+from taccel_lab.presses.press_frame import normal_frame as normal_frame
 from taccel_lab.presses.press_outcome import PressOutcome as PressOutcome
 from taccel_lab.presses.press_outcome import PressStep as PressStep
 from taccel_lab.presses.press_outcome import simulate_press as simulate_press
@@ -17,4 +18,3 @@ from taccel_lab.presses.press_path import PressPath as PressPath
 from taccel_lab.presses.profile_gel import layered_material as layered_material
 from taccel_lab.presses.profile_gel import profile_material as profile_material
 from taccel_lab.presses.profile_gel import profile_scene as profile_scene
-from taccel_lab.presses.touch import normal_frame as normal_frame

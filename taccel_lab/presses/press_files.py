@@ -20,17 +20,17 @@ from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses.press_markers import MARKERS, PressMarkers
 from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.presses.press_states import STATES, PressStates, write_states
-from taccel_lab.processes.beside import Call
-from taccel_lab.report import (
+from taccel_lab.processes.process_pool import Call
+from taccel_lab.report.figures import (
     draw_contact_forces,
     draw_force_depth,
     draw_height_map,
     draw_image,
     draw_markers,
     draw_normals,
-    save_drawing,
 )
-from taccel_lab.signals.profile_options import image_painter
+from taccel_lab.report.style import save_drawing
+from taccel_lab.signals.dots import image_painter
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile; those of its optics are in ``optics_blocks``,
-those of how it answers a touch in ``response_blocks``.
+"""The blocks of a sensor profile; those of its optics, and of how it answers a touch, are in
+``optional_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its ``bounds`` and says where it comes from
 (``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe

@@ -15,19 +15,17 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile.consistency import check_mesh_size, disagreements
 from taccel_lab.profile.optical_design import OpticalDesign
-from taccel_lab.profile.optics_blocks import (
+from taccel_lab.profile.optional_blocks import (
     CoatingBlock,
+    DepthResponseBlock,
+    ForceBlock,
     HousingBlock,
     LightsBlock,
     MarkersBlock,
-    OpticsBlock,
-    WindowBlock,
-)
-from taccel_lab.profile.response_blocks import (
-    DepthResponseBlock,
-    ForceBlock,
     NormalsBlock,
+    OpticsBlock,
     PerturbationBlock,
+    WindowBlock,
 )
 from taccel_lab.profile.schema import (
     BackgroundBlock,

@@ -17,19 +17,17 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optics_blocks import (
+from taccel_lab.profile.optional_blocks import (
     CoatingBlock,
+    DepthResponseBlock,
+    ForceBlock,
     HousingBlock,
     LightsBlock,
     MarkersBlock,
-    OpticsBlock,
-    WindowBlock,
-)
-from taccel_lab.profile.response_blocks import (
-    DepthResponseBlock,
-    ForceBlock,
     NormalsBlock,
+    OpticsBlock,
     PerturbationBlock,
+    WindowBlock,
 )
 from taccel_lab.profile.schema import (
     BackgroundBlock,

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.guards import require_shape
 from taccel_lab.report.style import (
     BLUE,
     INK,
@@ -46,18 +46,12 @@ def _map_axes(grid: PixelGrid, title: str) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _check_image(name: str, image: np.ndarray, grid: PixelGrid, channels: int | None) -> None:
-    shape = (grid.height_px, grid.width_px) + (() if channels is None else (channels,))
-    if image.shape != shape:
-        raise InputError(f"{name} has shape {image.shape}, the pixel grid needs {shape}")
-
-
 @in_report_style
-def draw_height_map(height_m: np.ndarray, grid: PixelGrid, title: str = "Height map") -> Figure:
+def draw_height_map(height_m: np.ndarray, grid: PixelGrid) -> Figure:
     """Height [m], shape [height_px, width_px], with contours; NaN is left white."""
-    _check_image("height_m", height_m, grid, None)
+    require_shape("height_m", height_m, (grid.height_px, grid.width_px), finite=False)
     height_mm = height_m * 1e3
-    figure, axes = _map_axes(grid, title)
+    figure, axes = _map_axes(grid, "Height map")
     image = axes.imshow(height_mm, extent=_extent_mm(grid), cmap="viridis")
     low, high = np.nanmin(height_mm), np.nanmax(height_mm)
     if high - low > 1e-6:
@@ -70,10 +64,10 @@ def draw_height_map(height_m: np.ndarray, grid: PixelGrid, title: str = "Height 
 
 
 @in_report_style
-def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -> Figure:
+def draw_image(rgb: np.ndarray, grid: PixelGrid) -> Figure:
     """RGB levels 0..255, shape [height_px, width_px, 3]."""
-    _check_image("rgb", rgb, grid, 3)
-    figure, axes = _map_axes(grid, title)
+    require_shape("rgb", rgb, (grid.height_px, grid.width_px, 3), finite=False)
+    figure, axes = _map_axes(grid, "Tactile image")
     axes.imshow(eight_bit(rgb), extent=_extent_mm(grid))
     return figure
 
@@ -135,7 +129,6 @@ def draw_markers(
     size_px: tuple[int, int],
     rest_px: np.ndarray,
     now_px: np.ndarray,
-    title: str = "Markers",
 ) -> Figure:
     """Where dots were at rest and where they are, over the image where there is one.
 
@@ -144,11 +137,10 @@ def draw_markers(
         size_px: Width and height of the image that pixels are of.
         rest_px: Columns and rows (u, v) at rest, [marker, 2].
         now_px: The same now; NaN for one that is not seen.
-        title: Of the figure.
     """
     width, height = size_px
     figure, axes = new_figure(6.4, 0.8 + 5.4 * height / width)
-    axes.set_title(title)
+    axes.set_title("Markers")
     axes.set_xlabel("u [px]")
     axes.set_ylabel("v [px]")
     if rgb is not None:
@@ -165,10 +157,10 @@ def draw_markers(
 
 
 @in_report_style
-def draw_normals(normals: np.ndarray, grid: PixelGrid, title: str = "Surface normals") -> Figure:
+def draw_normals(normals: np.ndarray, grid: PixelGrid) -> Figure:
     """Outward unit normals as RGB = (n + 1) / 2, shape [height_px, width_px, 3]."""
-    _check_image("normals", normals, grid, 3)
-    figure, axes = _map_axes(grid, title + "  (RGB = (n + 1) / 2)")
+    require_shape("normals", normals, (grid.height_px, grid.width_px, 3), finite=False)
+    figure, axes = _map_axes(grid, "Surface normals  (RGB = (n + 1) / 2)")
     axes.imshow(np.nan_to_num(np.clip((normals + 1) / 2, 0, 1), nan=1.0), extent=_extent_mm(grid))
     return figure
 
@@ -179,7 +171,6 @@ def draw_contact_forces(
     contact_faces: np.ndarray,
     forces_n: np.ndarray,
     pressures_pa: np.ndarray,
-    title: str = "Contact pressure",
 ) -> Figure:
     """Contact pressure and shear arrows.
 
@@ -204,7 +195,7 @@ def draw_contact_forces(
 
     loaded = np.flatnonzero(np.linalg.norm(forces_n, axis=1) > 0)
     figure, axes = new_figure(6.4, 5.2)
-    axes.set_title(f"{title}, {-forces_n[:, 2].sum():.3g} N along -z")
+    axes.set_title(f"Contact pressure, {-forces_n[:, 2].sum():.3g} N along -z")
     xy_mm = positions_m[:, :2] * 1e3
     mesh = Triangulation(xy_mm[:, 0], xy_mm[:, 1], contact_faces)
     drawn = axes.tripcolor(mesh, pressures_pa * 1e-3, shading="gouraud", cmap="magma_r", vmin=0)
@@ -239,7 +230,6 @@ def draw_force_depth(
     depth_mm: np.ndarray,
     force_n: np.ndarray,
     label: str,
-    title: str = "Force over depth",
     error_n: float = math.nan,
 ) -> Figure:
     """Normal force [N] over indentation depth [mm], both of shape [step], and the error of the last
@@ -252,7 +242,7 @@ def draw_force_depth(
         label = f"{with_error(float(force_n[-1]), error_n)} N, numerical error"
         ends = depth_mm[-1:], force_n[-1:], error_n
         axes.errorbar(*ends, color=ORANGE, capsize=6, lw=2, label=label, zorder=4)
-    axes.set_title(title)
+    axes.set_title("Force over depth")
     axes.set_xlabel("indentation depth [mm]")
     axes.set_ylabel("normal force [N]")
     axes.set_xlim(left=0)

@@ -256,14 +256,12 @@ def _breakable(name: str) -> Any:
     return markupsafe.Markup(re.sub(r"([_:])(?=\S)", r"\1<wbr>", text))
 
 
-def format_number(value: Any, digits: int | None = None) -> str:
-    """A number for a table cell: fixed digits, or four significant ones; a dash for none."""
+def format_number(value: Any) -> str:
+    """A number for a table cell, with four significant digits; a dash for none."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return str(value)
-    if digits is not None:
-        return f"{value:.{digits}f}"
     if isinstance(value, int):
         return f"{value:,}"
     size = abs(value)

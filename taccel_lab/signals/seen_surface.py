@@ -32,7 +32,7 @@ FINE = ("contact", "pressure_pa")
 
 
 @wp.kernel
-def _height_kernel(
+def _map_height_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
     # Out
     height_m: wp.array3d(dtype=wp.float32),
@@ -42,7 +42,7 @@ def _height_kernel(
 
 
 @wp.kernel
-def _depth_kernel(
+def _map_depth_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
     rest_samples: wp.array3d(dtype=wp.vec3f),
     # Out
@@ -53,7 +53,7 @@ def _depth_kernel(
 
 
 @wp.kernel
-def _points_kernel(
+def _map_points_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
     places: wp.array3d(dtype=wp.vec2f),
     grid: GridMap,
@@ -75,7 +75,7 @@ def _points_kernel(
 
 
 @wp.kernel
-def _normals_kernel(
+def _map_normals_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
     # Out
     normals: wp.array3d(dtype=wp.vec3f),
@@ -209,10 +209,10 @@ class SeenSurface:
             return
         samples, rest = self._seen
         for name, kernel, further in (
-            ("height_m", _height_kernel, []),
-            ("depth_m", _depth_kernel, [rest]),
-            ("normals", _normals_kernel, []),
-            ("points_m", _points_kernel, [self.places, grid_map(self.grid)]),
+            ("height_m", _map_height_kernel, []),
+            ("depth_m", _map_depth_kernel, [rest]),
+            ("normals", _map_normals_kernel, []),
+            ("points_m", _map_points_kernel, [self.places, grid_map(self.grid)]),
         ):
             if name in outputs:
                 shown = outputs[name]

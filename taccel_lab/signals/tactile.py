@@ -27,10 +27,9 @@ from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
-from taccel_lab.signals.dots import DotPainter, PaintedDots
+from taccel_lab.signals.dots import DotPainter, PaintedDots, profile_options, profile_view
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
-from taccel_lab.signals.profile_options import profile_options, profile_view
 from taccel_lab.signals.seen_surface import FINE, SeenSurface
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State, check_state

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.optics import Coating, Light, MarkerGrid
 from taccel_lab.optics.photometry import (
     blur_px,
     channel_independence,
@@ -20,6 +19,7 @@ from taccel_lab.optics.photometry import (
     pixel_footprint,
     sharp_range_mm,
 )
+from taccel_lab.profile.optical_design import Coating, Light, MarkerGrid
 from tests.optics.flat_gel import CAMERA_Z, GEL_MM, PLATE, camera, design, model, towards
 
 FAR = 4000.0

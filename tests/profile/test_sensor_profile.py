@@ -23,7 +23,7 @@ from taccel_lab.profile import (
     SensorProfile,
 )
 from taccel_lab.profile.optical_design import Coating, DesignedCamera, Light, MarkerGrid, Window
-from taccel_lab.profile.optics_blocks import (
+from taccel_lab.profile.optional_blocks import (
     CoatingBlock,
     LightEntry,
     MarkersBlock,

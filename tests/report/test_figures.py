@@ -18,13 +18,12 @@ from taccel_lab.calibration.report.color_discs import disc_normals
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.report import (
+from taccel_lab.report.figures import (
     draw_contact_forces,
     draw_force_depth,
     draw_height_map,
     draw_image,
     draw_normals,
-    save_figure,
 )
 from taccel_lab.report.live_page import (
     PageOptions,
@@ -34,7 +33,7 @@ from taccel_lab.report.live_page import (
     serve_until_stopped,
 )
 from taccel_lab.report.mesh_view import MOST_FACES, MeshView, mesh_view
-from taccel_lab.report.style import new_figure
+from taccel_lab.report.style import new_figure, save_figure
 
 pytestmark = pytest.mark.rasterised
 GRID = PixelGrid(80, 60, 0.1, 0.1, 39.5, 29.5)
