@@ -23,7 +23,7 @@ from taccel_lab.presses.press_files import (
     write_press,
     write_seen,
 )
-from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.presses.press_states import PressMarkers
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.report.style import save_figure
 from taccel_lab.sensors.starters import is_starter
