@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every step of a press, to be looked at again: the gel, its loads, what the sensor sees, its dots."""
+"""Every step of a press, to be looked at again: gel, loads, what the sensor sees, and its dots."""
 
 from __future__ import annotations
 
