@@ -17,15 +17,10 @@ if TYPE_CHECKING:
     import pyvista
 
 
-def compact(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points that the faces use, and the faces in their numbering."""
-    used, local = compacted(faces)
-    return points[used], local
-
-
 def gel_surface(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """Closed outward surface of the gel: points [m] in the gel frame and triangles."""
-    return compact(mesh.nodes_m, mesh.faces)
+    used, faces = compacted(mesh.faces)
+    return mesh.nodes_m[used], faces
 
 
 def housing_box(housing: HousingBlock) -> tuple[np.ndarray, np.ndarray]:

@@ -179,6 +179,10 @@ class OpticalModel:
             if self._gel is None:
                 raise InputError("a model made from a formula has no nodes to move")
             face = self._gel.at(positions_m)
+        return self.light_of(face)
+
+    def light_of(self, face: FineFace) -> LightField:
+        """Light on what each pixel sees of a face."""
         self._place(face)
         width, height = self.size_px
         count = width * height

@@ -79,8 +79,8 @@ class OpticsBlock(Block):
             place = Bound(-0.4 * size, 1.4 * size, "px", "the axis passes near the image")
             rules.append((name, getattr(self, name), place))
         for name, value, bound in rules:
-            if not bound.allows(value):
-                raise ValueError(f"{name}: {bound}, got {value:g}: {bound.why}")
+            for fault in bound.faults(name, value):
+                raise ValueError(fault)
         if (self.raw_width_px == 0) != (self.raw_height_px == 0):
             raise ValueError(
                 "raw_width_px and raw_height_px: both are known or both 0, got "
