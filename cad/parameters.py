@@ -20,10 +20,11 @@ from functools import cache
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from taccel_lab.files.cell_number import number
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.cell_number import number
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
+from taccel_lab.files.table_file import number
 from taccel_lab.guards import require_known
 
 _KEY = "parameter"

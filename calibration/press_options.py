@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from taccel_lab.files.seed import require_seed
-from taccel_lab.guards import require_positive, require_range
+from taccel_lab.guards import require_positive, require_range, require_seed
 from taccel_lab.networks.color_settings import INPUT_NAMES
-from taccel_lab.networks.position_encoding import require_bands
+from taccel_lab.networks.settings import MAX_BANDS
 
 UNTOUCHED_RADII = 2.5
 """Contact radii from a contact's centre beyond which the gel is at rest, as far as colour tells."""
@@ -62,7 +61,7 @@ def _require_settings(
     for name in counts:
         require_range(name, getattr(options, name), 1, math.inf)
     require_range("learning_rate", options.learning_rate, 1e-9, 1)
-    require_bands(model, options.position_bands)
+    require_range(f"{model} position_bands", options.position_bands, 0, MAX_BANDS)
     require_seed(options.seed)
 
 

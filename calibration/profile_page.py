@@ -11,9 +11,9 @@ import numpy as np
 
 from taccel_lab.calibration.remarks import BLOCK, BLOCK_STATE
 from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.profile import Block, SensorProfile
-from taccel_lab.report.figures import as_uint8
-from taccel_lab.report.figures_mesh import draw_mesh
+from taccel_lab.report.figures import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.page import Page, Picture, Table, picture
 from taccel_lab.report.remark import Remark, Severity
@@ -300,7 +300,7 @@ def draw_color_discs(discs: tuple[NormalDisc, ...]) -> Figure:
     for disc in discs:
         panel = axes[rows.index(disc.pixel_uv[1]), columns.index(disc.pixel_uv[0])]
         image = panel.imshow(
-            as_uint8(128 + disc.delta_rgb),
+            eight_bit(128 + disc.delta_rgb),
             extent=(-SPAN, SPAN, SPAN, -SPAN),
             interpolation="bilinear",
         )

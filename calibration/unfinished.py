@@ -21,8 +21,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.result import BlockResult
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.file_cache import content_key
-from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_folder import atomic_directory, remove_output, require_replaceable
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.report.page import Page, write_page

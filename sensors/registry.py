@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile.family_judge import ParameterVerdict
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile_family import ProfileFamily, like_name, profile_family
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorBlock, SensorProfile
+    from taccel_lab.profile.schema import ParameterVerdict
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
 
@@ -168,6 +168,8 @@ def judge_parameters(sensor: SensorBlock) -> ParameterVerdict:
     """What the bounds of its family refuse of a profile's parameters; nothing of parameters that
     the family no longer has. A family that is not here, as one of a package that is not installed
     or cannot be loaded, judges nothing: the profile's gel and networks are of use without it."""
+    from taccel_lab.profile.schema import ParameterVerdict
+
     try:
         name = like_name(sensor)
     except InputError:  # An imported gel of a version that did not keep it.

@@ -188,8 +188,8 @@ def sight_paths(pad: Pad, design: OpticalDesign, axis: int) -> list[np.ndarray]:
     From the camera through the window into the gel and up to its contact face. Where the edge's ray
     misses the gel, the outermost one that meets it stands in.
     """
-    from taccel_lab.camera.camera_model import CameraModel
-    from taccel_lab.camera.media import media_between
+    from taccel_lab.camera.gel_camera import CameraModel
+    from taccel_lab.camera.refraction import media_between
 
     camera = design.camera
     middle = np.array([camera.cx_px, camera.cy_px])

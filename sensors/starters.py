@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.profile import SensorProfile, load_profile
 
 STARTERS = Path(__file__).parent / "starters"

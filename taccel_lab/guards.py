@@ -88,3 +88,13 @@ def require_size(
             f"{name} is {found_px[0]}x{found_px[1]} px, {other} {wanted_px[0]}x{wanted_px[1]} px; "
             + (advice or "both have to be of one size")
         )
+
+
+MOST_SEED = 2**63 - 1
+"""What NumPy's and torch's generators both take."""
+
+
+def require_seed(seed: int) -> None:
+    """InputError for a seed that no generator takes, which would fail late in its own words."""
+    if not 0 <= seed <= MOST_SEED:
+        raise InputError(f"seed must lie in 0..{MOST_SEED}, got {seed}")

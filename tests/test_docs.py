@@ -73,7 +73,7 @@ def test_python_runs(
     # That a page runs does not depend on how finely its presses are meshed, nor where it draws.
     quick = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
     monkeypatch.setitem(PHYSICS, Accuracy.FAST, quick)
-    monkeypatch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
+    monkeypatch.setattr("taccel_lab.processes.process_pool.usable_cores", lambda: 1)
     names: dict[str, object] = {"__name__": page.name}
     for block in blocks(page, "python"):
         code = compile(block, page.name, "exec")

@@ -24,7 +24,7 @@ import tomli_w
 from taccel_lab.calibration.calibrate import Calibration, calibrate
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.profile import save_profile
 from taccel_lab.sensors.starters import ABOUT, STARTERS
 

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 
 from taccel_lab.cad.parts.pad_outline import PadOutline
-from taccel_lab.processes.one_thread import one_blas_thread
+from taccel_lab.processes.process_pool import one_blas_thread
 
 _TERMS = 80
 _SERIES = 320

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from taccel_lab.processes.one_thread import one_blas_thread
+from taccel_lab.processes.process_pool import one_blas_thread
 
 
 def smooth_plan(

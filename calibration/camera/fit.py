@@ -20,8 +20,7 @@ from taccel_lab.calibration.camera.result import (
     tactile_size,
 )
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.camera.media import OUTSIDE_INDEX
-from taccel_lab.camera.refraction import FlatMedia
+from taccel_lab.camera.refraction import OUTSIDE_INDEX, FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent

@@ -18,14 +18,13 @@ from scipy.spatial import Delaunay
 from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.capture.folder import CaptureFolder, MarkerCaptures
-from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION, manifest_text
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.arrays import finite_numbers, read_npz
-from taccel_lab.files.atomic_file import write_by
+from taccel_lab.files.atomic_file import write_by, write_image
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.inner_path import copy_inner
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_shape
 
@@ -189,7 +188,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
 
         def write(name: str, image: np.ndarray) -> str:
             """Write an image, rectified; returns its file name."""
-            write_png(target / f"{name}.png", maps.apply(image))
+            write_image(target / f"{name}.png", maps.apply(image))
             return f"{name}.png"
 
         document["schema_version"] = SCHEMA_VERSION
@@ -203,7 +202,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             usable = maps.inside((height, width))
             if folder.mask is not None:
                 usable &= maps.apply(folder.mask.astype(np.uint8)) > 0
-            write_png(target / "mask.png", usable.astype(np.uint8) * 255)
+            write_image(target / "mask.png", usable.astype(np.uint8) * 255)
         if folder.untouched:
             document["untouched"] = [
                 write(f"untouched_{i}", frame.image()) for i, frame in enumerate(folder.untouched)

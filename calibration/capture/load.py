@@ -32,10 +32,9 @@ from taccel_lab.calibration.capture.schema import (
 )
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import read_grey
+from taccel_lab.files.documents import first_repeated
+from taccel_lab.files.images import KeptImages, read_grey
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.kept_images import KeptImages
-from taccel_lab.files.plain_values import first_repeated
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.files.videos import count_frames, read_frames

@@ -22,9 +22,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.arrays import finite_numbers, read_npz
+from taccel_lab.files.documents import number_at, read_json
 from taccel_lab.files.inner_path import inner_path, real_path
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.guards import require_shape
 

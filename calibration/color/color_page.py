@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.calibration.color.result import ColorCalibration, mean_bare
 from taccel_lab.calibration.response.frame import crop_slices
 from taccel_lab.calibration.result import in_figures
-from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
+from taccel_lab.exporters.taxim_table import TABLE_FILE, TableFile, write_table
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import INK, new_figure
 

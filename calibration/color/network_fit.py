@@ -30,7 +30,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig, pixel_uv, stack_inputs
 from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.color_model import ColorModel, color_change, layer_tensors
+from taccel_lab.signals.color_model import ColorModel, color_change
+from taccel_lab.signals.tensors import layer_tensors
 
 TASK = "fitting the colour model"
 CURVE_EVERY = 25
@@ -142,7 +143,7 @@ def train(
     )
     generator = torch.Generator().manual_seed(options.seed)
     shapes = config.weight_shapes()
-    layers = trainable(layer_tensors(config, initial_weights(shapes, generator)))
+    layers = trainable(layer_tensors(initial_weights(shapes, generator)))
     curve: list[tuple[int, float]] = []
 
     def batch_loss() -> torch.Tensor:

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.touch import write_reading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
@@ -324,7 +324,7 @@ def save_snapshot(reading: LiveReading, folder: Path) -> Path:
     taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
     stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
     path = folder / f"{stem}_image.png"
-    write_png(path, reading.image)
+    write_image(path, reading.image)
     if reading.surface is not None and not reading.refused:
         write_reading(reading.surface, reading.image, path, folder, stem)
     return path

@@ -26,7 +26,7 @@ from taccel_lab.files.atomic_file import (
     write_json,
 )
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, LIGHT, in_report_style, new_figure, save_figure
 

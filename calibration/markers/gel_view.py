@@ -18,10 +18,8 @@ from scipy.interpolate import LinearNDInterpolator
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.dots.lattice import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.remarks import SCALE_DISAGREES, SCALE_NOT_MEASURED
-from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.gel_camera import profile_media
-from taccel_lab.camera.media import without_refraction
-from taccel_lab.camera.refraction import Media
+from taccel_lab.camera.gel_camera import CameraModel, profile_media, resized
+from taccel_lab.camera.refraction import Media, without_refraction
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.profile import SensorProfile

@@ -45,9 +45,9 @@ from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,
     NormalModel,
-    layer_tensors,
     tilt_and_error,
 )
+from taccel_lab.signals.tensors import layer_tensors
 
 TASK = "fitting the inverse model"
 TASK_AGAIN = "fitting it to the held-out presses, too"
@@ -155,7 +155,7 @@ class InverseTraining:
         self.generator = torch.Generator().manual_seed(options.seed)
         self.shapes = config.weight_shapes()
         weights = initial_weights(self.shapes, self.generator)
-        self.layers = trainable(layer_tensors(config, weights))
+        self.layers = trainable(layer_tensors(weights))
 
     def _drawn(
         self, frames: Sequence[PressFrame], config: NormalModelConfig, rng: np.random.Generator

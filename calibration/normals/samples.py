@@ -41,11 +41,15 @@ from taccel_lab.calibration.response.frame import (
 from taccel_lab.calibration.robust_fit import MIN_PRESSES, radius_factor
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import RAYLEIGH_95, NormalModelConfig
-from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_features import color_change, image_features
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
 from taccel_lab.signals.normals import rotate_to_z
-from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
+from taccel_lab.signals.read_heights import (
+    BAND_SIGMAS,
+    HeightUncertainty,
+    ReadHeights,
+    read_heights,
+)
 
 STEEPEST = 0.9986
 """Largest distance from the centre that gives a normal, in radii: the ball is 87 degrees steep."""

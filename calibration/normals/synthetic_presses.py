@@ -28,8 +28,7 @@ from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.gaussian_windows import blurred
-from taccel_lab.signals.normal_features import color_change, image_features
+from taccel_lab.signals.normal_features import blurred, color_change, image_features
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing synthetic presses"

@@ -24,7 +24,7 @@ import numpy as np
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.importers import freeze_split
-from taccel_lab.calibration.capture.importers.draft import require_lengths, write_png
+from taccel_lab.calibration.capture.importers.draft import require_lengths
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import (
     MANIFEST_NAME,
@@ -33,11 +33,11 @@ from taccel_lab.calibration.capture.schema import (
     manifest_text,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.atomic_file import atomic_file, write_image
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.images import read_image
 from taccel_lab.files.output_folder import require_growable
-from taccel_lab.files.toml_file import read_toml
-from taccel_lab.sensors import sensor_family
+from taccel_lab.sensors.registry import sensor_family
 
 QUICK_PRESSES = 20
 QUICK_LEAVES_OUT = (
@@ -235,7 +235,7 @@ class RecordFolder:
 
     def set_background(self, image: np.ndarray, facts: RecordFacts) -> None:
         """Begin: the untouched gel, and all that is stated of the session."""
-        write_png(self.path / "background.png", image)
+        write_image(self.path / "background.png", image)
         self.manifest |= facts.manifest(image.shape[1], image.shape[0])
         self.manifest["background"] = "background.png"
         self._write_manifest()
@@ -244,7 +244,7 @@ class RecordFolder:
         """The untouched gel at another time; returns the file's name."""
         names = self.manifest.setdefault("untouched", [])
         name = f"untouched_{len(names) + 1}.png"
-        write_png(self.path / name, image)
+        write_image(self.path / name, image)
         names.append(name)
         self._write_manifest()
         return name
@@ -253,7 +253,7 @@ class RecordFolder:
         """A press; returns the file's name."""
         numbers = [int(found[1]) for name in self.presses if (found := _PRESS.fullmatch(name))]
         name = f"press_{max(numbers, default=-1) + 1:03d}.png"
-        write_png(self.path / name, image)
+        write_image(self.path / name, image)
         self.manifest.setdefault("presses", []).append({"image": name})
         self._write_manifest()
         return name

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from taccel_lab.errors import InputError, naming
+from taccel_lab.guards import require_known, require_positive, require_range
 
 if TYPE_CHECKING:
     from taccel_lab.presses import PressPath, PressPhysics
@@ -85,8 +86,6 @@ class PressOptions:
 
     def require_aim(self) -> None:
         """Check that exactly one of depth, force and photo is given; InputError otherwise."""
-        from taccel_lab.presses.press_force import check_force
-
         if self.untouched is not None and self.like is None:
             raise InputError("--untouched is the background of --like, which is not given")
         if self.like is not None:
@@ -99,7 +98,7 @@ class PressOptions:
         if (self.depth_mm is None) == (self.force_n is None):
             raise InputError("say how far to press: one of --depth-mm, --force-n and --like")
         if self.force_n is not None:
-            check_force(self.force_n)
+            require_positive("the force of a press", self.force_n, "N")
 
     def aim(self) -> str:
         """Say how far the press goes."""
@@ -162,8 +161,7 @@ class PressOptions:
                 raise InputError(
                     f"--accuracy {self.accuracy} refines the mesh: leave out --mesh and --element"
                 )
-            if not 0 <= self.levels <= MOST_LEVELS:
-                raise InputError(f"--levels must lie in [0, {MOST_LEVELS}], got {self.levels}")
+            require_range("--levels", self.levels, 0, MOST_LEVELS)
             grade = Accuracy.DEFAULT
         physics = PHYSICS[grade]
         if self.tolerance is not None:
@@ -175,8 +173,7 @@ class PressOptions:
             with naming("--dhat-mm"):
                 physics.solver()
         if self.element is not None:
-            if self.element not in {*Element}:
-                raise InputError(f"element {self.element!r} is not known: {', '.join(Element)}")
+            require_known("element", self.element, Element)
             physics = replace(physics, element=Element(self.element))
         with naming("--friction"):
             check_friction(self.friction, self.indenter)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.exporters.image_files import eight_bit
+from taccel_lab.files.atomic_file import eight_bit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,10 +19,10 @@ from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
 from taccel_lab.presses.force_interval import measured_range
 from taccel_lab.presses.touch import check_depth
-from taccel_lab.processes.beside import Call, at_once
+from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.assumed import is_modulus_known
-from taccel_lab.report import save_drawing
+from taccel_lab.report.style import save_drawing
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.registry import profile_sensor

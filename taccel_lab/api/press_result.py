@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.api.press_photo import LIKE
-from taccel_lab.exporters.image_files import eight_bit
-from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.atomic_file import eight_bit, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.force_interval import ForceInterval, force_causes
 from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
@@ -24,9 +23,9 @@ from taccel_lab.presses.press_files import (
     write_press,
     write_seen,
 )
-from taccel_lab.presses.press_markers import PressMarkers
-from taccel_lab.processes.beside import Call, at_once
-from taccel_lab.report import save_figure
+from taccel_lab.presses.press_states import PressMarkers
+from taccel_lab.processes.process_pool import Call, at_once
+from taccel_lab.report.style import save_figure
 from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
 from taccel_lab.with_error import with_error

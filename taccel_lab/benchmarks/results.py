@@ -16,12 +16,11 @@ import numpy as np
 
 from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import write_json
-from taccel_lab.files.json_file import read_json
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.output_folder import require_growable
-from taccel_lab.files.text_file import shown
-from taccel_lab.report.html import format_number
+from taccel_lab.files.regular_file import shown
 from taccel_lab.report.machine import describe_run
-from taccel_lab.report.page import Page, Table, sentence, write_page_file
+from taccel_lab.report.page import Page, Table, format_number, sentence, write_page_file
 
 SIDE_BY_SIDE = 5
 """Rows that stand beside one another, a line for each of their figures; more stand one below the

@@ -62,8 +62,7 @@ class DatasetMake:
         from taccel_lab.datasets.folder import ABOUT
         from taccel_lab.datasets.plan import DatasetPlan
         from taccel_lab.datasets.spec import load_spec
-        from taccel_lab.files.example_file import file_or_example
-        from taccel_lab.files.inner_path import real_path
+        from taccel_lab.files.inner_path import file_or_example, real_path
         from taccel_lab.files.shard import Shard
         from taccel_lab.model.launches import require_device
         from taccel_lab.processes.start_warp import start_warp
@@ -103,8 +102,8 @@ class DatasetMake:
         self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard, console: Console
     ) -> DatasetOutcome:
         from taccel_lab.datasets.runner import make_dataset
-        from taccel_lab.files.text_file import read_text
-        from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
+        from taccel_lab.files.documents import TOML_LIMIT_BYTES
+        from taccel_lab.files.regular_file import read_text
         from taccel_lab.progress import stage_progress
 
         with stage_progress(console) as progress:

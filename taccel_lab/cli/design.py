@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.report.page_options import PageOptions
+from taccel_lab.report.live_page import PageOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

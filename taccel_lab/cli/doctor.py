@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 
 # Distributions whose import package is not their own name with underscores.
 IMPORT_NAMES = {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from taccel_lab.api.press_result import Press as PressResult
     from taccel_lab.presses import PressPath
     from taccel_lab.presses.measured_press import SignalError
-    from taccel_lab.processes.beside import Beside
+    from taccel_lab.processes.process_pool import Beside
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class PressCommand(PressOptions, _Files):
 
     def run(self) -> None:
         from taccel_lab.files.output_folder import require_replaceable
-        from taccel_lab.processes.beside import Beside
+        from taccel_lab.processes.process_pool import Beside
         from taccel_lab.report.style import new_figure
 
         require_replaceable(self.out)

@@ -109,7 +109,7 @@ class SensorsShow:
 
 def _draw(family: SensorFamily, parameters: FamilyParameters, path: Path) -> None:
     from taccel_lab.errors import InputError
-    from taccel_lab.report import save_figure
+    from taccel_lab.report.style import save_figure
     from taccel_lab.sensors.sensor_picture import draw_sensor
 
     if path.suffix.lower() != ".png":

@@ -64,7 +64,7 @@ class StudyCommand:
     """Print the result, or a list, as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.files.example_file import file_or_example
+        from taccel_lab.files.inner_path import file_or_example
         from taccel_lab.files.shard import Shard
 
         if self.list_metrics or self.list_presses:

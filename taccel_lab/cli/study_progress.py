@@ -114,7 +114,7 @@ def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
     from rich.text import Text
 
     from taccel_lab.cli.console import results
-    from taccel_lab.report.html import format_number
+    from taccel_lab.report.page import format_number
 
     console = results()
     verdict = values["verdict"]

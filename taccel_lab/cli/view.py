@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.report.page_options import PageOptions
+from taccel_lab.report.live_page import PageOptions
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class ViewCommand:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes
-        from taccel_lab.files.seed import require_seed
+        from taccel_lab.guards import require_seed
+        from taccel_lab.model.devices import require_device
         from taccel_lab.model.launches import require_device
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import viser_module

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.declared import require_held
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.regular_file import in_bytes
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.documents import read_json
+from taccel_lab.files.regular_file import in_bytes, shown
 
 if TYPE_CHECKING:
     import zarr

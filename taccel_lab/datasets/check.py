@@ -22,9 +22,9 @@ from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.files.inner_path import inner_files
-from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.profile import Finding, load_profile

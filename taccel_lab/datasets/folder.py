@@ -30,17 +30,16 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import (
     atomic_file,
     errors_named,
+    hold,
     parents_made,
     write_bytes,
     write_json,
 )
-from taccel_lab.files.file_lock import hold
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.inner_path import inner_path, require_inner_files
-from taccel_lab.files.json_file import read_json
 from taccel_lab.files.output_folder import may_hold, remove_damaged, require_growable
 from taccel_lab.files.output_marker import visible_faults
-from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file, shown
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.plan import DatasetPart, DatasetPlan

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StrictStr, field_validator, model_validator
 
-from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.profile.schema import Name
 

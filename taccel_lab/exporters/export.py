@@ -14,18 +14,17 @@ from taccel_lab.exporters import (
     gs_sdk,
     isaac_lab,
     network_files,
-    onnx_models,
     opencv_yaml,
     taccel,
     tacto,
     taxim_folder,
     urdf,
 )
-from taccel_lab.exporters.formats import FORMATS
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.files.output_marker import OUTPUT_MARKER
+from taccel_lab.guards import require_known
 from taccel_lab.profile import SensorProfile
 from taccel_lab.version import __version__
 
@@ -38,18 +37,56 @@ class Exporter:
 
     write: Callable[[SensorProfile, Path], ExportRecord]
     peer: str
+    what: str
+    """What the format is, in a sentence."""
 
 
 EXPORTERS = {
-    "taccel": Exporter(taccel.export_taccel, taccel.PEER),
-    "tacto": Exporter(tacto.export_tacto, tacto.PEER),
-    "taxim": Exporter(taxim_folder.export_taxim, taxim_folder.PEER),
-    "isaac-lab": Exporter(isaac_lab.export_isaac_lab, isaac_lab.PEER),
-    "gs-sdk": Exporter(gs_sdk.export_gs_sdk, gs_sdk.PEER),
-    "onnx": Exporter(onnx_models.export_onnx, onnx_models.PEER),
-    "safetensors": Exporter(network_files.export_safetensors, network_files.PEER),
-    "opencv": Exporter(opencv_yaml.export_opencv, opencv_yaml.PEER),
-    "urdf": Exporter(urdf.export_urdf, urdf.PEER),
+    "taccel": Exporter(
+        taccel.export_taccel,
+        "Taccel-Simulator/Taccel, commit 52bf1f5",
+        "Taccel's fabrication list: JSON, tets as VTK, masks and markers, STL.",
+    ),
+    "tacto": Exporter(
+        tacto.export_tacto,
+        "tacto 0.0.3",
+        "TACTO's sensor configuration: YAML with camera, gel and lights, STL.",
+    ),
+    "taxim": Exporter(
+        taxim_folder.export_taxim,
+        "taxim 1.4.1 (PyPI), TacEx's GPU-Taxim",
+        "Calibration folder of the PyPI package taxim and of TacEx: colour table, background.",
+    ),
+    "isaac-lab": Exporter(
+        isaac_lab.export_isaac_lab,
+        "Isaac Lab, isaaclab_contrib.sensors.tacsl_sensor",
+        "Isaac Lab's GelSight data folder (TacSL) with its configuration.",
+    ),
+    "gs-sdk": Exporter(
+        gs_sdk.export_gs_sdk,
+        "gs_sdk 0.2 (joehjhuang/gs_sdk)",
+        "gs_sdk's device file, background and network from colour to gradients.",
+    ),
+    "onnx": Exporter(
+        network_files.export_onnx,
+        f"ONNX opset {network_files.OPSET} (onnxruntime 1.15 and later)",
+        "The networks of colour, normals and force as ONNX graphs.",
+    ),
+    "safetensors": Exporter(
+        network_files.export_safetensors,
+        "safetensors 0.4 and later",
+        "The same networks as safetensors, with settings and formula.",
+    ),
+    "opencv": Exporter(
+        opencv_yaml.export_opencv,
+        "OpenCV 4 and 5, cv2.FileStorage",
+        "Camera matrix, distortion and pose as OpenCV's YAML.",
+    ),
+    "urdf": Exporter(
+        urdf.export_urdf,
+        "URDF 1.0 (ROS, PyBullet, Isaac Sim, yourdfpy)",
+        "A URDF with meshes, inertias and the frames of gel and camera.",
+    ),
 }
 
 
@@ -64,8 +101,7 @@ def export_profile(
     Raises InputError when the format is unknown, when the profile lacks a block that it cannot do
     without, or when ``out`` holds files of somebody else.
     """
-    if to not in EXPORTERS:
-        raise InputError(f"no format {to!r}; known: {', '.join(FORMATS)}")
+    require_known("format", to, EXPORTERS)
     if table is not None and to != "taxim":
         raise InputError(f"a table fitted to captures goes to the format taxim only, not to {to}")
     require_replaceable(out)
@@ -85,7 +121,7 @@ def export_profile(
         )
         document = {
             "format": to,
-            "description": FORMATS[to],
+            "description": exporter.what,
             "peer": exporter.peer,
             "tool_version": __version__,
             "sensor": profile.sensor.name,

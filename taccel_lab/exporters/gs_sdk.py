@@ -16,18 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.exporters.image_files import write_rgb
 from taccel_lab.exporters.press_samples import ColorSource, PressPixels
 from taccel_lab.exporters.record import ExportRecord, required
-from taccel_lab.files.atomic_file import write_by
+from taccel_lab.files.atomic_file import write_by, write_image
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.units import deg_from_rad
 from taccel_lab.signals.normals import normals_from_slopes
 
 if TYPE_CHECKING:
     import torch
 
-PEER = "gs_sdk 0.2 (joehjhuang/gs_sdk)"
 WIDTHS = (5, 32, 32, 32, 2)
 SAMPLES = 60_000
 CHECKED = 10_000
@@ -69,7 +66,7 @@ def export_gs_sdk(
 
     state = {name: torch.from_numpy(value.copy()) for name, value in weights.items()}
     write_by(folder / "nnmodel.pth", partial(torch.save, state))
-    write_rgb(folder / "background.png", background)
+    write_image(folder / "background.png", background)
     raw = (0, 0) if profile.optics is None else _raw_size(profile)
     device = {
         "device_name": profile.sensor.name,
@@ -225,11 +222,11 @@ def _errors(
     tilt = _angle_between(np.zeros_like(angles), angles)
     touched = tilt > 1e-3
     return {
-        "normal_mean_deg": float(deg_from_rad(off[touched].mean())),
-        "normal_median_deg": float(deg_from_rad(np.median(off[touched]))),
-        "normal_p90_deg": float(deg_from_rad(np.quantile(off[touched], 0.9))),
-        "normal_at_rest_mean_deg": float(deg_from_rad(off[~touched].mean())),
-        "tilt_mean_deg": float(deg_from_rad(tilt[touched].mean())),
+        "normal_mean_deg": float(np.rad2deg(off[touched].mean())),
+        "normal_median_deg": float(np.rad2deg(np.median(off[touched]))),
+        "normal_p90_deg": float(np.rad2deg(np.quantile(off[touched], 0.9))),
+        "normal_at_rest_mean_deg": float(np.rad2deg(off[~touched].mean())),
+        "tilt_mean_deg": float(np.rad2deg(tilt[touched].mean())),
     }
 
 

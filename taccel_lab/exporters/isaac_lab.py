@@ -14,18 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.exporters.effective_camera import effective_camera
-from taccel_lab.exporters.frames import LINK_FROM_GEL
-from taccel_lab.exporters.image_files import eight_bit, write_rgb
+from taccel_lab.exporters.frames import LINK_FROM_GEL, effective_camera, m_from_mm
 from taccel_lab.exporters.record import ExportRecord, required
 from taccel_lab.exporters.taxim_distil import distil_table
-from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.files.atomic_file import eight_bit, write_by, write_image, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.units import m_from_mm
 
 BINS = 120
-PEER = "Isaac Lab, isaaclab_contrib.sensors.tacsl_sensor"
 _MARGIN_M = 0.003
 _ARRAY = (20, 25)
 """Tactile points where the profile has no markers: those of TacSL's GelSight R1.5."""
@@ -45,7 +41,7 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
     write_by(data / "polycalib.npz", partial(np.savez, **made.table.arrays("rgb")))
     levels = np.asarray(background, dtype=np.float32)
     write_by(data / "real_bg.npy", lambda file: np.save(file, levels))
-    write_rgb(
+    write_image(
         data / "bg.jpg",
         background,
         (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111),

@@ -8,24 +8,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.exporters.frames import m_from_mm
 from taccel_lab.geometry import TetMesh, stl
 from taccel_lab.geometry.connectivity import compacted
 from taccel_lab.profile import HousingBlock
-from taccel_lab.profile.units import m_from_mm
 
 if TYPE_CHECKING:
     import pyvista
 
 
-def compact(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points that the faces use, and the faces in their numbering."""
-    used, local = compacted(faces)
-    return points[used], local
-
-
 def gel_surface(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     """Closed outward surface of the gel: points [m] in the gel frame and triangles."""
-    return compact(mesh.nodes_m, mesh.faces)
+    used, faces = compacted(mesh.faces)
+    return mesh.nodes_m[used], faces
 
 
 def housing_box(housing: HousingBlock) -> tuple[np.ndarray, np.ndarray]:

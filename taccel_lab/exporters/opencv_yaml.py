@@ -15,7 +15,6 @@ from taccel_lab.camera.gel_camera import rectified_matrix
 from taccel_lab.exporters.record import ExportRecord, required
 from taccel_lab.profile import SensorProfile
 
-PEER = "OpenCV 4 and 5, cv2.FileStorage"
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.units import deg_from_rad, rad_from_deg
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
@@ -55,7 +54,7 @@ class ColorSource:
         self.model = model
         self.rest = rest_surface(profile.mesh, profile.grid())
         region = profile.color.provenance.valid_region
-        self.max_tilt_rad = rad_from_deg(
+        self.max_tilt_rad = np.deg2rad(
             np.clip(region.get("surface_tilt_deg", (0.0, MAX_TILT_DEG))[1], *TILTS_DEG)
         )
         """Steepest surface that is requested."""
@@ -106,7 +105,7 @@ class ColorSource:
         low, high = BALL_RADII_MM
         return (
             f"ball presses of {low:g} to {high:g} mm radius, tilts up to "
-            f"{deg_from_rad(self.max_tilt_rad):.0f} degrees, displacements down to "
+            f"{np.rad2deg(self.max_tilt_rad):.0f} degrees, displacements down to "
             f"{self.deepest_mm:.2f} mm"
         )
 

@@ -15,8 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.exporters.effective_camera import effective_camera, image_center_mm
-from taccel_lab.exporters.frames import TACCEL_FROM_GEL, turn
+from taccel_lab.exporters.frames import (
+    TACCEL_FROM_GEL,
+    effective_camera,
+    image_center_mm,
+    m_from_mm,
+    turn,
+)
 from taccel_lab.exporters.mesh_files import (
     gel_surface,
     housing_box,
@@ -29,13 +34,11 @@ from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.units import deg_from_rad, m_from_mm
 from taccel_lab.signals.markers import MarkerLayout
 
 if TYPE_CHECKING:
     import pyvista
 
-PEER = "Taccel-Simulator/Taccel, commit 52bf1f5"
 RAY_START_M = 0.01
 RESOLUTION = "profile"
 """Taccel's key of a mesh; ``pad_maxv=<key>`` is the name that it looks for by itself."""
@@ -141,7 +144,7 @@ def vbts_config(profile: SensorProfile) -> dict[str, object]:
     }
     if camera is not None:
         half_m = side * m_from_mm(pixel_mm) / 2
-        values["cam_fov"] = float(deg_from_rad(2 * np.arctan(half_m / camera.distance_m)))
+        values["cam_fov"] = float(np.rad2deg(2 * np.arctan(half_m / camera.distance_m)))
     return values
 
 

@@ -12,17 +12,21 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.exporters.effective_camera import effective_camera, image_center_mm
-from taccel_lab.exporters.frames import LINK_FROM_GEL, euler_xyz, turn
-from taccel_lab.exporters.image_files import write_rgb
+from taccel_lab.exporters.frames import (
+    LINK_FROM_GEL,
+    effective_camera,
+    euler_xyz,
+    image_center_mm,
+    m_from_mm,
+    turn,
+)
 from taccel_lab.exporters.mesh_files import gel_surface, write_stl
 from taccel_lab.exporters.record import ExportRecord, required
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.optical_design import Light
-from taccel_lab.profile.units import deg_from_rad, m_from_mm
 
-PEER = "tacto 0.0.3"
 MOST_LIGHTS = 8
 """OpenGL's limit, which TACTO keeps for each camera."""
 UPRIGHT = 0.1
@@ -44,7 +48,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
         [piece for light in block.lights() for piece in light.straight_pieces()]
     )
     rotation = LINK_FROM_GEL @ camera.gel_from_camera @ _GL_FROM_OPTICAL
-    angles = [round(float(deg_from_rad(a)), 9) + 0.0 for a in euler_xyz(rotation)]
+    angles = [round(float(np.rad2deg(a)), 9) + 0.0 for a in euler_xyz(rotation)]
     gel, errors = _gel(profile)
     strongest = max(max(light.rgb) for light in lights)
     noise = 0.0 if profile.perturbation is None else profile.perturbation.noise_levels
@@ -55,7 +59,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
                     "cam0": None,
                     "position": _list(LINK_FROM_GEL @ m_from_mm(camera.position_mm)),
                     "orientation": angles,
-                    "yfov": float(deg_from_rad(camera.fov_y_rad)),
+                    "yfov": float(np.rad2deg(camera.fov_y_rad)),
                     "znear": 0.001,
                     "lightIDList": list(range(len(lights))),
                 }
@@ -88,7 +92,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
     points, faces = gel_surface(profile.mesh)
     write_stl(folder / "gel.stl", turn(LINK_FROM_GEL, points), faces)
     if profile.background_rgb is not None:
-        write_rgb(folder / "background.png", profile.background_rgb)
+        write_image(folder / "background.png", profile.background_rgb)
 
     record = ExportRecord(
         carries={

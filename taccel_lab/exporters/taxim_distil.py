@@ -17,7 +17,6 @@ from taccel_lab.exporters.taxim_table import (
     pixel_terms,
 )
 from taccel_lab.profile import SensorProfile
-from taccel_lab.profile.units import deg_from_rad
 from taccel_lab.signals.normals import normals_from_slopes
 
 COLUMNS, ROWS = 8, 6
@@ -124,5 +123,5 @@ def _errors(
         "table_rms_levels": float(np.sqrt((off**2).mean())),
         "table_p95_levels": float(np.quantile(np.abs(off), 0.95)),
         "model_rms_levels": float(np.sqrt((truth**2).mean())),
-        "steepest_tilt_deg": float(deg_from_rad(source.max_tilt_rad)),
+        "steepest_tilt_deg": float(np.rad2deg(source.max_tilt_rad)),
     }

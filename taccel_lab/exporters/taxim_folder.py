@@ -13,17 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.exporters.record import ExportRecord, required
 from taccel_lab.exporters.taxim_distil import DistilledTable, distil_table
-from taccel_lab.exporters.taxim_table import one_scale
-from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, for_one_scale, read_table
-from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.exporters.taxim_table import (
+    TABLE_FILE,
+    TableFile,
+    for_one_scale,
+    one_scale,
+    read_table,
+)
+from taccel_lab.files.atomic_file import eight_bit, write_by, write_json
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.rest_surface import rest_surface
 
 BINS = 125
-PEER = "taxim 1.4.1 (PyPI), TacEx's GPU-Taxim"
 _DIRECTION_STEP = 0.1
 _HEIGHT_STEPS = 9
 _NO_SHADOW = [1e6]
@@ -54,7 +57,7 @@ _RELATIVE = {
 def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None) -> ExportRecord:
     """Write the folder; needs the block background and, without a ``table``, color.
 
-    ``table`` is a file of a table that was fitted to captures (``taxim_table_file``); without one,
+    ``table`` is a file of a table that was fitted to captures (``TableFile``); without one,
     the table is distilled from the colour model.
     """
     if table is None:

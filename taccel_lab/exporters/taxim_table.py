@@ -6,18 +6,28 @@ Z. Si and W. Yuan, "Taxim: An Example-Based Simulation Model for GelSight Tactil
 bins; in each, the change of each colour is ``c . (u^2, v^2, u v, u, v, 1)`` of the pixel (u, v).
 The one evaluation and the one file format: fits of captures and tables made from another model
 both end here.
+
+A table that was fitted to captures is a file, Taxim's own ``polycalib.npz``, whose arrays taxim and
+TacEx read (``bins``, ``grad_r``, ``grad_g``, ``grad_b``, of which ``grad_r`` is blue). Beside them,
+where they do not mind, stand the size of the images and the figures of presses that the table was
+not fitted to. Files of others, without these, are read too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
+from taccel_lab.files.arrays import read_npz
+from taccel_lab.files.atomic_file import write_by
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.normals import normals_from_slopes
 
 TERMS = 6
 ChannelOrder = Literal["rgb", "bgr"]
@@ -138,3 +148,64 @@ def pixel_terms(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The terms u^2, v^2, u v, u, v, 1 of pixels, shape [..., 6]."""
     u, v = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
     return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
+TABLE_FILE = "polycalib.npz"
+_SIZE = "image_size_px"
+_FIGURE = "figure_"
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The table and what its file says of it."""
+
+    table: TaximTable
+    image_size_px: tuple[int, int] | None = None
+    """Width and height of the images that its polynomials count over; None when not stated."""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """Errors on presses that it was not fitted to, by name; units in the names."""
+
+
+def write_table(file: TableFile, path: Path) -> None:
+    """Write ``polycalib.npz``; the folder that it goes to is what appears whole."""
+    arrays = file.table.arrays("bgr")
+    if file.image_size_px is not None:
+        arrays[_SIZE] = np.array(file.image_size_px)
+    arrays |= {_FIGURE + name: np.array(value) for name, value in file.figures.items()}
+    write_by(path, partial(np.savez_compressed, **arrays))
+
+
+def read_table(path: Path) -> TableFile:
+    """Read ``polycalib.npz``.
+
+    Raises:
+        InputError: It cannot be read as an NPZ, or it holds no whole table.
+    """
+    arrays = read_npz(path)
+    with naming(path):
+        table = TaximTable.from_arrays(arrays, "bgr")
+    size = arrays.get(_SIZE)
+    if size is not None and (size.shape != (2,) or size.dtype.kind not in "iu"):
+        raise InputError(f"{path}: {_SIZE} must be two whole numbers, got {size.tolist()}")
+    return TableFile(
+        table,
+        None if size is None else (int(size[0]), int(size[1])),
+        {
+            name.removeprefix(_FIGURE): float(value)
+            for name, value in arrays.items()
+            if name.startswith(_FIGURE) and value.shape == () and value.dtype.kind in "iuf"
+        },
+    )
+
+
+def for_one_scale(table: TaximTable, stretch: np.ndarray) -> TaximTable:
+    """The table for a reader that measures slopes ``stretch`` [2] times too small along x and y.
+
+    Each of its bins gets what the table holds at the slope that is meant.
+    """
+    if np.allclose(stretch, 1.0, rtol=0, atol=1e-6):
+        return table
+    seen = bin_middles(table.bins)
+    slope = -seen[..., :2] / seen[..., 2:] * stretch
+    tilt, direction = bin_indices(normals_from_slopes(slope), table.bins, table.direction)
+    return TaximTable(table.bins, table.grad_rgb[:, tilt, direction], table.direction)

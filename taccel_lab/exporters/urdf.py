@@ -15,14 +15,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from taccel_lab.exporters.frames import LINK_FROM_GEL, euler_xyz, turn
+from taccel_lab.exporters.frames import LINK_FROM_GEL, euler_xyz, m_from_mm, turn
 from taccel_lab.exporters.mesh_files import gel_surface, housing_box, write_stl
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MAIN_VIEW, HousingBlock, SensorProfile
-from taccel_lab.profile.units import m_from_mm
 
-PEER = "URDF 1.0 (ROS, PyBullet, Isaac Sim, yourdfpy)"
 HOUSING_DENSITY = 1050.0
 """Density of the walls [kg/m^3], printed plastic; no block says it."""
 

@@ -19,8 +19,8 @@ from typing import IO
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.declared import require_small, require_small_directory
 from taccel_lab.files.regular_file import in_bytes, require_regular_file
-from taccel_lab.files.zip_sizes import require_small, require_small_directory
 
 MAX_ARRAY_BYTES = 768 << 20
 """Most bytes of all arrays of a file together: 800 colour images of 640 x 480 px, and room left in

@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, and JSON."""
+"""Files that appear whole or not at all, change places, or are held by one run; and JSON."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
+import fcntl
 import hashlib
 import io
 import json
 import math
 import os
+import socket
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from taccel_lab.errors import is_of_a_file
+from taccel_lab.errors import InputError, is_of_a_file
 from taccel_lab.processes.cache_place import cache_folder
 
 _ROOM_BYTES = 4096
@@ -122,16 +127,25 @@ def write_bytes(path: Path | str, data: bytes | memoryview) -> None:
         staging.write_bytes(data)
 
 
-def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:
-    """Write an image, whole or not at all; the suffix says the format, ``parameters`` are OpenCV's.
+def eight_bit(levels: np.ndarray) -> np.ndarray:
+    """Levels 0..255 rounded to bytes, same shape; NaN becomes white."""
+    return np.nan_to_num(np.clip(np.rint(levels), 0, 255), nan=255.0).astype(np.uint8)
 
-    OpenCV's own writer ends the process at a path that is not UTF-8.
+
+def write_image(path: Path, levels: np.ndarray, parameters: Sequence[int] = ()) -> None:
+    """Write RGB or grey levels 0..255, whole or not at all.
+
+    The suffix says the format, ``parameters`` are OpenCV's, whose own writer ends the process at a
+    path that is not UTF-8.
     """
     import cv2
 
-    done, data = cv2.imencode(path.suffix, bgr, list(parameters))
+    image = eight_bit(levels)
+    if image.ndim == 3:
+        image = np.ascontiguousarray(image[..., ::-1])
+    done, data = cv2.imencode(path.suffix, image, list(parameters))
     if not done:
-        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {bgr.shape}")
+        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {levels.shape}")
     write_bytes(path, data.data)
 
 
@@ -162,3 +176,70 @@ def content_id(content: Any) -> str:
     """Twelve hex digits that stand for ``content``: equal content, equal digits."""
     text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+_AT_FDCWD = -100
+_SWAP = 2
+"""RENAME_EXCHANGE of Linux's renameat2 and RENAME_SWAP of macOS's renamex_np."""
+_UNABLE = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EXDEV, errno.EPERM}
+"""What systems and file systems answer that cannot exchange."""
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Let two existing paths of one file system change places.
+
+    Returns whether they did; False where the system or the file system has no such call (NFS and
+    other network drives, some containers), and nothing has changed. Raises OSError as
+    ``os.rename`` does; FileNotFoundError when either is absent.
+    """
+    swap = _system_call()
+    if swap is None or swap(os.fsencode(one), os.fsencode(other)) == 0:
+        return swap is not None
+    code = ctypes.get_errno()
+    if code in _UNABLE:
+        return False
+    raise OSError(code, os.strerror(code), str(one), None, str(other))
+
+
+@cache
+def _system_call() -> Any:
+    """The call of this system with two names, 0 for success; None where there is none."""
+    library = ctypes.CDLL(None, use_errno=True)
+    names = [ctypes.c_char_p, ctypes.c_char_p]
+    if sys.platform == "darwin" and hasattr(library, "renamex_np"):
+        call = library.renamex_np
+        call.argtypes = [*names, ctypes.c_uint]
+        return lambda one, other: call(one, other, _SWAP)
+    if hasattr(library, "renameat2"):
+        call = library.renameat2
+        call.argtypes = [ctypes.c_int, names[0], ctypes.c_int, names[1], ctypes.c_uint]
+        return lambda one, other: call(_AT_FDCWD, one, _AT_FDCWD, other, _SWAP)
+    return None
+
+
+def hold(file: IO[str], busy: str, advice: str, *, shared: bool = False) -> None:
+    """Lock an open file until it is closed or this process ends, and note who holds it.
+
+    Args:
+        file: Open for reading and appending.
+        busy: What it means that another process holds it.
+        advice: What to do then.
+        shared: Beside others who share it.
+
+    Raises InputError where another process holds it, or where its file system has no locks.
+    """
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        who = file.read().strip() or "process ?"
+        raise InputError(f"{busy} ({who}); {advice}") from None
+    except OSError as error:
+        raise InputError(
+            f"{file.name} cannot be locked ({error.strerror}), which keeps runs apart; name a "
+            "folder on a file system with locks, such as NFS 4, or Lustre mounted with flock"
+        ) from None
+    file.seek(0)
+    file.truncate()
+    file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+    file.flush()

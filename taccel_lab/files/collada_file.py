@@ -20,7 +20,7 @@ import numpy as np
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.declared import require_few_copies
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 from taccel_lab.files.triangle_file import check_count, clean_triangles, without_idle_faces
 from taccel_lab.files.xml_file import read_xml
 

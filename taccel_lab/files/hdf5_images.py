@@ -21,11 +21,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart, stream_apart
-from taccel_lab.files.declared import PACKED_TIMES, require_held
+from taccel_lab.files.declared import PACKED_TIMES, require_few, require_held
 from taccel_lab.files.images import decoded_bgr
-from taccel_lab.files.recorded_frame import RecordedFrame
 from taccel_lab.files.regular_file import LARGEST_BYTES, in_bytes, require_regular_file
-from taccel_lab.files.videos import MAX_FRAME_PIXELS, MAX_FRAMES
+from taccel_lab.files.videos import MAX_FRAME_PIXELS, MAX_FRAMES, RecordedFrame
 from taccel_lab.processes.child_process import no_more_memory
 
 if TYPE_CHECKING:
@@ -110,8 +109,7 @@ def _block(path: Path, data: h5py.Dataset, size: int) -> int:
     are too large.
     """
     what = f"frames {data.name}"
-    if len(data) > MAX_FRAMES:
-        raise InputError(f"{path} states {len(data):,} {what}; up to {MAX_FRAMES:,} are allowed")
+    require_few(path, what, len(data), MAX_FRAMES)
     frame = data.dtype.itemsize * math.prod(data.shape[1:])
     held = min(data.id.get_storage_size(), size)
     require_held(path, what, len(data) * frame, held, PACKED_TIMES if data.chunks else 1)
@@ -163,8 +161,7 @@ def _images(
         if item in seen:
             continue
         seen.add(item)
-        if len(seen) > MAX_OBJECTS:
-            raise InputError(f"{group.file.filename} holds more than {MAX_OBJECTS:,} objects")
+        require_few(group.file.filename, "objects", len(seen), MAX_OBJECTS)
         if isinstance(item, h5py.Group):
             if depth < MAX_DEPTH:
                 yield from _images(item, f"{path}/", seen, depth + 1)

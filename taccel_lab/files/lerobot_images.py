@@ -24,14 +24,17 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart, stream_apart
-from taccel_lab.files.declared import require_held
+from taccel_lab.files.declared import require_few, require_held
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.images import MAX_FILE_BYTES, decoded_bgr
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.files.regular_file import LARGEST_BYTES, read_regular_file, require_regular_file
-from taccel_lab.files.text_file import shown
-from taccel_lab.files.videos import MAX_FRAMES, read_frames
+from taccel_lab.files.regular_file import (
+    LARGEST_BYTES,
+    read_regular_file,
+    require_regular_file,
+    shown,
+)
+from taccel_lab.files.videos import MAX_FRAMES, RecordedFrame, read_frames
 
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
@@ -221,8 +224,7 @@ def _timestamps(path: Path) -> dict[int, np.ndarray]:
         raise InputError(f"{path}: episode_index and frame_index have to be whole numbers")
     order = np.argsort(episodes, kind="stable")
     numbers, first = np.unique(episodes[order], return_index=True)
-    if len(numbers) > MAX_EPISODES:
-        raise InputError(f"{path} has more than {MAX_EPISODES:,} episodes")
+    require_few(path, "episodes", len(numbers), MAX_EPISODES)
     found = {}
     for episode, own in zip(numbers, np.split(order, first[1:]), strict=True):
         # Its frames one after another: otherwise nobody knows which time is whose.
@@ -295,10 +297,7 @@ def _parquet(path: Path, columns: list[str]) -> Iterator[ParquetFile]:
             missing = [name for name in columns if name not in file.schema_arrow.names]
             if missing:
                 raise InputError(f"{path} has no {', '.join(missing)}, as LeRobot's files do")
-            if file.metadata.num_rows > MAX_ROWS:
-                raise InputError(
-                    f"{path} states {file.metadata.num_rows:,} rows; {MAX_ROWS:,} are allowed"
-                )
+            require_few(path, "rows", file.metadata.num_rows, MAX_ROWS)
             yield file
     except InputError:
         raise

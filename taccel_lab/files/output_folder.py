@@ -20,8 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import errors_named, parents_made
-from taccel_lab.files.exchange import exchange
+from taccel_lab.files.atomic_file import errors_named, exchange, parents_made
 from taccel_lab.files.inner_path import (
     real_path,
     require_outside,

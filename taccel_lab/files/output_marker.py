@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.inner_path import entries_below, require_inner_name
-from taccel_lab.files.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
 """Name of a file in every folder that a command wrote: SHA-256 and size of each of its files, by

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 
 MOST_SHARDS = 10_000
 

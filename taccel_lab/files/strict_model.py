@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.text_file import shown
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
+from taccel_lab.files.regular_file import shown
 from taccel_lab.printable import printable
 
 

@@ -9,14 +9,36 @@ break. Empty lines and lines that begin with ``#`` are left out. Text is UTF-8, 
 from __future__ import annotations
 
 import csv
+import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.cell_number import number
-from taccel_lab.files.plain_values import first_repeated
-from taccel_lab.files.text_file import read_text, shown
+from taccel_lab.files.declared import require_few
+from taccel_lab.files.documents import first_repeated
+from taccel_lab.files.regular_file import read_text, shown
+
+MAX_CHARACTERS = 64
+"""A double needs 24."""
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+def number(text: str) -> float:
+    """The finite number that ``text`` is, spaces around it aside: ``1``, ``-0.5``, ``2.5e-3``.
+
+    Python reads ``1_0``, ``nan``, ``infinity`` and the digits of any script as numbers, too; in a
+    table they are slips. Raises ValueError otherwise.
+    """
+    stripped = text.strip(" \t")
+    if len(stripped) > MAX_CHARACTERS or not _NUMBER.fullmatch(stripped):
+        raise ValueError(f"{text[:MAX_CHARACTERS]!r} is not a number")
+    value = float(stripped)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:MAX_CHARACTERS]!r} is not a finite number")
+    return value
+
 
 TABLE_LIMIT_BYTES = 64 << 20
 """A million rows of eight numbers."""
@@ -136,8 +158,7 @@ def read_table_text(path: Path) -> str:
     """Text of a table, whose lines end with a line feed; InputError as ``read_table``."""
     text = read_text(path, TABLE_LIMIT_BYTES, "a table", latin_1=True)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if text.count("\n") > MAX_LINES:
-        raise InputError(f"{path} has more than {MAX_LINES:,} lines")
+    require_few(path, "lines", text.count("\n"), MAX_LINES)
     return text
 
 

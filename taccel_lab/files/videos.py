@@ -12,17 +12,32 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import stream_apart
+from taccel_lab.files.declared import require_few
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 
 if TYPE_CHECKING:
     from av import Packet, VideoFrame, VideoStream
     from av.container import InputContainer
+
+
+class RecordedFrame(NamedTuple):
+    """A frame, when it was taken, or why it cannot be read."""
+
+    name: str
+    """Name by which the file tells it from others."""
+    image: np.ndarray | InputError
+    """RGB uint8, shape [height_px, width_px, 3], or why there is none."""
+    time_s: float | None = None
+    """When it was taken, on the file's own clock [s]; None where the file does not say."""
+    episode: int = 0
+    """Which take it belongs to: clocks of two have nothing to do with one another."""
+
 
 MAX_FRAME_PIXELS = 1 << 25
 """Most pixels of a frame; 8K has 33.2 million."""
@@ -120,10 +135,7 @@ def _decoded(path: Path) -> Iterator[VideoFrame]:
                 continue
             for frame in frames:
                 count += 1
-                if count > MAX_FRAMES:
-                    raise InputError(
-                        f"{path} has more than {MAX_FRAMES} frames, the most for a video"
-                    )
+                require_few(path, "frames", count, MAX_FRAMES)
                 _require_small(path, frame.width, frame.height)
                 yield frame
     if count < 2:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.declared import require_held
+from taccel_lab.files.declared import require_few, require_held
 
 TETRA, TRIANGLE, QUADRATIC_TETRA = 10, 5, 24
 """VTK's numbers of cells."""
@@ -69,8 +69,5 @@ def _check_counts(path: Path) -> None:
             count = int(digits[:20])
             if what != b"Components":
                 require_held(path, what.decode().lower(), count * _ITEM_BYTES[what], size)
-            elif count > MAX_COMPONENTS:
-                raise InputError(
-                    f"{path} states an array of {count:,} components an item; {MAX_COMPONENTS} "
-                    "are allowed"
-                )
+            else:
+                require_few(path, "components of an array's item", count, MAX_COMPONENTS)

@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.text_file import read_text
+from taccel_lab.files.regular_file import read_text
 
 XML_LIMIT_BYTES = 16 << 20
 """The largest robot description at hand has 0.2 MiB."""

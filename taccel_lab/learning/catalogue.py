@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning

@@ -6,24 +6,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
-from taccel_lab.networks.answers import QUESTIONS, forward, require_answers
-from taccel_lab.networks.position_encoding import encode_position, require_bands
 from taccel_lab.networks.settings import (
+    ACTIVATIONS,
     LEAST_CONE_DEG,
     LEAST_SCALE,
+    MAX_BANDS,
+    QUESTIONS,
+    NetworkSettings,
+    encode_position,
+    forward,
     layer_shapes,
-    reading_settings,
-    settings_dict,
+    require_answers,
 )
 
 INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
-ACTIVATIONS = ("silu", "tanh", "relu")
 _MOST_DISPLACEMENT_MM = 50.0
 """Half of the thickest gel."""
 UPRIGHT_DEG = 90.0
@@ -33,8 +35,10 @@ STEEPEST = "surface_tilt_deg"
 
 
 @dataclass(frozen=True)
-class ColorModelConfig:
+class ColorModelConfig(NetworkSettings):
     """Everything besides the weights that is needed to rebuild a ``ColorModel``."""
+
+    model: ClassVar[str] = "color model"
 
     width_px: int
     height_px: int
@@ -83,7 +87,7 @@ class ColorModelConfig:
             require_range(f"color model input_mean of {name}", mean, low, reach)
             require_range(f"color model input_scale of {name}", scale, LEAST_SCALE, 2 * reach)
         require_range("color model output_scale", self.output_scale, 0.01, 1e4)
-        require_bands("color model", self.position_bands)
+        require_range("color model position_bands", self.position_bands, 0, MAX_BANDS)
 
     @property
     def input_count(self) -> int:
@@ -98,26 +102,6 @@ class ColorModelConfig:
     def weight_shapes(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of every weight array."""
         return layer_shapes(self.layer_sizes())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Flat dict of numbers, strings and lists, as a profile's ``architecture`` stores it."""
-        return settings_dict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> ColorModelConfig:
-        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        with reading_settings("color model", cls.__dataclass_fields__, values):
-            return cls(
-                width_px=int(values["width_px"]),
-                height_px=int(values["height_px"]),
-                inputs=tuple(str(name) for name in values["inputs"]),
-                hidden=tuple(int(width) for width in values["hidden"]),
-                activation=str(values["activation"]),
-                input_mean=tuple(float(mean) for mean in values["input_mean"]),
-                input_scale=tuple(float(scale) for scale in values["input_scale"]),
-                output_scale=float(values["output_scale"]),
-                position_bands=int(values["position_bands"]),
-            )
 
 
 def fitted_cone_deg(valid_region: Mapping[str, tuple[float, float]]) -> float:

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of force models (``force_model``): sizes, scales, limits, as a profile stores them."""
+"""Settings of force models (``force_model``): sizes, scales, limits, as a profile stores them.
+
+Whether a model answers forces that a press can have is judged here, too: the layers by which
+``signals.force_network`` reads images see a few made-up changes of colour, in numpy.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
-from taccel_lab.networks.settings import reading_settings, settings_dict
+from taccel_lab.networks.settings import ACTIVATIONS, NetworkSettings
 
 TARGETS = ("fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm", "area_mm2")
 """What has a standard deviation, in order: force, moment about the gel's origin, area."""
@@ -32,8 +36,10 @@ STD_FLOOR = 0.25
 
 
 @dataclass(frozen=True)
-class ForceModelConfig:
+class ForceModelConfig(NetworkSettings):
     """Everything besides the weights that is needed to rebuild a ``ForceModel``."""
+
+    model: ClassVar[str] = "force model"
 
     width_px: int
     """Width of the camera's images."""
@@ -155,30 +161,14 @@ class ForceModelConfig:
         shapes["colors.most"] = (len(color_directions()),)
         return shapes
 
-    def to_dict(self) -> dict[str, Any]:
-        """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
-        return settings_dict(self)
-
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> ForceModelConfig:
-        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        whole = ("width_px", "height_px", "columns", "rows", "patch_px", "blocks", "hidden")
-        with reading_settings("force model", cls.__dataclass_fields__, values):
-            read: dict[str, Any] = {name: int(values[name]) for name in whole}
-            for name in ("marker_reach_mm", "young_modulus_pa", "stiffness_relative"):
-                read[name] = float(values[name])
-            for name in (
-                "patch_scale_n", "target_scale", "sigma_factor", "most", "distance_limits",
-            ):  # fmt: skip
-                read[name] = tuple(float(value) for value in values[name])
-            # Older blocks know no limits of a patch's force and of colours.
-            for name, count in (("most", 4), ("distance_limits", 3)):
-                read[name] += (math.inf,) * max(0, count - len(read[name]))
-            return cls(
-                **read,
-                markers=bool(values["markers"]),
-                widths=tuple(int(width) for width in values["widths"]),
-            )
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Settings of a block; older ones know no limits of a patch's force and of colours."""
+        values = dict(values)
+        for name, count in (("most", 4), ("distance_limits", 3)):
+            if isinstance(known := values.get(name), (list, tuple)):
+                values[name] = [*known, *[math.inf] * (count - len(known))]
+        return super().from_dict(values)
 
 
 def color_directions() -> np.ndarray:
@@ -194,3 +184,73 @@ def color_directions() -> np.ndarray:
 def with_color_limits(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Weights of a block; an older one has no limit of colours, and gets one level for each."""
     return {"colors.most": np.ones(len(color_directions()), np.float32), **weights}
+
+
+MOST_FORCE_N = 1000.0
+"""No gel of a tactile sensor is pressed harder."""
+BEYOND = 30.0
+"""Times the largest force of the training: what a network may answer to images that are none."""
+_DENT_LEVELS = 16.0
+"""Change of colour in the made-up dents, where the training reached so far."""
+
+
+def require_forces(config: ForceModelConfig, weights: Mapping[str, np.ndarray]) -> None:
+    """Refuse a network that answers to faint dents, or to none, what no press has."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        forces = patch_forces(config, weights, _dents(config, weights["colors.most"]))
+        answers = np.abs(forces.sum(axis=(-2, -1)))
+    answers = np.where(np.isfinite(answers), answers, np.inf)
+    most_n = min(BEYOND * max(config.most[:2]), MOST_FORCE_N)
+    if not answers.max() <= most_n:
+        raise InputError(
+            f"the force model answers {answers.max():.3g} N to a faint dent; at most "
+            f"{most_n:.3g} N are possible, {BEYOND:g} times the most of its training or 1000: its "
+            "weights or its settings are those of another network, or scaled"
+        )
+
+
+def _dents(config: ForceModelConfig, reach: np.ndarray) -> np.ndarray:
+    """Changes of colour over ``LEVELS``: none, and a round dent that is darker, brighter, or of
+    another colour at either side, [4, 3, height, width]."""
+    height, width = config.input_px
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    dent = np.exp(-8 * (x**2 + y**2))
+    lean = x * dent
+    level = min(_DENT_LEVELS, float(reach.min())) / LEVELS
+    none = np.zeros_like(dent)
+    return level * np.stack([[none] * 3, [-dent] * 3, [dent] * 3, [lean, none, -lean]])
+
+
+def patch_forces(
+    config: ForceModelConfig, weights: Mapping[str, np.ndarray], change: np.ndarray
+) -> np.ndarray:
+    """Forces of the patches at the modulus of the training [N], [n, 3, row, column]; markers that
+    are seen rest."""
+    silu = ACTIVATIONS["silu"]
+    count, _, height, width = change.shape
+    place = np.stack(
+        np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")[::-1]
+    )
+    x = np.concatenate([change, np.broadcast_to(place, (count, *place.shape))], axis=1)
+    x = x.astype(np.float32)
+    for k in range(len(config.widths)):
+        x = silu(_convolved(x, weights[f"down{k}.weight"], weights[f"down{k}.bias"], 2))
+    for k in range(config.blocks):
+        seen = x
+        if config.markers and k == 0:
+            rest = np.zeros((count, 3, *x.shape[2:]), dtype=np.float32)
+            rest[:, 2] = 1.0
+            seen = np.concatenate([x, rest], axis=1)
+        x = x + silu(_convolved(seen, weights[f"block{k}.weight"], weights[f"block{k}.bias"], 1))
+    patch = np.tensordot(weights["patch.weight"][:3, :, 0, 0], x, ([1], [1])).swapaxes(0, 1)
+    scale = np.array(config.patch_scale_n)[:, None, None]
+    return (patch + weights["patch.bias"][:3, None, None]) * scale
+
+
+def _convolved(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, stride: int) -> np.ndarray:
+    """3 x 3 convolution of images [n, channel, height, width] with a border of zeros."""
+    padded = np.pad(x, ((0, 0), (0, 0), (1, 1), (1, 1)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(2, 3))
+    windows = windows[:, :, ::stride, ::stride]
+    found = np.tensordot(weight, windows, ([1, 2, 3], [1, 4, 5]))
+    return found.swapaxes(0, 1) + bias[:, None, None]

@@ -20,8 +20,7 @@ from taccel_lab.networks.color_settings import (
     require_cone,
     require_levels,
 )
-from taccel_lab.networks.force_answers import require_forces
-from taccel_lab.networks.force_settings import ForceModelConfig, with_color_limits
+from taccel_lab.networks.force_settings import ForceModelConfig, require_forces, with_color_limits
 from taccel_lab.networks.normal_settings import NormalModelConfig, require_angles
 from taccel_lab.networks.settings import checked_weights, require_camera_size
 

@@ -6,20 +6,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
-from taccel_lab.networks.answers import QUESTIONS, forward, require_answers
-from taccel_lab.networks.position_encoding import band_names, require_bands
 from taccel_lab.networks.settings import (
     LEAST_CONE_DEG,
     LEAST_SCALE,
+    MAX_BANDS,
+    QUESTIONS,
+    NetworkSettings,
+    band_names,
+    forward,
     layer_shapes,
-    reading_settings,
-    settings_dict,
+    require_answers,
 )
 
 MOST_UNITS = 8.0
@@ -34,8 +36,10 @@ below."""
 
 
 @dataclass(frozen=True)
-class NormalModelConfig:
+class NormalModelConfig(NetworkSettings):
     """Everything besides the weights that is needed to rebuild a ``NormalModel``."""
+
+    model: ClassVar[str] = "normal model"
 
     width_px: int
     height_px: int
@@ -64,13 +68,13 @@ class NormalModelConfig:
     """Steepest tilt that a captured ball showed; steeper ones are read by colours that only the
     colour model's extension beyond them tells."""
     error_length_px: float = 0.0
-    """Distance over which neighbouring pixels err together (``height_uncertainty``) [px]."""
+    """Distance over which neighbouring pixels err together (``read_heights``) [px]."""
     height_factor: float = 0.0
     """Factor on the standard deviation of heights that such errors make, found on presses of known
     shape; 0 where nobody looked, and heights then have none."""
     along_factor: float = 0.0
     """Standard deviation, in expected errors of the slope, of an error that lies along the slope
-    all around a dent, found on captured balls (``height_uncertainty``)."""
+    all around a dent, found on captured balls (``read_heights``)."""
     depth_share: float = 0.0
     """Standard deviation, as a share of the depth, by what the calibration takes as known: circles,
     scale, the gel's law. 0 in profiles that do not say: heights then have the reading's alone."""
@@ -96,7 +100,7 @@ class NormalModelConfig:
             for scale in getattr(self, name):
                 if scale or least:  # 0 is the pixel itself.
                     require_range(f"normal model {name}", scale, _LEAST_WINDOW_PX, largest)
-        require_bands("normal model", self.position_bands)
+        require_range("normal model position_bands", self.position_bands, 0, MAX_BANDS)
         for name, default in (("input_mean", 0.0), ("input_scale", 1.0)):
             values = getattr(self, name) or (default,) * self.input_count
             if len(values) != self.input_count:
@@ -166,35 +170,6 @@ class NormalModelConfig:
     def weight_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of each weight array by name, in the order of the layers."""
         return layer_shapes(self.layer_sizes(), (self.members,))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Flat dict of numbers and lists, as a profile's ``architecture`` stores it."""
-        return settings_dict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> NormalModelConfig:
-        """Inverse of ``to_dict``; unknown and missing keys raise InputError."""
-        with reading_settings("normal model", cls.__dataclass_fields__, values):
-            return cls(
-                width_px=int(values["width_px"]),
-                height_px=int(values["height_px"]),
-                scales_px=tuple(float(s) for s in values["scales_px"]),
-                slope_scales_px=tuple(float(s) for s in values["slope_scales_px"]),
-                background=bool(values["background"]),
-                members=int(values["members"]),
-                hidden=tuple(int(width) for width in values["hidden"]),
-                input_mean=tuple(float(mean) for mean in values["input_mean"]),
-                input_scale=tuple(float(scale) for scale in values["input_scale"]),
-                error_factor=float(values["error_factor"]),
-                radius95_sigmas=float(values["radius95_sigmas"]),
-                position_bands=int(values["position_bands"]),
-                cone_deg=float(values["cone_deg"]),
-                error_length_px=float(values["error_length_px"]),
-                height_factor=float(values["height_factor"]),
-                along_factor=float(values["along_factor"]),
-                depth_share=float(values["depth_share"]),
-                presses_px=tuple(float(x) for x in values["presses_px"]),
-            )
 
     def normalise(self, features: np.ndarray) -> np.ndarray:
         """Network inputs of raw features, float32, same shape."""

@@ -16,8 +16,7 @@ from xml.etree.ElementTree import Element
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import named_path, real_path
-from taccel_lab.files.regular_file import require_regular_file
-from taccel_lab.files.text_file import read_text, shown
+from taccel_lab.files.regular_file import read_text, require_regular_file, shown
 from taccel_lab.files.triangle_file import MAX_BYTES
 from taccel_lab.files.xml_file import MAX_DEPTH, XML_LIMIT_BYTES, read_xml
 

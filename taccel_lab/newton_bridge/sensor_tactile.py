@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import camera_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from taccel_lab.guards import require_known
 from taccel_lab.newton_bridge.solver_gel import SolverGel
 from taccel_lab.robots.transforms import matrix_of
+from taccel_lab.signals.dots import profile_options
 from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
@@ -52,8 +55,7 @@ class SensorTactile:
                 beside it.
         """
         names = [mount.gel.name for mount in solver.gel_scene.mounts]
-        if gel not in names:
-            raise InputError(f"there is no gel {gel!r}; there are {', '.join(map(repr, names))}")
+        require_known("gel", gel, names)
         if not 0 <= world < solver.gel_model.env_count:
             raise InputError(
                 f"there is no world {world}; there are 0 to {solver.gel_model.env_count - 1}"
@@ -85,7 +87,9 @@ class SensorTactile:
         if profile is None:
             self._signal = SignalTactile(mesh, grid, **options)
         else:
-            self._signal = _of_profile(profile, mesh, options)
+            # The gel's own mesh has more nodes than the profile's where it is quadratic.
+            given = profile_options(profile, mesh, options)
+            self._signal = SignalTactile(mesh, camera_of(profile), **given)
         self.grid = grid
         """Pixels."""
         self.face_nodes = np.unique(mesh.region_faces(Region.CONTACT))
@@ -140,15 +144,3 @@ class SensorTactile:
     def wrench(self) -> np.ndarray:
         """Force [N] and torque about the gel's origin [N m] on the gel, float64, [6]."""
         return self._solver.outputs.soft_wrenches().numpy()[self._world, self._index].copy()
-
-
-def _of_profile(profile: SensorProfile, mesh: Any, options: dict[str, Any]) -> Any:
-    """Signals of the gel's own mesh, which has more nodes than the profile's where it is quadratic,
-    through the profile's camera."""
-    from taccel_lab.camera.gel_camera import camera_of
-    from taccel_lab.signals.color_model import ColorModel
-
-    colors = ColorModel.from_profile(profile)
-    if colors is not None and profile.background_rgb is not None:
-        options |= {"color_model": colors, "background_rgb": profile.background_rgb}
-    return SignalTactile(mesh, camera_of(profile), **options)

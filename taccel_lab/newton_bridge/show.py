@@ -15,8 +15,7 @@ import warp as wp
 from taccel_lab.bodies.bodies import AffineBody, KinematicBody, SoftBody
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.model import Model
-from taccel_lab.newton_bridge.newton_model import newton_module
-from taccel_lab.newton_bridge.rigid_motion import rigid_motion
+from taccel_lab.newton_bridge.newton_model import newton_module, rigid_motion
 from taccel_lab.state import State
 
 FORCE_LENGTH = 0.01

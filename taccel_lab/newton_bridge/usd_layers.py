@@ -19,8 +19,7 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_path, named_path
-from taccel_lab.files.regular_file import require_regular_file
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import require_regular_file, shown
 from taccel_lab.printable import words_of
 
 LAYERS = (".usd", ".usda", ".usdc")

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.profile.optical_design import MarkerGrid, lattice_middle, lattice_steps
 
 MARKER_ALBEDO = 0.05
@@ -138,10 +139,8 @@ def exposed(
             and exposes the brightest.
     """
     levels = np.broadcast_to(np.asarray(level, dtype=np.float64), (3,))
-    if not ((levels >= 1) & (levels <= 254)).all():
-        raise InputError(f"the exposure level must lie in [1, 254], got {level}")
-    if not 0.5 <= gamma <= 4:
-        raise InputError(f"gamma must lie in [0.5, 4], got {gamma}")
+    require_range("the exposure level", levels.tolist(), 1, 254)
+    require_range("gamma", gamma, 0.5, 4)
     if not mask.any():
         raise InputError("no pixel of the camera sees the gel's contact face")
     medians = np.median(linear[mask], axis=0).astype(np.float64)

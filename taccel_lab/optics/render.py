@@ -17,18 +17,19 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.gel_camera import GelCamera
-from taccel_lab.camera.media import (
+from taccel_lab.camera.gel_camera import CameraModel, GelCamera, resized
+from taccel_lab.camera.refraction import (
     OUTSIDE_INDEX,
+    FlatMedia,
+    Media,
     flat_back_z_mm,
     glued_back_mm,
     media_between,
     without_refraction,
 )
-from taccel_lab.camera.refraction import FlatMedia, Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.guards import require_range
 from taccel_lab.optics.frames import (
     Display,
     LightField,
@@ -93,12 +94,10 @@ class OpticalModel:
             InputError: Sizes out of range, a gel whose back does not fit the window, or a camera
                 that sees nothing of the gel or no light.
         """
-        if not 1 <= samples <= 1024:
-            raise InputError(f"samples must lie in [1, 1024], got {samples}")
+        require_range("samples", samples, 1, 1024)
         camera = design.camera
         if size_px is not None:
-            if min(size_px) < 2 or max(size_px) > 8192:
-                raise InputError(f"size_px must lie in [2, 8192], got {size_px}")
+            require_range("size_px", size_px, 2, 8192)
             camera = resized(camera, *size_px)
         self.design = design
         self.camera = CameraModel(camera)
@@ -183,6 +182,7 @@ class OpticalModel:
         return self.light_of(face)
 
     def light_of(self, face: FineFace) -> LightField:
+        """Light on what each pixel sees of a face."""
         self._place(face)
         width, height = self.size_px
         count = width * height

@@ -20,9 +20,9 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.guards import require_shape
 from taccel_lab.optics.shading_kernels import hit_kernel
-from taccel_lab.signals.contact_surface import ContactFaceMesh
-from taccel_lab.signals.gradient_recovery import recover_gradients
+from taccel_lab.signals.gradient_recovery import ContactFaceMesh, recover_gradients
 
 CREASE_DEG = 30.0
 """Faces that meet more sharply than this at rest are not smoothed into one another."""
@@ -106,10 +106,7 @@ class GelFace:
     def at(self, positions_m: np.ndarray) -> FineFace:
         """The fine face of node positions in the gel frame [m], shape [node, 3]."""
         positions = np.asarray(positions_m, dtype=np.float64)
-        if positions.shape != (self._node_count, 3):
-            raise InputError(
-                f"positions has shape {positions.shape}; [{self._node_count}, 3] is needed"
-            )
+        require_shape("positions", positions, (self._node_count, 3), finite=False)
         nodes = positions[self._node_idx] * 1e3
         if not np.isfinite(nodes).all():
             raise InputError("positions holds NaN or infinite coordinates")

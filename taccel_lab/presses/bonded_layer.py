@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_positive, require_range
 
 ToolKind = Literal["sphere", "cylinder", "flat"]
 
@@ -54,10 +55,8 @@ def layer_force_n(
     if not np.isfinite(depth).all() or (depth < 0).any():
         raise InputError("depths must be finite and not negative [mm]")
     for name, value in (("radius", radius_mm), ("thickness", thickness_mm)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"the {name} must be above 0 mm, got {value:g}")
-    if not 0 <= poisson_ratio <= 0.5:
-        raise InputError(f"Poisson's ratio of a layer must lie in [0, 0.5], got {poisson_ratio:g}")
+        require_positive(f"the {name}", value, "mm")
+    require_range("Poisson's ratio of a layer", poisson_ratio, 0.0, 0.5)
     if kind == "flat":
         nu = poisson_ratio
         if nu >= 0.5:

@@ -13,25 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
-from taccel_lab.exporters.image_files import eight_bit, write_rgb
-from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.files.atomic_file import eight_bit, write_by, write_image, write_json
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.optics.render import OpticalModel
-from taccel_lab.presses.press_markers import MARKERS, PressMarkers
 from taccel_lab.presses.press_outcome import PressOutcome
-from taccel_lab.presses.press_states import STATES, PressStates, write_states
-from taccel_lab.processes.beside import Call
-from taccel_lab.report import (
+from taccel_lab.presses.press_states import MARKERS, STATES, PressMarkers, PressStates, write_states
+from taccel_lab.processes.process_pool import Call
+from taccel_lab.report.figures import (
     draw_contact_forces,
     draw_force_depth,
     draw_height_map,
     draw_image,
     draw_markers,
     draw_normals,
-    save_drawing,
 )
-from taccel_lab.signals.profile_options import image_painter
+from taccel_lab.report.style import save_drawing
+from taccel_lab.signals.dots import image_painter
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
@@ -141,12 +139,12 @@ def write_seen(
     call(write_by, folder / "signals.npz", partial(np.savez_compressed, **arrays))
     if rgb is not None:
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
-        call(write_rgb, folder / "image_raw.png", rgb)
+        call(write_image, folder / "image_raw.png", rgb)
     else:
         predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
         if predicted is not None:
             seen = predicted[0]
-            call(write_rgb, folder / "predicted.png", seen)
+            call(write_image, folder / "predicted.png", seen)
     if markers is not None:
         markers.write_csv(folder / MARKERS)
         places = markers.image_px, markers.rest_px, markers.places_px[-1]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.guards import require_positive
 from taccel_lab.presses.press_outcome import PressOutcome, PressStep
 
 FORCE_TOLERANCE = 0.01
@@ -26,12 +27,6 @@ MOST_PRESSES = 12
 StepProgress = Callable[[int, int, PressStep], None]
 PressTo = Callable[[float, StepProgress], PressOutcome]
 """A press to a depth [mm], which tells its steps as ``simulate_press`` does."""
-
-
-def check_force(force_n: float) -> None:
-    """Raises InputError for a force that no press has."""
-    if not (math.isfinite(force_n) and force_n > 0):
-        raise InputError(f"the force of a press must be above 0 N, got {force_n:g} N")
 
 
 def by_power_law(force_n: np.ndarray, values: np.ndarray, load_n: float) -> float:
@@ -104,7 +99,7 @@ def press_to_force(
         InputError: No such force, or one that is not reached at ``limit_mm``.
         SimulationError: The gel does not converge at a depth that the force needs.
     """
-    check_force(force_n)
+    require_positive("the force of a press", force_n, "N")
     depth_mm = min(FIRST_SHARE * limit_mm if first_mm is None else first_mm, limit_mm)
     if first is not None:
         depth_mm = first.path.depth_mm

@@ -12,6 +12,7 @@ import numpy as np
 from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.bodies.scene_description import LONGEST_HOLD_S
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_positive, require_range
 
 SPEED_MM_S = 1.0
 """Speed of an indenter of which nothing is known: as by hand."""
@@ -55,26 +56,14 @@ class PressPath:
     """How long the indenter then rests at full depth [s], before it goes back."""
 
     def __post_init__(self) -> None:
-        values = (self.depth_mm, *self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
-        values += (self.speed_mm_s, self.hold_s)
-        if not all(math.isfinite(v) for v in values):
-            raise InputError(f"a press path must be finite numbers, got {values}")
-        if self.depth_mm <= 0:
-            raise InputError(f"depth must be above 0 mm, got {self.depth_mm:g} mm")
-        if self.depth_mm > 100:
-            raise InputError(f"depth must be at most 100 mm, got {self.depth_mm:g} mm")
-        if max(abs(v) for v in self.shear_mm) > 20:
-            raise InputError(f"shear must lie within +-20 mm, got {self.shear_mm}")
-        if abs(self.twist_deg) > 180:
-            raise InputError(f"twist must lie within +-180 deg, got {self.twist_deg:g}")
-        if not 1e-4 <= self.speed_mm_s <= 1e3:
-            raise InputError(f"speed must lie in [1e-4, 1e3] mm/s, got {self.speed_mm_s:g}")
-        if not 0 <= self.hold_s <= LONGEST_HOLD_S:
-            raise InputError(f"hold must lie in [0, {LONGEST_HOLD_S:g}] s, got {self.hold_s:g}")
-        if self.step_mm <= 0 or self.step_deg <= 0:
-            raise InputError(
-                f"step_mm and step_deg must be above 0, got {self.step_mm:g} and {self.step_deg:g}"
-            )
+        require_positive("depth", self.depth_mm, "mm")
+        require_range("depth", self.depth_mm, 0, 100, "mm")
+        require_range("shear", self.shear_mm, -20, 20, "mm")
+        require_range("twist", self.twist_deg, -180, 180, "deg")
+        require_range("speed", self.speed_mm_s, 1e-4, 1e3, "mm/s")
+        require_range("hold", self.hold_s, 0, LONGEST_HOLD_S, "s")
+        require_positive("step_mm", self.step_mm)
+        require_positive("step_deg", self.step_deg)
         motion_mm = max(self.depth_mm, math.hypot(*self.shear_mm))
         least_mm, least_deg = motion_mm / MAX_STEPS, abs(self.twist_deg) / MAX_STEPS
         if self.step_mm < least_mm or self.step_deg < least_deg:

@@ -37,6 +37,12 @@ class Bound:
         """Whether a figure may have this value; NaN never."""
         return bool(self.zero_means and value == 0) or self.low <= value <= self.high
 
+    def faults(self, place: str, *values: float) -> Iterator[str]:
+        """A line for each value that a figure, by its ``place`` in a profile, may not have."""
+        for value in values:
+            if not self.allows(value):
+                yield f"{place}: {self}, got {value:g}: {self.why}"
+
 
 _SOLID = {
     "young_modulus_pa": Bound(
@@ -192,9 +198,7 @@ def require_within(table: str, values: object, called: str = "") -> None:
 def out_of_bounds(table: str, values: object, called: str) -> Iterator[str]:
     """The lines of ``require_within``."""
     for name, bound in BOUNDS.get(table, {}).items():
-        for value in _numbers(getattr(values, name, None)):
-            if not bound.allows(value):
-                yield f"{called}.{name}: {bound}, got {value:g}: {bound.why}"
+        yield from bound.faults(f"{called}.{name}", *_numbers(getattr(values, name, None)))
     # Of pydantic's classes, which this module does not load: the solver imports without it.
     for name in getattr(type(values), "model_fields", ()):
         inner = getattr(values, name)
@@ -240,9 +244,7 @@ def evidence_faults(key: str, evidence: Evidence, block: object) -> Iterator[str
         for name, values in getattr(evidence, table).items():
             bound = next((b for end, b in _UNITS if f"_{name}".endswith(end)), _ANY)
             place = f"{key}.provenance.{table}.{name}"
-            for value in values if isinstance(values, tuple) else (values,):
-                if not bound.allows(value):
-                    yield f"{place}: {bound}, got {value:g}: {bound.why}"
+            yield from bound.faults(place, *(values if isinstance(values, tuple) else (values,)))
     for name, sigma in evidence.spread.items():
         place = f"{key}.provenance.spread.{name}"
         if sigma < 0:

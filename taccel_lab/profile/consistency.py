@@ -17,8 +17,15 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.profile.bounds import Bound
 from taccel_lab.profile.optical_design import DesignedCamera, Light
-from taccel_lab.profile.optics_blocks import CoatingBlock, LightsBlock, MarkersBlock, OpticsBlock
-from taccel_lab.profile.response_blocks import DepthResponseBlock, ForceBlock, PerturbationBlock
+from taccel_lab.profile.optional_blocks import (
+    CoatingBlock,
+    DepthResponseBlock,
+    ForceBlock,
+    LightsBlock,
+    MarkersBlock,
+    OpticsBlock,
+    PerturbationBlock,
+)
 from taccel_lab.profile.schema import CameraBlock, GelBlock, MaterialBlock
 
 _MOST_IMAGE = 8.0

@@ -233,8 +233,8 @@ class MarkerGrid:
         require_finite("marker offset_mm", self.offset_mm, 2)
         require_within("markers", self)
         size = Bound(0.01, min(self.pitch_x_mm, self.pitch_y_mm) / 2, "mm", "dots do not touch")
-        if not size.allows(self.radius_mm):
-            raise InputError(f"markers.radius_mm: {size}, got {self.radius_mm:g}: {size.why}")
+        for fault in size.faults("markers.radius_mm", self.radius_mm):
+            raise InputError(fault)
         for row, column in self.missing:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise InputError(

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.geometry import TetMesh
-from taccel_lab.profile.blocks import BLOCK_TYPES
 from taccel_lab.profile.sensor_profile import SensorProfile
-from taccel_lab.profile.sensor_view import MAIN_VIEW
+from taccel_lab.profile.sensor_view import BLOCK_TYPES, MAIN_VIEW
 
 
 def quarter_turned(profile: SensorProfile) -> SensorProfile:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile; those of its optics are in ``optics_blocks``,
-those of how it answers a touch in ``response_blocks``.
+"""The blocks of a sensor profile; those of its optics, and of how it answers a touch, are in
+``optional_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its ``bounds`` and says where it comes from
 (``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe
-(mesh, background image, colour-model weights) lie beside them, see ``taccel_lab.profile.arrays``.
+(mesh, background image, colour-model weights) lie beside them, see ``taccel_lab.profile.io``.
 
 A block that is built from bad values raises ``InputError`` with the path of each wrong key. Use
 ``block.replace(...)`` for a changed copy; it is checked again, as ``model_copy`` would not be.
@@ -12,9 +12,12 @@ A block that is built from bad values raises ``InputError`` with the path of eac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from pkgutil import resolve_name
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import (
     AwareDatetime,
@@ -38,6 +41,9 @@ from taccel_lab.files.strict_model import (
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.bounds import MOST_BRANCHES, evidence_faults, out_of_bounds
 from taccel_lab.version import __version__
+
+if TYPE_CHECKING:
+    from taccel_lab.profile.schema import SensorBlock
 
 SCHEMA_VERSION = 12
 
@@ -321,3 +327,27 @@ class ColorBlock(Block):
     file: Literal["color_model.safetensors"] = "color_model.safetensors"
     architecture: dict[Name, ConfigValue]
     """What is needed to rebuild the network: features, layer widths, activation, scales."""
+
+
+_CATALOGUE = "taccel_lab.sensors.registry:judge_parameters"
+"""The judge of design parameters, named as an entry point names an object: families stand above
+profiles, and packages bring more of them. It loads when the first profile is read."""
+
+
+class ParameterVerdict(NamedTuple):
+    """What a catalogue says of a block's parameters."""
+
+    faults: tuple[str, ...] = ()
+    """What the bounds of the family refuse, a sentence each."""
+    unjudged: str = ""
+    """Why nobody could judge them; empty where somebody did."""
+
+
+def judge_parameters(sensor: SensorBlock) -> ParameterVerdict:
+    """The verdict of the catalogue's families."""
+    return _judge()(sensor)
+
+
+@cache
+def _judge() -> Callable[[SensorBlock], ParameterVerdict]:
+    return resolve_name(_CATALOGUE)

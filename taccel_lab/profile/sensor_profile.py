@@ -13,22 +13,19 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
-from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.consistency import check_mesh_size, disagreements
 from taccel_lab.profile.optical_design import OpticalDesign
-from taccel_lab.profile.optics_blocks import (
+from taccel_lab.profile.optional_blocks import (
     CoatingBlock,
+    DepthResponseBlock,
+    ForceBlock,
     HousingBlock,
     LightsBlock,
     MarkersBlock,
-    OpticsBlock,
-    WindowBlock,
-)
-from taccel_lab.profile.response_blocks import (
-    DepthResponseBlock,
-    ForceBlock,
     NormalsBlock,
+    OpticsBlock,
     PerturbationBlock,
+    WindowBlock,
 )
 from taccel_lab.profile.schema import (
     BackgroundBlock,
@@ -39,7 +36,14 @@ from taccel_lab.profile.schema import (
     MaterialBlock,
     SensorBlock,
 )
-from taccel_lab.profile.sensor_view import MAIN_VIEW, MOST_VIEWS, SensorView, require_view_name
+from taccel_lab.profile.sensor_view import (
+    BLOCK_TYPES,
+    MAIN_VIEW,
+    MOST_VIEWS,
+    OPTIONAL_BLOCKS,
+    SensorView,
+    require_view_name,
+)
 from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
@@ -186,8 +190,7 @@ class SensorProfile(Summary):
 
     def plot(self) -> Figure:
         """Draw the untouched image with its dots, or the gel's mesh where no image is known."""
-        from taccel_lab.profile.profile_figure import draw_image_at_rest
-        from taccel_lab.report.figures_mesh import draw_mesh
+        from taccel_lab.report.figures import draw_image_at_rest, draw_mesh
 
         if self.background_rgb is None:
             mesh = self.mesh

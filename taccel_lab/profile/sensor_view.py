@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each camera of a sensor has of its own: pixels, optics, and what was fitted to its images.
+"""All blocks of the present schema version, and what each camera of a sensor has of its own.
+
+A camera has pixels, optics, and what was fitted to its images.
 
 Gel, material, window, coating, lights, markers and housing are there once, whoever looks at them.
 """
@@ -15,14 +17,27 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optics_blocks import OpticsBlock
-from taccel_lab.profile.response_blocks import (
+from taccel_lab.profile.optional_blocks import (
+    CoatingBlock,
     DepthResponseBlock,
     ForceBlock,
+    HousingBlock,
+    LightsBlock,
+    MarkersBlock,
     NormalsBlock,
+    OpticsBlock,
     PerturbationBlock,
+    WindowBlock,
 )
-from taccel_lab.profile.schema import BackgroundBlock, CameraBlock, ColorBlock, SensorBlock
+from taccel_lab.profile.schema import (
+    BackgroundBlock,
+    Block,
+    CameraBlock,
+    ColorBlock,
+    GelBlock,
+    MaterialBlock,
+    SensorBlock,
+)
 
 MAIN_VIEW = "main"
 """Name of the view that a profile holds itself."""
@@ -74,3 +89,22 @@ def require_view_name(name: object) -> str:
             f"but not {MAIN_VIEW}, the profile's own camera"
         )
     return name
+
+
+_REQUIRED: tuple[type[Block], ...] = (SensorBlock, GelBlock, MaterialBlock, CameraBlock)
+_OPTIONAL: tuple[type[Block], ...] = (
+    OpticsBlock,
+    WindowBlock,
+    CoatingBlock,
+    LightsBlock,
+    MarkersBlock,
+    HousingBlock,
+    BackgroundBlock,
+    ColorBlock,
+    NormalsBlock,
+    DepthResponseBlock,
+    PerturbationBlock,
+    ForceBlock,
+)
+BLOCK_TYPES = _REQUIRED + _OPTIONAL
+OPTIONAL_BLOCKS = frozenset(block.key for block in _OPTIONAL)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of one press: height map, image, normals, contact pressure, force over depth.
+"""Pictures of one press, and of a gel at rest: maps, image, normals, pressure, force, mesh.
 
 Each function returns a matplotlib figure; ``style.save_figure`` writes it as PNG. Maps are drawn
 as the camera sees them: x right, y down, in millimetres of the gel frame.
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
+from taccel_lab.files.atomic_file import eight_bit
+from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.guards import require_shape
 from taccel_lab.report.style import (
     BLUE,
     INK,
@@ -25,6 +26,8 @@ from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from taccel_lab.geometry import PixelGrid
 
 
 def _extent_mm(grid: PixelGrid) -> tuple[float, float, float, float]:
@@ -43,18 +46,12 @@ def _map_axes(grid: PixelGrid, title: str) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _check_image(name: str, image: np.ndarray, grid: PixelGrid, channels: int | None) -> None:
-    shape = (grid.height_px, grid.width_px) + (() if channels is None else (channels,))
-    if image.shape != shape:
-        raise InputError(f"{name} has shape {image.shape}, the pixel grid needs {shape}")
-
-
 @in_report_style
-def draw_height_map(height_m: np.ndarray, grid: PixelGrid, title: str = "Height map") -> Figure:
+def draw_height_map(height_m: np.ndarray, grid: PixelGrid) -> Figure:
     """Height [m], shape [height_px, width_px], with contours; NaN is left white."""
-    _check_image("height_m", height_m, grid, None)
+    require_shape("height_m", height_m, (grid.height_px, grid.width_px), finite=False)
     height_mm = height_m * 1e3
-    figure, axes = _map_axes(grid, title)
+    figure, axes = _map_axes(grid, "Height map")
     image = axes.imshow(height_mm, extent=_extent_mm(grid), cmap="viridis")
     low, high = np.nanmin(height_mm), np.nanmax(height_mm)
     if high - low > 1e-6:
@@ -67,11 +64,11 @@ def draw_height_map(height_m: np.ndarray, grid: PixelGrid, title: str = "Height 
 
 
 @in_report_style
-def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -> Figure:
+def draw_image(rgb: np.ndarray, grid: PixelGrid) -> Figure:
     """RGB levels 0..255, shape [height_px, width_px, 3]."""
-    _check_image("rgb", rgb, grid, 3)
-    figure, axes = _map_axes(grid, title)
-    axes.imshow(as_uint8(rgb), extent=_extent_mm(grid))
+    require_shape("rgb", rgb, (grid.height_px, grid.width_px, 3), finite=False)
+    figure, axes = _map_axes(grid, "Tactile image")
+    axes.imshow(eight_bit(rgb), extent=_extent_mm(grid))
     return figure
 
 
@@ -89,7 +86,7 @@ def draw_press(
     figure.suptitle(title)
     extent = _extent_mm(grid)
     if rgb is not None:
-        axes[0].imshow(as_uint8(rgb), extent=extent)
+        axes[0].imshow(eight_bit(rgb), extent=extent)
     axes[0].set_title("tactile image" if rgb is not None else "no colour model")
     shown = axes[1].imshow(depth_mm, extent=extent, cmap="viridis")
     axes[1].set_title("depth")
@@ -119,7 +116,7 @@ def draw_comparison(
         (axes[1], f"simulated, {psnr_db:.1f} dB", simulated),
         (axes[2], "difference x 2", difference),
     ):
-        panel.imshow(as_uint8(image), extent=_extent_mm(grid))
+        panel.imshow(eight_bit(image), extent=_extent_mm(grid))
         panel.set_title(title)
         panel.set_xlabel("x [mm]")
     axes[0].set_ylabel("y [mm]")
@@ -132,7 +129,6 @@ def draw_markers(
     size_px: tuple[int, int],
     rest_px: np.ndarray,
     now_px: np.ndarray,
-    title: str = "Markers",
 ) -> Figure:
     """Where dots were at rest and where they are, over the image where there is one.
 
@@ -141,15 +137,14 @@ def draw_markers(
         size_px: Width and height of the image that pixels are of.
         rest_px: Columns and rows (u, v) at rest, [marker, 2].
         now_px: The same now; NaN for one that is not seen.
-        title: Of the figure.
     """
     width, height = size_px
     figure, axes = new_figure(6.4, 0.8 + 5.4 * height / width)
-    axes.set_title(title)
+    axes.set_title("Markers")
     axes.set_xlabel("u [px]")
     axes.set_ylabel("v [px]")
     if rgb is not None:
-        axes.imshow(as_uint8(rgb), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
+        axes.imshow(eight_bit(rgb), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
     axes.plot(*rest_px.T, "o", mfc="none", mec=BLUE, ms=4, label="at rest")
     axes.plot(*now_px.T, "+", color=ORANGE, ms=5, label="now")
     for rest, now in zip(rest_px, now_px, strict=True):
@@ -162,10 +157,10 @@ def draw_markers(
 
 
 @in_report_style
-def draw_normals(normals: np.ndarray, grid: PixelGrid, title: str = "Surface normals") -> Figure:
+def draw_normals(normals: np.ndarray, grid: PixelGrid) -> Figure:
     """Outward unit normals as RGB = (n + 1) / 2, shape [height_px, width_px, 3]."""
-    _check_image("normals", normals, grid, 3)
-    figure, axes = _map_axes(grid, title + "  (RGB = (n + 1) / 2)")
+    require_shape("normals", normals, (grid.height_px, grid.width_px, 3), finite=False)
+    figure, axes = _map_axes(grid, "Surface normals  (RGB = (n + 1) / 2)")
     axes.imshow(np.nan_to_num(np.clip((normals + 1) / 2, 0, 1), nan=1.0), extent=_extent_mm(grid))
     return figure
 
@@ -176,7 +171,6 @@ def draw_contact_forces(
     contact_faces: np.ndarray,
     forces_n: np.ndarray,
     pressures_pa: np.ndarray,
-    title: str = "Contact pressure",
 ) -> Figure:
     """Contact pressure and shear arrows.
 
@@ -201,7 +195,7 @@ def draw_contact_forces(
 
     loaded = np.flatnonzero(np.linalg.norm(forces_n, axis=1) > 0)
     figure, axes = new_figure(6.4, 5.2)
-    axes.set_title(f"{title}, {-forces_n[:, 2].sum():.3g} N along -z")
+    axes.set_title(f"Contact pressure, {-forces_n[:, 2].sum():.3g} N along -z")
     xy_mm = positions_m[:, :2] * 1e3
     mesh = Triangulation(xy_mm[:, 0], xy_mm[:, 1], contact_faces)
     drawn = axes.tripcolor(mesh, pressures_pa * 1e-3, shading="gouraud", cmap="magma_r", vmin=0)
@@ -236,7 +230,6 @@ def draw_force_depth(
     depth_mm: np.ndarray,
     force_n: np.ndarray,
     label: str,
-    title: str = "Force over depth",
     error_n: float = math.nan,
 ) -> Figure:
     """Normal force [N] over indentation depth [mm], both of shape [step], and the error of the last
@@ -249,7 +242,7 @@ def draw_force_depth(
         label = f"{with_error(float(force_n[-1]), error_n)} N, numerical error"
         ends = depth_mm[-1:], force_n[-1:], error_n
         axes.errorbar(*ends, color=ORANGE, capsize=6, lw=2, label=label, zorder=4)
-    axes.set_title(title)
+    axes.set_title("Force over depth")
     axes.set_xlabel("indentation depth [mm]")
     axes.set_ylabel("normal force [N]")
     axes.set_xlim(left=0)
@@ -258,6 +251,87 @@ def draw_force_depth(
     return figure
 
 
-def as_uint8(rgb: np.ndarray) -> np.ndarray:
-    """Levels 0..255 rounded to bytes; NaN becomes white."""
-    return np.nan_to_num(np.clip(np.round(rgb), 0, 255), nan=255.0).astype(np.uint8)
+REGION_COLORS = {
+    Region.SIDE: "#e5e7eb",
+    Region.CONTACT: "#8ecae6",
+    Region.BOND: "#f4a261",
+    Region.WINDOW: "#e9c46a",
+}
+
+
+@in_report_style
+def draw_mesh(nodes_m: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> Figure:
+    """The contact face from above and the surface from the front.
+
+    Args:
+        nodes_m: Of the gel [m], shape [node, 3].
+        faces: Outward triangles, shape [face, 3].
+        regions: ``Region`` of each, shape [face].
+    """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    corners = nodes_m[faces] * 1e3
+    span = np.ptp(nodes_m, axis=0) * 1e3
+    height = min(0.9 + 6.0 * span[1] / span[0], 5.0)
+    figure, axes = new_figure(8.6, height + 2.0, 2, 1, height_ratios=[height, 1.6])
+    top, side = axes
+    contact = regions == int(Region.CONTACT)
+    top.add_collection(
+        PolyCollection(
+            corners[contact][:, :, :2].tolist(),
+            facecolor=REGION_COLORS[Region.CONTACT],
+            edgecolor=INK,
+            linewidth=0.25,
+        )
+    )
+    top.autoscale()
+    top.invert_yaxis()
+    top.set_aspect("equal")
+    top.set_title(f"contact face from above: {int(contact.sum())} triangles")
+    top.set_xlabel("x [mm]")
+    top.set_ylabel("y [mm]")
+    # Seen from the front: faces nearest to the viewer (largest y) hide the others.
+    order = np.argsort(corners[:, :, 1].mean(axis=1))
+    colors = [REGION_COLORS[Region(int(regions[face]))] for face in order]
+    side.add_collection(
+        PolyCollection(
+            corners[order][:, :, [0, 2]].tolist(), facecolor=colors, edgecolor=INK, linewidth=0.25
+        )
+    )
+    side.autoscale()
+    side.set_aspect("equal" if span[2] > 0.1 * span[0] else "auto")
+    side.set_title("from the front")
+    side.set_xlabel("x [mm]")
+    side.set_ylabel("z [mm]")
+    used = [region for region in Region if (regions == int(region)).any()]
+    figure.legend(
+        handles=[Patch(color=REGION_COLORS[r], label=r.name.lower()) for r in used],
+        loc="outside lower center",
+        ncols=len(used),
+    )
+    return figure
+
+
+@in_report_style
+def draw_image_at_rest(image: np.ndarray, grid: PixelGrid, dots_mm: np.ndarray | None) -> Figure:
+    """The untouched image over the gel's x and y [mm], with the dots that the profile states.
+
+    Args:
+        image: RGB levels, [H, W, 3].
+        grid: Of its pixels.
+        dots_mm: Of the printed dots in the gel frame [mm], [dot, 2]; None without any.
+    """
+    corners = grid.gel_from_pixel(
+        np.array([[-0.5, -0.5], [grid.width_px - 0.5, grid.height_px - 0.5]])
+    )
+    (left, top), (right, bottom) = corners
+    figure, axes = new_figure(7.0, 7.0 * (bottom - top) / (right - left) + 0.6)
+    axes.imshow(image.astype(np.uint8), extent=(left, right, bottom, top))
+    if dots_mm is not None:
+        axes.plot(dots_mm[:, 0], dots_mm[:, 1], "o", color="white", mfc="none", markersize=7)
+        axes.set_xlim(left, right)
+        axes.set_ylim(bottom, top)
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
+    return figure

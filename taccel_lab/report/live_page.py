@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page in the browser that answers while it is served: viser, opened, kept open and closed."""
+"""A page in the browser that answers while it is served: viser, opened, kept open and closed.
+
+What help needs loads fast: the guard and the browser load with the page.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,31 @@ import contextlib
 import io
 import socket
 import threading
-import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.report.page_guard import run_token, start_guarded
-from taccel_lab.report.page_options import PageOptions
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """Where a page is served and how it looks."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at. 0.0.0.0 lets other machines in: whoever has the printed address can
+    use the page. A name of this machine works too."""
+    port: int = 8080
+    """TCP port; 0 takes any that is free."""
+    browser: bool = True
+    """Open the page in this machine's browser (--no-browser: only print its address)."""
+    dark: bool = False
+    """Dark background."""
+
 
 BRAND = (0, 114, 178)
 """Colour of buttons and sliders: the blue of the figures (``report.style``)."""
@@ -49,6 +66,10 @@ def live_page(
     Raises:
         InputError: viser is not installed, the port is in use or the host is not of this machine.
     """
+    import webbrowser
+
+    from taccel_lab.report.page_guard import start_guarded
+
     viser = viser_module()
     require_free_port(options.host, options.port)
     # viser prints where it listens and that it stopped: no results of the command.
@@ -74,6 +95,8 @@ def live_page(
 def page_address(server: ViserServer) -> str:
     """What to type into a browser on this machine, with the token of this run. On another machine,
     where ``host`` lets it in, this one's name or address stands in place of 127.0.0.1."""
+    from taccel_lab.report.page_guard import run_token
+
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):
         host = "127.0.0.1"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.geometry import Region
-from taccel_lab.report.figures_mesh import REGION_COLORS
+from taccel_lab.report.figures import REGION_COLORS
 
 MOST_FACES = 16_000
 """Most triangles, 220 KB of text. A surface of more is drawn with fewer."""

@@ -8,8 +8,11 @@ mailed as one file.
 
 from __future__ import annotations
 
+import base64
 import functools
 import io
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
@@ -19,7 +22,6 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.report.html import data_url, image_suffix, report_environment
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
 from taccel_lab.report.style import in_report_style, save_figure_to
 
@@ -217,3 +219,52 @@ def _drawn(picture: Picture) -> bytes:
     file = io.BytesIO()
     save_figure_to(drawn, file)
     return file.getvalue()
+
+
+def image_suffix(image: bytes) -> str:
+    """How the name of a JPEG or a PNG file ends, by its first bytes."""
+    return ".jpg" if image.startswith(b"\xff\xd8") else ".png"
+
+
+def data_url(image: bytes) -> str:
+    """A PNG or a JPEG file as text that a page embeds."""
+    kind = "jpeg" if image_suffix(image) == ".jpg" else "png"
+    return f"data:image/{kind};base64," + base64.b64encode(image).decode()
+
+
+def report_environment() -> Any:
+    """Jinja2 environment of the templates here."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("taccel_lab.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = format_number
+    environment.filters["breakable"] = _breakable
+    return environment
+
+
+def _breakable(name: str) -> Any:
+    """A name that may go on in another line after each of its underscores and colons."""
+    import markupsafe
+
+    text = str(markupsafe.escape(name))
+    return markupsafe.Markup(re.sub(r"([_:])(?=\S)", r"\1<wbr>", text))
+
+
+def format_number(value: Any) -> str:
+    """A number for a table cell, with four significant digits; a dash for none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    size = abs(value)
+    if size != 0 and (size < 1e-3 or size >= 1e5):
+        return f"{value:.2e}"
+    return f"{value:.4g}"

@@ -133,4 +133,4 @@ def draw_robot(
     plotter.view_vector(direction, viewup=(0, 0, 1))  # type: ignore[arg-type]
     picture = np.asarray(plotter.screenshot(return_img=True))
     plotter.close()
-    write_image(path, picture[..., ::-1])
+    write_image(path, picture)

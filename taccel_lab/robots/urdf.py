@@ -20,7 +20,7 @@ from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError, InputWarning, naming
 from taccel_lab.files.collada_file import SUFFIX
 from taccel_lab.files.inner_path import inner_path, real_path
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 from taccel_lab.files.triangle_file import SUFFIXES
 from taccel_lab.files.xml_file import read_xml
 from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint

@@ -6,7 +6,7 @@ to an RGB change; the change it gives for the undeformed surface at the same pix
 so that untouched gel renders as the background, exactly. Position and normal are the inputs of
 Taxim (Si and Yuan, RA-L 2022) and FOTS (Zhao et al., RA-L 2024); the displacement tells the floor
 of a dent from untouched gel, which has the same normal but lies closer to the lamps. The position
-may be given as sines and cosines, too (``position_encoding``).
+may be given as sines and cosines, too (``networks.settings``).
 
 Beyond the steepest surface that balls showed, the network would answer whatever it likes. A normal
 that leans further is answered as if it leaned that far, the same way (``within_cone``).
@@ -32,6 +32,7 @@ from taccel_lab.networks.color_settings import (
     stack_inputs,
 )
 from taccel_lab.networks.settings import checked_weights
+from taccel_lab.signals.tensors import layer_tensors
 
 if TYPE_CHECKING:
     import torch
@@ -94,7 +95,7 @@ class ColorModel:
 
         levels = np.empty((len(pixel_idx), 3), dtype=np.float32)
         normals = within_cone(normals, self.cone_deg)
-        layers = layer_tensors(self.config, self.weights)
+        layers = layer_tensors(self.weights)
         with torch.inference_mode():
             for start in range(0, len(pixel_idx), CHUNK_PIXELS):
                 part = slice(start, start + CHUNK_PIXELS)
@@ -113,18 +114,6 @@ def within_cone(normals: np.ndarray, cone_deg: float) -> np.ndarray:
     share = np.minimum(1.0, math.sin(cone) / np.maximum(across, 1e-30))
     up = np.maximum(normals[:, 2], math.cos(cone))
     return np.stack([share * normals[:, 0], share * normals[:, 1], up], axis=-1)
-
-
-def layer_tensors(
-    config: ColorModelConfig, weights: Mapping[str, np.ndarray]
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """(weight, bias) of each layer as torch tensors."""
-    import torch
-
-    return [
-        (torch.from_numpy(weights[f"layer{i}.weight"]), torch.from_numpy(weights[f"layer{i}.bias"]))
-        for i in range(len(config.layer_sizes()))
-    ]
 
 
 def color_change(

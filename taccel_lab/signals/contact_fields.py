@@ -33,7 +33,7 @@ from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.outputs.arrays import negated
 from taccel_lab.outputs.sliding import Sliding, read_sliding
 from taccel_lab.outputs.surface_load import Middles, SurfaceLoad, SurfaceLoadReader
-from taccel_lab.signals.contact_surface import ContactFaceMesh
+from taccel_lab.signals.gradient_recovery import ContactFaceMesh
 from taccel_lab.signals.markers import in_gel_frame
 from taccel_lab.signals.raster import GridMap, barycentric, grid_map, pixel_xy, rasterize, xy_of
 from taccel_lab.solvers.solver_ipc import SolverIPC

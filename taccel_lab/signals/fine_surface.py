@@ -34,8 +34,7 @@ from taccel_lab.outputs.arrays import shared
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
-from taccel_lab.signals.deformed_face import DeformedFace
-from taccel_lab.signals.hanging_corners import HangingCorners
+from taccel_lab.signals.deformed_face import DeformedFace, HangingCorners
 from taccel_lab.signals.layer_contact import (
     NOWHERE_M,
     array_library,

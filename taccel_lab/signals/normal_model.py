@@ -26,11 +26,18 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import checked_weights
-from taccel_lab.signals.block_reading import read_in_blocks
+from taccel_lab.signals.block_reading import TiltsAtRest, read_in_blocks, tilts_at_rest
 from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
 from taccel_lab.signals.normals import rotate_from_z
-from taccel_lab.signals.tensors import Array, Given, as_given, length2, require_device, tensor_of
-from taccel_lab.signals.tilts_at_rest import TiltsAtRest, tilts_at_rest
+from taccel_lab.signals.tensors import (
+    Array,
+    Given,
+    as_given,
+    layer_tensors,
+    length2,
+    require_device,
+    tensor_of,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -120,7 +127,7 @@ class NormalModel:
     @cached_property
     def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Layers of raw features: the first one normalises them, too."""
-        layers = layer_tensors(self.config, self.weights)
+        layers = layer_tensors(self.weights)
         weight, bias = (values.double() for values in layers[0])
         mean, scale = (
             tensor_of(np.array(values))
@@ -294,18 +301,6 @@ class NormalModel:
             raw = torch.as_tensor(features, dtype=torch.float32, device=self.device).T
             tilt, error = self._judged(self._outputs(raw), self._still(raw), None)
         return tilt.cpu().numpy(), error.cpu().numpy()
-
-
-def layer_tensors(
-    config: NormalModelConfig, weights: Mapping[str, np.ndarray]
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """(weight, bias) of each layer as torch tensors, members first."""
-    import torch
-
-    return [
-        (torch.from_numpy(weights[f"layer{i}.weight"]), torch.from_numpy(weights[f"layer{i}.bias"]))
-        for i in range(len(config.layer_sizes()))
-    ]
 
 
 def network(

@@ -26,7 +26,6 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.face_patches import (
     RECORD,
     evaluate_patch,
@@ -34,6 +33,7 @@ from taccel_lab.signals.face_patches import (
     lowest_corner,
     patch_barycentric,
 )
+from taccel_lab.signals.gradient_recovery import ContactFaceMesh
 from taccel_lab.signals.raster import FaceRaster, GridMap, grid_map, pixel_of, rasterize
 
 wp.set_module_options({"enable_backward": False})

@@ -5,8 +5,10 @@ Along the gel's normal that is the sampled surface itself; a perspective camera 
 (``Looking``).
 """
 
-# Warp's type stubs describe neither arrays of vectors nor what kernels take.
-# pyright: reportArgumentType=false
+# Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
+# nor FP64 overloads.
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false
 
 from __future__ import annotations
 
@@ -19,11 +21,72 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.looking import Looking
+from taccel_lab.signals.raster import GridMap, grid_map, pixel_xy, place_xy
 from taccel_lab.signals.surface_sampler import SurfaceSampler
 from taccel_lab.state import State
 
+wp.set_module_options({"enable_backward": False})
+
 FINE = ("contact", "pressure_pa")
 """Signals of contact that a fine surface knows itself."""
+
+
+@wp.kernel
+def _map_height_kernel(
+    samples: wp.array3d(dtype=wp.vec3f),
+    # Out
+    height_m: wp.array3d(dtype=wp.float32),
+):
+    env, v, u = wp.tid()
+    height_m[env, v, u] = samples[env, v, u][2]
+
+
+@wp.kernel
+def _map_depth_kernel(
+    samples: wp.array3d(dtype=wp.vec3f),
+    rest_samples: wp.array3d(dtype=wp.vec3f),
+    # Out
+    depth_m: wp.array3d(dtype=wp.float32),
+):
+    env, v, u = wp.tid()
+    depth_m[env, v, u] = rest_samples[env % rest_samples.shape[0], v, u][2] - samples[env, v, u][2]
+
+
+@wp.kernel
+def _map_points_kernel(
+    samples: wp.array3d(dtype=wp.vec3f),
+    places: wp.array3d(dtype=wp.vec2f),
+    grid: GridMap,
+    # Out
+    points_m: wp.array3d(dtype=wp.vec3f),
+):
+    env, v, u = wp.tid()
+    height = samples[env, v, u][2]
+    point = wp.vec3f(wp.nan, wp.nan, wp.nan)
+    if not wp.isnan(height):
+        xy = pixel_xy(grid, u, v)
+        point = wp.vec3f(float(xy[0]), float(xy[1]), height)
+        if places:
+            # Of the face that a perspective camera looks at.
+            place = places[env, v, u]
+            xy = place_xy(grid, wp.float64(place[0]), wp.float64(place[1]))
+            point = wp.vec3f(float(xy[0]), float(xy[1]), height)
+    points_m[env, v, u] = point
+
+
+@wp.kernel
+def _map_normals_kernel(
+    samples: wp.array3d(dtype=wp.vec3f),
+    # Out
+    normals: wp.array3d(dtype=wp.vec3f),
+):
+    env, v, u = wp.tid()
+    s = samples[env, v, u]
+    inverse = wp.float32(1.0) / wp.sqrt(wp.float32(1.0) + s[0] * s[0] + s[1] * s[1])
+    normals[env, v, u] = wp.vec3f(-s[0] * inverse, -s[1] * inverse, inverse)
+
+
+wp.set_module_options({"enable_backward": False})
 
 
 class SeenSurface:
@@ -139,6 +202,22 @@ class SeenSurface:
         for name in outputs.keys() & set(FINE):
             pressure, touched = self._fields
             self.show(pressure if name == "pressure_pa" else touched, outputs[name])
+
+    def show_maps(self, outputs: dict[str, wp.array]) -> None:
+        """Write those of height, depth, normals and points of the latest chunk in ``outputs``."""
+        if self._seen is None:
+            return
+        samples, rest = self._seen
+        for name, kernel, further in (
+            ("height_m", _map_height_kernel, []),
+            ("depth_m", _map_depth_kernel, [rest]),
+            ("normals", _map_normals_kernel, []),
+            ("points_m", _map_points_kernel, [self.places, grid_map(self.grid)]),
+        ):
+            if name in outputs:
+                shown = outputs[name]
+                inputs = [samples, *further]
+                wp.launch(kernel, shown.shape, inputs, [shown], device=shown.device)
 
     def show(self, field: wp.array, shown: wp.array) -> None:
         """Bring a field on ``grid`` to the pixels, for the environments of the latest chunk."""

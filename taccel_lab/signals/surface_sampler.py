@@ -3,7 +3,7 @@
 
 The gel's elements are larger than a pixel, so its piecewise-linear surface would show as facets
 under grazing light. A C1 surface is rebuilt from the same nodes: gradients of least bending
-(``gradient_recovery``), then Clough-Tocher cubics (``clough_tocher``), whose slopes are the
+(``gradient_recovery``), then Clough-Tocher cubics (``face_patches``), whose slopes are the
 interpolant's, not pixel differences. Patches are built in FP64 and evaluated in FP32, which leaves
 1e-10 m of the height.
 """
@@ -23,14 +23,16 @@ import warp as wp
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.processes.start_warp import start_warp
-from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.face_patches import RECORD, build_patches_kernel
-from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, NetworkScratch, recover_gradients
+from taccel_lab.signals.gradient_recovery import (
+    FEW_SWEEPS,
+    ContactFaceMesh,
+    NetworkScratch,
+    recover_gradients,
+)
 from taccel_lab.signals.markers import in_gel_frame
 from taccel_lab.signals.pixel_walk import PixelWalk
 from taccel_lab.signals.raster import grid_map, smallest_area2
-
-wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel

@@ -20,18 +20,17 @@ import warp as wp
 from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.guards import require_known
+from taccel_lab.model.devices import require_device
 from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.model.launches import require_device
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
-from taccel_lab.signals.dots import DotPainter, PaintedDots
+from taccel_lab.signals.dots import DotPainter, PaintedDots, profile_options, profile_view
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
-from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
-from taccel_lab.signals.profile_options import profile_options, profile_view
-from taccel_lab.signals.raster import grid_map
 from taccel_lab.signals.seen_surface import FINE, SeenSurface
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State, check_state
@@ -346,20 +345,18 @@ class SignalTactile:
 
     def _make(self, name: str) -> Any:
         """Allocate a signal and what computes it, at its first read."""
-        if name not in SIGNALS:
-            raise InputError(f"unknown signal {name!r}; known are {', '.join(SIGNALS)}")
+        require_known("signal", name, SIGNALS)
         if name == "markers_px":
             if self._markers is None:
                 raise InputError("markers_px needs the markers argument of SignalTactile")
-            options = {"env_count": self.env_count, "first_node": self._first_node}
+            options = {"first_node": self._first_node, "device": self.device}
             self._projection = MarkerProjection(
-                self._markers, self.grid, **options, device=self.device
+                self._markers, self.grid, env_count=self.env_count, **options
             )
             return self._projection.markers_px
-        if name in CONTACT_SIGNALS:
-            fields, grid = self._contact_fields(name), self.grid
-            return fields.make(name, (self.env_count, grid.height_px, grid.width_px))
         shape = (self.env_count, self.grid.height_px, self.grid.width_px)
+        if name in CONTACT_SIGNALS:
+            return self._contact_fields(name).make(name, shape)
         if name in ("rgb", "rgb_levels"):
             if self._color is None:
                 raise InputError(f"{name} needs the color_model argument of SignalTactile")
@@ -428,22 +425,11 @@ class SignalTactile:
         """Bring images up to date, chunk by chunk."""
         for part, envs in self._chunks():
             outputs = {name: self._arrays[name][part] for name in names}
-            samples, rest = self._look(part)
+            samples, _ = self._look(part)
             self._surface.show_contact(outputs)
-            if "height_m" in outputs:
-                self._map(height_kernel, [samples], outputs["height_m"])
-            if "depth_m" in outputs:
-                self._map(depth_kernel, [samples, rest], outputs["depth_m"])
-            if "normals" in outputs:
-                self._map(normals_kernel, [samples], outputs["normals"])
-            if "points_m" in outputs:
-                where = [self._surface.places, grid_map(self._surface.grid)]
-                self._map(points_kernel, [samples, *where], outputs["points_m"])
+            self._surface.show_maps(outputs)
             if self._painter is not None and ("rgb" in outputs or "rgb_levels" in outputs):
                 found = outputs.get("rgb"), outputs.get("rgb_levels")
                 self._painter.render(samples, *found)
                 if self._dots is not None:
                     self._dots.paint(self._positions, self._frames, envs, *found)
-
-    def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
-        wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)

@@ -16,12 +16,13 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.color_fragments import WIDEST, pack_network
 from taccel_lab.signals.color_kernel import (
+    WIDEST,
     WRITE_BYTES,
     WRITE_LEVELS,
     WRITE_OUTPUT,
     color_kernel,
+    pack_network,
     vec15f,
 )
 from taccel_lab.signals.color_model import ColorModel

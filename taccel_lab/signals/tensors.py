@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
@@ -51,3 +52,13 @@ def require_device(name: str) -> None:
     found = ["cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count()))]
     if name not in ("cuda", *found) or (name == "cuda" and len(found) == 1):
         raise InputError(f"device {name!r} is not here; devices of torch are {', '.join(found)}")
+
+
+def layer_tensors(weights: Mapping[str, np.ndarray]) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """(weight, bias) of each layer of a network; members, where it has some, first."""
+    import torch
+
+    return [
+        (torch.from_numpy(weights[f"layer{i}.weight"]), torch.from_numpy(weights[f"layer{i}.bias"]))
+        for i in range(len(weights) // 2)
+    ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.progress import Progress, silent
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters

@@ -12,9 +12,9 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import read_npz
 from taccel_lab.files.atomic_file import write_by, write_json
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.inner_path import inner_path
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 
 REPLAY = "replay.json"
 KINDS = ("soft", "affine", "kinematic")

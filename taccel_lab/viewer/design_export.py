@@ -12,8 +12,8 @@ from typing import Any
 
 from taccel_lab.cad.parameters import value_text
 from taccel_lab.errors import InputError
+from taccel_lab.files.documents import read_toml
 from taccel_lab.files.output_folder import atomic_directory
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.sensors.base import SensorFamily
 
 DESIGN_TOML = "design.toml"

@@ -10,12 +10,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import read_apart
+from taccel_lab.files.documents import number_at, read_json
 from taccel_lab.files.inner_path import require_inner_links
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.plain_values import number_at
-from taccel_lab.files.regular_file import require_regular_file
+from taccel_lab.files.regular_file import require_regular_file, shown
 from taccel_lab.files.tet_file import MAX_BYTES
-from taccel_lab.files.text_file import shown
 from taccel_lab.files.vtk_mesh import TETRA, TRIANGLE, cells_of, read_vtk
 from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.viewer.camera_place import look_at

@@ -19,7 +19,7 @@ from taccel_lab.api.press_photo import PressPhoto, SeenPress
 from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
 from taccel_lab.calibration.normals.surface_reading import SurfaceReading, Touch
 from taccel_lab.cli.app import main
-from taccel_lab.exporters.image_files import write_rgb
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.with_error import with_error
 from tests.support.commands import refusal
@@ -34,9 +34,9 @@ def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     press = tl.press(unit, "sphere:4", depth_mm=0.5, at_mm=(2.0, -1.5), accuracy="fast")
     assert press.image is not None
     path = tmp_path_factory.mktemp("photo") / "photo.png"
-    write_rgb(path, press.image)
+    write_image(path, press.image)
     assert unit.background_rgb is not None
-    write_rgb(path.parent / "background.png", unit.background_rgb)
+    write_image(path.parent / "background.png", unit.background_rgb)
     return path
 
 
@@ -93,8 +93,8 @@ def test_presses_are_found_within_their_deviations(
     assert true.image is not None and unit.background_rgb is not None
     noise = np.random.default_rng(0).standard_normal(true.image.shape)
     noisy = np.clip(np.rint(true.image + noise), 0, 255).astype(np.uint8)
-    write_rgb(tmp_path / "photo.png", noisy)
-    write_rgb(tmp_path / "background.png", unit.background_rgb)
+    write_image(tmp_path / "photo.png", noisy)
+    write_image(tmp_path / "background.png", unit.background_rgb)
     found = tl.press(unit, tool, like=tmp_path / "photo.png")
     like = found.like
     assert like is not None
@@ -213,7 +213,7 @@ def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_pat
     profile = tl.load_sensor(SENSOR)
     assert profile.background_rgb is not None
     untouched = tmp_path / "untouched.png"
-    write_rgb(untouched, profile.background_rgb)
+    write_image(untouched, profile.background_rgb)
 
     own, given = (PressPhoto.read(profile, photo, path) for path in (None, untouched))
     np.testing.assert_allclose(own.at_mm, given.at_mm, atol=0.02)
@@ -228,7 +228,7 @@ def test_what_shows_no_press_is_refused(
     profile = tl.load_sensor(SENSOR)
     assert profile.background_rgb is not None
     rest = tmp_path / "rest.png"
-    write_rgb(rest, profile.background_rgb)
+    write_image(rest, profile.background_rgb)
     out = tmp_path / "out"
     press = ("press", SENSOR, "--out", out)
     assert "no contact" in refusal(capsys, *press, "--like", rest)

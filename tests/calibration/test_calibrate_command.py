@@ -16,7 +16,7 @@ from taccel_lab.calibration.check.run import capture_check
 from taccel_lab.cli.calibrate.blocks import CalibrateColor
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
-from taccel_lab.exporters.taxim_table_file import read_table
+from taccel_lab.exporters.taxim_table import read_table
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.synthetic_presses import (

@@ -13,12 +13,17 @@ from hypothesis import strategies as st
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.camera.camera_model import CameraModel, resized
-from taccel_lab.camera.media import glued_back_mm
-from taccel_lab.camera.refraction import DomeMedia, FlatMedia, refract, snell_invariant
+from taccel_lab.camera.gel_camera import CameraModel, resized
+from taccel_lab.camera.refraction import (
+    DomeMedia,
+    FlatMedia,
+    glued_back_mm,
+    refract,
+    snell_invariant,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import quadratic_mesh
-from taccel_lab.optics import DesignedCamera
+from taccel_lab.profile.optical_design import DesignedCamera
 
 # DIGIT as calibrated by CANFNet: barrel and tangential terms of a real lens.
 DIGIT = DesignedCamera(

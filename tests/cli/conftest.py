@@ -53,7 +53,7 @@ def _figures_are_drawn_in_this_process() -> Iterator[None]:
     """A press draws in a process beside it, which takes longer to load than these presses take. Of
     each module, as files of other folders follow in the same process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taccel_lab.processes.beside.usable_cores", lambda: 1)
+        patch.setattr("taccel_lab.processes.process_pool.usable_cores", lambda: 1)
         yield
 
 

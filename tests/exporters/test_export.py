@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import get_args, get_type_hints
 
+import numpy as np
 import pytest
 
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
 from taccel_lab.exporters import export as export_module
 from taccel_lab.exporters import gs_sdk
-from taccel_lab.exporters.export import EXPORTERS, RECORD_FILE, Exporter, export_profile
-from taccel_lab.exporters.formats import FORMATS
+from taccel_lab.exporters.export import EXPORTERS, RECORD_FILE, export_profile
+from taccel_lab.exporters.frames import m_from_mm
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.profile import SensorProfile
 
@@ -24,12 +26,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_every_format_is_in_the_help_and_in_the_docs() -> None:
-    assert list(EXPORTERS) == list(FORMATS)
-    assert get_args(get_type_hints(Export)["to"]) == tuple(FORMATS)
+    assert get_args(get_type_hints(Export)["to"]) == tuple(EXPORTERS)
     source = (ROOT / "taccel_lab" / "cli" / "export.py").read_text()
     table = (ROOT / "docs" / "exporters.md").read_text()
-    for name, sentence in FORMATS.items():
-        assert f"    {name}: {sentence}" in source
+    for name, exporter in EXPORTERS.items():
+        assert f"    {name}: {exporter.what}" in source
         assert f"| `{name}` |" in table
 
 
@@ -107,7 +108,7 @@ def test_a_failure_leaves_nothing(
         (folder / "half").write_text("written")
         raise OSError("disk full")
 
-    monkeypatch.setitem(export_module.EXPORTERS, "urdf", Exporter(broken, "none"))
+    monkeypatch.setitem(export_module.EXPORTERS, "urdf", replace(EXPORTERS["urdf"], write=broken))
     with pytest.raises(OSError, match="disk full"):
         export_profile(mini, "urdf", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -120,8 +121,14 @@ def test_dots_in_a_background_are_said_to_stand_still(
     assert mini.markers is not None and mini.background_rgb is not None
     # Its network need not be good.
     quick = partial(gs_sdk.export_gs_sdk, steps=10, samples=2000)
-    monkeypatch.setitem(EXPORTERS, "gs-sdk", Exporter(quick, gs_sdk.PEER))
+    monkeypatch.setitem(EXPORTERS, "gs-sdk", replace(EXPORTERS["gs-sdk"], write=quick))
     found = export_profile(mini, to, tmp_path / "with")
     assert "stand still" in found["left_out"]["markers"]
     bare = export_profile(mini.without("markers"), to, tmp_path / "without")
     assert "stand still" not in bare["left_out"].get("markers", "")
+
+
+@pytest.mark.parametrize("millimetres", [2.0, 0.1, 4.23, 17.0, 0.0295])
+def test_millimetres_become_the_nearest_double(millimetres: float) -> None:
+    assert m_from_mm(millimetres) == float(f"{millimetres}e-3")
+    np.testing.assert_array_equal(m_from_mm(np.array([1.0, 2.0])), [0.001, 0.002])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.camera.camera_model import CameraModel
+from taccel_lab.camera.gel_camera import CameraModel
 from taccel_lab.exporters.export import export_profile
 from taccel_lab.profile import SensorProfile
 

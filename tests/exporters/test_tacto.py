@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.exporters.effective_camera import effective_camera
 from taccel_lab.exporters.export import export_profile
-from taccel_lab.exporters.frames import LINK_FROM_GEL
+from taccel_lab.exporters.frames import LINK_FROM_GEL, effective_camera
 from taccel_lab.exporters.tacto import MOST_LIGHTS, merged_lights
 from taccel_lab.geometry import Region
 from taccel_lab.profile import SensorProfile

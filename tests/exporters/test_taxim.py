@@ -17,16 +17,14 @@ from taccel_lab.exporters.export import export_profile
 from taccel_lab.exporters.press_samples import ColorSource
 from taccel_lab.exporters.taxim_distil import _image_fit, distil_table
 from taccel_lab.exporters.taxim_table import (
+    TABLE_FILE,
+    TableFile,
     TaximTable,
     bin_indices,
     bin_middles,
     bin_steps,
     one_scale,
     pixel_terms,
-)
-from taccel_lab.exporters.taxim_table_file import (
-    TABLE_FILE,
-    TableFile,
     read_table,
     write_table,
 )

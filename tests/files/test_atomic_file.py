@@ -22,9 +22,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, to_jsonable, write_image, write_json
+from taccel_lab.files.atomic_file import atomic_file, hold, to_jsonable, write_image, write_json
 from taccel_lab.files.file_cache import CACHE_VARIABLE, cached_arrays
-from taccel_lab.files.file_lock import hold
 from tests.support.small_captures import everything_below
 
 

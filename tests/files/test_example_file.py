@@ -9,7 +9,7 @@ import pytest
 
 import taccel_lab
 from taccel_lab.errors import InputError
-from taccel_lab.files.example_file import file_or_example
+from taccel_lab.files.inner_path import file_or_example
 
 ROOT = Path(__file__).parents[2] / "taccel_lab"
 

@@ -18,9 +18,8 @@ import pytest
 from PIL import Image
 
 from taccel_lab.errors import InputError
-from taccel_lab.files import kept_images
-from taccel_lab.files.images import image_size, levels, read_grey, read_image
-from taccel_lab.files.kept_images import KeptImages
+from taccel_lab.files import images
+from taccel_lab.files.images import KeptImages, image_size, levels, read_grey, read_image
 from taccel_lab.files.videos import count_frames, read_frames
 
 RGB = np.random.default_rng(3).integers(0, 256, (12, 16, 3), dtype=np.uint8)
@@ -159,13 +158,13 @@ def read_image_of(image: Image.Image, path: Path) -> np.ndarray:
 def decoded(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often each file is decoded."""
     counts: Counter[str] = Counter()
-    real = kept_images.read_image
+    real = images.read_image
 
     def counted(path: Path) -> Any:
         counts[path.name] += 1
         return real(path)
 
-    monkeypatch.setattr(kept_images, "read_image", counted)
+    monkeypatch.setattr(images, "read_image", counted)
     return counts
 
 

@@ -24,18 +24,16 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.files import apart
 from taccel_lab.files.arrays import read_npz
+from taccel_lab.files.documents import read_json, read_toml, read_yaml
 from taccel_lab.files.images import read_grey, read_image
 from taccel_lab.files.inner_path import copy_inner, inner_files, inner_path, real_path
-from taccel_lab.files.json_file import read_json
 from taccel_lab.files.regular_file import (
     file_sha256,
     in_bytes,
     read_regular_file,
     require_regular_file,
 )
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.files.videos import count_frames, read_frames
-from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
 from tests.files import foreign_readers as readers
 from tests.support.strangers import LURES, REFUSED, SECRET, lure

@@ -17,17 +17,23 @@ from pydantic import Field
 from taccel_lab.calibration.press_options import ColorFitOptions, DepthOptions, InverseFitOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files import table_file
-from taccel_lab.files.cell_number import number
-from taccel_lab.files.json_file import JSON_LIMIT_BYTES, read_json
-from taccel_lab.files.plain_values import MAX_DEPTH, MAX_VALUES, number_at
-from taccel_lab.files.seed import MOST_SEED, require_seed
+from taccel_lab.files.documents import (
+    JSON_LIMIT_BYTES,
+    MAX_DEPTH,
+    MAX_VALUES,
+    TOML_LIMIT_BYTES,
+    YAML_LIMIT_BYTES,
+    number_at,
+    read_json,
+    read_toml,
+    read_yaml,
+)
+from taccel_lab.files.regular_file import read_text, shown
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole
-from taccel_lab.files.table_file import MAX_LINE_CHARACTERS, read_table
-from taccel_lab.files.text_file import read_text, shown
-from taccel_lab.files.toml_file import TOML_LIMIT_BYTES, read_toml
+from taccel_lab.files.table_file import MAX_LINE_CHARACTERS, number, read_table
 from taccel_lab.files.xml_file import MAX_DEPTH as XML_MAX_DEPTH
 from taccel_lab.files.xml_file import XML_LIMIT_BYTES, read_xml
-from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES, read_yaml
+from taccel_lab.guards import MOST_SEED, require_seed
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.printable import printable
 
@@ -152,7 +158,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path, kind: str, text: str) -> No
         ("json", '{"a": NaN}', "is not valid JSON: NaN is no number of JSON"),
         ("json", '{"a": "\\ud800"}', "holds half a character"),
         ("json", '{"\\udfff": 1}', "holds half a character"),
-        ("json", "[1, 2]", "holds [1, 2]; an object {...} of keys is needed"),
+        ("json", "[1, 2]", "holds [1, 2]; a table {...} of keys is needed"),
         ("json", '{"a"', "is not valid JSON"),
         ("yaml", ALIASES, "cannot be read as YAML: anchors and aliases are not read"),
         ("yaml", "b: *a", "anchors and aliases are not read"),
@@ -161,7 +167,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path, kind: str, text: str) -> No
         ("yaml", "a: 1\nb: 2\na: 3", "the key 'a' stands twice"),
         ("yaml", "[1]: 2", "a list or table as a key is not read"),
         ("yaml", "a: 1\n---\nb: 2", "expected a single document"),
-        ("yaml", "just words", "holds 'just words'; a table of keys is needed"),
+        ("yaml", "just words", "holds 'just words'; a table {...} of keys is needed"),
         ("yaml", 'a: "\\ud800"', "holds half a character"),
         ("yaml", "a: b: c", "mapping values are not allowed"),
     ],
@@ -315,7 +321,7 @@ def test_faults_name_file_and_line(tmp_path: Path, text: str, words: str) -> Non
 def test_too_many_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_file, "MAX_LINES", 4)
     assert len(numbers(table_of(tmp_path, "a,b\n" + "1,2\n" * 3))) == 3
-    with pytest.raises(InputError, match="more than 4 lines"):
+    with pytest.raises(InputError, match="has 5 lines; up to 4 are allowed"):
         numbers(table_of(tmp_path, "a,b\n" + "1,2\n" * 4))
 
 

@@ -283,7 +283,7 @@ def _robot(name: str) -> Callable[[Path, Path], None]:
 
 
 def _read_table(given: Path, out: Path) -> None:
-    from taccel_lab.exporters.taxim_table_file import TABLE_FILE, read_table
+    from taccel_lab.exporters.taxim_table import TABLE_FILE, read_table
 
     read_table(given / TABLE_FILE)
 

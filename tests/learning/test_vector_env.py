@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names
 from taccel_lab.learning.grasp_lift import JointControl
 from taccel_lab.learning.gymnasium_envs import env_id

@@ -12,12 +12,11 @@ import torch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks import judge
-from taccel_lab.networks.answers import require_answers
 from taccel_lab.networks.color_settings import ColorModelConfig
-from taccel_lab.networks.force_answers import patch_forces
-from taccel_lab.networks.force_settings import ForceModelConfig
+from taccel_lab.networks.force_settings import ForceModelConfig, patch_forces
 from taccel_lab.networks.judge import network_fault
 from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.networks.settings import require_answers
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS
 from taccel_lab.signals.force_network import forward, patch_centers_mm
 from tests.exporters.profiles import mini_profile, with_force, with_normals

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.newton_bridge.joints import coordinate_names
+from taccel_lab.newton_bridge.importing import coordinate_names
 from taccel_lab.newton_bridge.newton_model import NewtonModel, unit_poses
 from taccel_lab.robots import Robot
 from taccel_lab.robots.transforms import matrix_of

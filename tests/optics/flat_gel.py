@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.optics import Coating, DesignedCamera, Light, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
+from taccel_lab.profile.optical_design import Coating, DesignedCamera, Light, OpticalDesign, Window
 from tests.support.formula_model import formula_model
 
 CAMERA_Z = -30.0

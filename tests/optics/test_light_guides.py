@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.optics import Light
 from taccel_lab.optics.light_samples import sample_lights
+from taccel_lab.profile.optical_design import Light
 from tests.optics.flat_gel import design, model
 
 UP = (0.0, 0.0, 1.0)

@@ -12,9 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.optics import Coating, Light, MarkerGrid
-from taccel_lab.optics.depth_of_field import blur_px, sharp_range_mm
-from taccel_lab.optics.photometry import channel_independence, measure_photometry, pixel_footprint
+from taccel_lab.optics.photometry import (
+    blur_px,
+    channel_independence,
+    measure_photometry,
+    pixel_footprint,
+    sharp_range_mm,
+)
+from taccel_lab.profile.optical_design import Coating, Light, MarkerGrid
 from tests.optics.flat_gel import CAMERA_Z, GEL_MM, PLATE, camera, design, model, towards
 
 FAR = 4000.0

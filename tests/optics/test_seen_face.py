@@ -10,13 +10,18 @@ import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.camera.media import media_between
-from taccel_lab.camera.refraction import DomeMedia, FlatMedia
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia, media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
-from taccel_lab.optics import DesignedCamera, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.surface import GelFace, seen_faces
+from taccel_lab.profile.optical_design import (
+    DesignedCamera,
+    Light,
+    MarkerGrid,
+    OpticalDesign,
+    Window,
+)
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.optics.compare import pressed_top
@@ -224,7 +229,7 @@ def test_faces_that_are_not_there(mesh: TetMesh) -> None:
     bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
     with pytest.raises(InputError, match="CONTACT"):
         GelFace(bare)
-    with pytest.raises(InputError, match="is needed"):
+    with pytest.raises(InputError, match="positions must have shape"):
         GelFace(mesh).at(mesh.nodes_m[:-1])
     broken = mesh.nodes_m.copy()
     broken[seen_faces(mesh)[0, 0]] = math.nan

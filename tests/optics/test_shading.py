@@ -11,11 +11,11 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.optics import Coating, Light, MarkerGrid
 from taccel_lab.optics.frames import turbid_reflectance
 from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.shading_kernels import Gloss, glossy
+from taccel_lab.profile.optical_design import Coating, Light, MarkerGrid
 from tests.optics.flat_gel import GEL_MM, PLATE, design, model
 from tests.support.formula_model import render_formula
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.processes import beside as module
-from taccel_lab.processes.beside import Beside
+from taccel_lab.processes import process_pool as module
+from taccel_lab.processes.process_pool import Beside
 
 
 def note(path: Path, text: str) -> None:

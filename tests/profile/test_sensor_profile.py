@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
@@ -22,11 +21,9 @@ from taccel_lab.profile import (
     Provenance,
     SensorBlock,
     SensorProfile,
-    units,
 )
-from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
 from taccel_lab.profile.optical_design import Coating, DesignedCamera, Light, MarkerGrid, Window
-from taccel_lab.profile.optics_blocks import (
+from taccel_lab.profile.optional_blocks import (
     CoatingBlock,
     LightEntry,
     MarkersBlock,
@@ -34,6 +31,7 @@ from taccel_lab.profile.optics_blocks import (
     WindowBlock,
 )
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.profile.sensor_view import OPTIONAL_BLOCKS
 from taccel_lab.sensors.profile import catalogue_profile
 
 
@@ -274,17 +272,6 @@ def test_configuration_values_keep_their_types(provenance: Provenance) -> None:
     assert [type(value) for value in mixed] == [int, float, str, bool]
     with pytest.raises(InputError, match=r"color\.architecture"):
         ColorBlock(architecture={"layer": {"width": 3}}, provenance=provenance)  # type: ignore[dict-item]
-
-
-@pytest.mark.parametrize("millimetres", [2.0, 0.1, 4.23, 17.0, 0.0295])
-def test_millimetres_become_the_nearest_double(millimetres: float) -> None:
-    assert units.m_from_mm(millimetres) == float(f"{millimetres}e-3")
-
-
-def test_known_angles_and_arrays() -> None:
-    assert units.rad_from_deg(180.0) == math.pi
-    np.testing.assert_allclose(units.deg_from_rad(np.array([math.pi / 2])), [90.0])
-    np.testing.assert_array_equal(units.m_from_mm(np.array([1.0, 2.0])), [0.001, 0.002])
 
 
 def turned_xyz(points: np.ndarray) -> np.ndarray:

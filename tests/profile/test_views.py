@@ -14,7 +14,7 @@ import tomli_w
 
 from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
     CameraBlock,

@@ -16,16 +16,15 @@ import pytest
 
 from taccel_lab.calibration.profile_page import disc_normals
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.report import (
+from taccel_lab.report.figures import (
     draw_contact_forces,
     draw_force_depth,
     draw_height_map,
     draw_image,
     draw_normals,
-    save_figure,
 )
-from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.live_page import (
     PageOptions,
     live_page,
@@ -34,7 +33,7 @@ from taccel_lab.report.live_page import (
     serve_until_stopped,
 )
 from taccel_lab.report.mesh_view import MOST_FACES, MeshView, mesh_view
-from taccel_lab.report.style import new_figure
+from taccel_lab.report.style import new_figure, save_figure
 
 pytestmark = pytest.mark.rasterised
 GRID = PixelGrid(80, 60, 0.1, 0.1, 39.5, 29.5)
@@ -109,7 +108,7 @@ def test_drawing_leaves_the_callers_settings_alone():
 
 
 def test_bytes_are_rounded_and_clipped():
-    assert as_uint8(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]
+    assert eight_bit(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]
 
 
 def test_names_between_dollars_are_no_formulas(tmp_path):

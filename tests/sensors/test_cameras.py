@@ -15,7 +15,7 @@ from taccel_lab.api.press_run import press
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
-from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.presses.press_states import PressMarkers
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor

@@ -11,7 +11,7 @@ import pytest
 import taccel_lab as tl
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.files.toml_file import read_toml
+from taccel_lab.files.documents import read_toml
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.sensors.starters import ABOUT, NOT_YOUR_UNIT, STARTERS, is_starter

@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import LUMA, DepthResponse, channel_of
-from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normals import slopes_from_height
+from taccel_lab.signals.read_heights import HeightUncertainty
 from taccel_lab.signals.slope_integration import height_from_slopes, resting_height
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
@@ -157,7 +157,7 @@ def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
     weights = np.ones((60, 80))
     weights[50:, :20] = 0.0
     coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
-    monkeypatch.setattr("taccel_lab.signals.height_uncertainty.POINTS_PER_LENGTH", 8.0)
+    monkeypatch.setattr("taccel_lab.signals.read_heights.POINTS_PER_LENGTH", 8.0)
     fine = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
     assert coarse.mean() == pytest.approx(fine.mean(), rel=0.35)
     assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.5

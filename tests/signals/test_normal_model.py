@@ -19,7 +19,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.force_settings import ForceModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.networks.position_encoding import MAX_BANDS
+from taccel_lab.networks.settings import MAX_BANDS
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.normal_features import (
@@ -310,8 +310,8 @@ def test_settings_go_through_a_dict_and_refuse_other_keys(config: Config) -> Non
         (COLOR, {"width_px": 1}, "1x30 px"),
         (COLOR, {"input_mean": (0.0,)}, "input_mean needs 6"),
         (COLOR, {"input_mean": (math.nan,) * 6}, "input_mean of u must lie in"),
-        (COLOR, {"input_scale": (0.0,) * 6}, "input_scale of u must lie in 0.0009..2"),
-        (COLOR, {"position_bands": -1}, r"color model position_bands must lie in 0\.\.8"),
+        (COLOR, {"input_scale": (0.0,) * 6}, r"input_scale of u must lie in \[0.0009, 2\]"),
+        (COLOR, {"position_bands": -1}, r"color model position_bands must lie in \[0, 8\]"),
         (NORMAL, {"position_bands": MAX_BANDS + 1}, r"normal model position_bands must lie in"),
         (NORMAL, {"input_mean": (0.0,)}, "numbers, one per feature"),
         (NORMAL, {"members": 0}, "at least 1"),

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from taccel_lab.networks.color_settings import INPUT_NAMES, ColorModelConfig, pixel_uv
 from taccel_lab.networks.normal_settings import NormalModelConfig, feature_names
-from taccel_lab.networks.position_encoding import MAX_BANDS, band_names, encode_position
-from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
-from taccel_lab.signals.color_kernel import color_kernel
+from taccel_lab.networks.settings import MAX_BANDS, band_names, encode_position
+from taccel_lab.signals.color_kernel import NetworkLayout, color_kernel, pack_network
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_features import pixel_place
 from taccel_lab.signals.normal_model import NormalModel

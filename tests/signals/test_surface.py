@@ -14,9 +14,8 @@ from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
 from taccel_lab.signals import ContactFaceMesh, SignalTactile
-from taccel_lab.signals.deformed_face import DeformedFace
+from taccel_lab.signals.deformed_face import DeformedFace, HangingCorners
 from taccel_lab.signals.gradient_recovery import recover_gradients
-from taccel_lab.signals.hanging_corners import HangingCorners
 from tests.signals.pressed_surface import flat_pad, pixel_xy
 from tests.support.blocks import pose
 

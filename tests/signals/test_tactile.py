@@ -236,7 +236,7 @@ def test_bad_calls_are_refused():
     for name, message in (
         ("rgb", "color_model"),
         ("markers_px", "markers"),
-        ("depth", "unknown signal 'depth'"),
+        ("depth", "no signal 'depth'"),
     ):
         with pytest.raises(InputError, match=message):
             signal.read(name)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from taccel_lab.profile.arrays import encode_weights
+from taccel_lab.profile.io import encode_weights
 
 
 def edit(folder: Path, **tables: Any) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.optics import OpticalDesign
 from taccel_lab.optics.frames import PreviewImage
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.surface import FineFace
+from taccel_lab.profile.optical_design import OpticalDesign
 
 Height = Callable[[np.ndarray], np.ndarray]
 """Height over gel xy [mm], [..., 2] -> [...], NaN beside the pad; such as ``Pad.top_mm``."""

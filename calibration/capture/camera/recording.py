@@ -17,8 +17,7 @@ from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import require_inner_links
 from taccel_lab.files.lerobot_images import is_lerobot, lerobot_cameras, lerobot_frames
-from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.files.videos import count_frames, read_timed_frames
+from taccel_lab.files.videos import RecordedFrame, count_frames, read_timed_frames
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")

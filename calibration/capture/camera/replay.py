@@ -30,7 +30,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import is_hdf5
 from taccel_lab.files.lerobot_images import is_lerobot
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.camera.recording import is_picture
@@ -42,9 +41,9 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
-from taccel_lab.files.cell_number import number
 from taccel_lab.files.images import MAX_FILE_BYTES, Image, levels, read_image
 from taccel_lab.files.regular_file import LARGEST_BYTES, file_sha256, require_regular_file
+from taccel_lab.files.table_file import number
 from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
@@ -329,9 +328,9 @@ class Draft:
             if isinstance(content, str):
                 path.write_text(content, encoding="utf-8")
             elif not isinstance(content, Path):
-                write_png(path, levels(content))
+                write_image(path, levels(content))
             elif is_picture(content) and path.suffix == ".png" != content.suffix.lower():
-                write_png(path, read_image(content))
+                write_image(path, read_image(content))
             else:
                 # Before gigabytes are copied that no reader takes.
                 image = is_picture(content)
@@ -398,9 +397,3 @@ class CaptureLayout:
     """One draft for each sensor or set; none where it is of another layout, which may be looked for
     less closely than by ``recognises``. Raises InputError naming the file, what was found and what
     is allowed."""
-
-
-def write_png(path: Path, rgb: np.ndarray) -> None:
-    """Write RGB (or grey) levels, uint8, as PNG."""
-    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    write_image(path, bgr)

@@ -18,12 +18,10 @@ from taccel_lab.calibration.capture.camera.recording import is_picture, natural_
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
+from taccel_lab.files.documents import number_at, read_json, read_yaml
 from taccel_lab.files.inner_path import inner_path, real_path
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.plain_values import number_at
+from taccel_lab.files.regular_file import read_text
 from taccel_lab.files.table_file import Row, read_table
-from taccel_lab.files.text_file import read_text
-from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.errors import InputError
-from taccel_lab.files.cell_number import number
-from taccel_lab.files.table_file import numbered_lines, read_table, read_table_text
+from taccel_lab.files.table_file import number, numbered_lines, read_table, read_table_text
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.importers import Draft, ImportOptions
 from taccel_lab.errors import InputError
-from taccel_lab.files.cell_number import number
-from taccel_lab.files.json_file import read_json
+from taccel_lab.files.documents import read_json
+from taccel_lab.files.table_file import number
 
 
 def read(source: Path, options: ImportOptions) -> list[Draft]:

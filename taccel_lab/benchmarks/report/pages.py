@@ -15,7 +15,7 @@ from typing import Any
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, VERIFICATION, Section
 from taccel_lab.benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.files.atomic_file import atomic_file
-from taccel_lab.report.markdown import with_parts
+from taccel_lab.report.page_text import with_parts
 
 _ROOT = Path(__file__).resolve().parents[3]
 PAGE, README = _ROOT / "docs" / "evidence" / "benchmarks.md", _ROOT / "README.md"

@@ -168,7 +168,7 @@ def write_results(
 def _print_page(page: Page, console: Console) -> None:
     from rich.table import Table as Grid
 
-    from taccel_lab.report.html import format_number
+    from taccel_lab.report.page import format_number
 
     console.print(page.summary)
     if not page.tables or page.tables[0].folded:

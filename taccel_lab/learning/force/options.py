@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.seed import require_seed
+from taccel_lab.guards import require_seed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.documents import read_json
 from taccel_lab.files.inner_path import require_inner_name
-from taccel_lab.files.json_file import read_json
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec.study_file import Constraint, Objective
 

@@ -25,8 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, write_by, write_json
-from taccel_lab.files.file_lock import hold
+from taccel_lab.files.atomic_file import atomic_file, hold, write_by, write_json
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, require_growable
 from taccel_lab.files.shard import Shard

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera, View
-from taccel_lab.camera.media import glued_back_mm, media_between
+from taccel_lab.camera.refraction import glued_back_mm, media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.presses.press_force import by_power_law

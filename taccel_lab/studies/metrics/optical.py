@@ -83,7 +83,7 @@ def px_per_mm(evidence: Evidence) -> float:
 )  # fmt: skip
 def depth_of_field(evidence: Evidence) -> float:
     """Follows from the camera's own pixels; None while aperture or focus are unknown."""
-    from taccel_lab.optics.depth_of_field import sharp_range_mm
+    from taccel_lab.optics.photometry import sharp_range_mm
 
     design = evidence.parameters.optics()
     if design is None:

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.report.html import format_number
+from taccel_lab.report.page import format_number
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible, violations
 from taccel_lab.studies.evaluate.runner import StudyOutcome

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.report.html import format_number
+from taccel_lab.report.page import format_number
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, in_report_style, new_figure
 from taccel_lab.studies.evaluate.design_row import DesignRow, is_feasible
 from taccel_lab.studies.evaluate.runner import StudyOutcome

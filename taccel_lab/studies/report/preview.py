@@ -152,7 +152,7 @@ def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     for name, image in images.items():
         if image is not None:
             files[name] = folder / f"{name}.png"
-            write_image(files[name], image.rgb[..., ::-1])
+            write_image(files[name], image.rgb)
     return files
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 from taccel_lab.studies.spec.study_file import MAX_DESIGNS, ParameterRange
 
 SIGNIFICANT_DIGITS = 9

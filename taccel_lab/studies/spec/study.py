@@ -14,7 +14,7 @@ from typing import Any
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import content_id
-from taccel_lab.files.text_file import shown
+from taccel_lab.files.regular_file import shown
 from taccel_lab.guards import require_known
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.bonded_layer import layer_force_n

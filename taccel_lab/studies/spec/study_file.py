@@ -24,10 +24,9 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.documents import first_repeated, read_toml
+from taccel_lab.files.regular_file import shown
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, describe_errors
-from taccel_lab.files.text_file import shown
-from taccel_lab.files.toml_file import read_toml
 from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name

@@ -25,7 +25,7 @@ from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics, fold_
 from taccel_lab.calibration.camera.lens import LENSES, fit_bundle, initial_pose
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.robust_fit import rms
-from taccel_lab.camera.camera_model import CameraModel
+from taccel_lab.camera.gel_camera import CameraModel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.report.remark import Severity, judge

@@ -16,8 +16,7 @@ from taccel_lab.calibration.capture.camera.recording import Recording, name_stam
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_replay
 from taccel_lab.calibration.capture.load import LOST_SHARE
 from taccel_lab.errors import InputError
-from taccel_lab.files.recorded_frame import RecordedFrame
-from taccel_lab.files.videos import count_frames, read_timed_frames
+from taccel_lab.files.videos import RecordedFrame, count_frames, read_timed_frames
 
 PAUSED_S = [0.0, 0.033, 0.066, 2.066, 2.1]
 """Frames at 30 Hz with a pause of 2 s."""

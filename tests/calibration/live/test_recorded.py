@@ -20,7 +20,7 @@ from taccel_lab.calibration.live.recorded import draw_recorded, read_recorded
 from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.profile import BranchEntry, SensorProfile
 from tests.calibration.grey.test_depth import grey_unit
 from tests.support.small_captures import write_image

@@ -29,13 +29,20 @@ from taccel_lab.calibration.markers.tracks import (
     marker_flow_mm,
     track_figures,
 )
-from taccel_lab.camera.camera_model import CameraModel
-from taccel_lab.camera.media import media_between
+from taccel_lab.camera.gel_camera import CameraModel
+from taccel_lab.camera.refraction import media_between
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.optics import Coating, DesignedCamera, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.profile import Provenance
+from taccel_lab.profile.optical_design import (
+    Coating,
+    DesignedCamera,
+    Light,
+    MarkerGrid,
+    OpticalDesign,
+    Window,
+)
 from taccel_lab.report.remark import Severity
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture

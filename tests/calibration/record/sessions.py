@@ -20,7 +20,7 @@ from taccel_lab.calibration.capture.camera.camera import (
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera, open_replay
 from taccel_lab.calibration.record.folder import RecordFacts
 from taccel_lab.calibration.record.session import Order, SessionStatus
-from taccel_lab.files.recorded_frame import RecordedFrame
+from taccel_lab.files.videos import RecordedFrame
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID
 

@@ -68,8 +68,8 @@ def text(kind: str) -> Read:
     """Reader of a kind of text file."""
 
     def read(path: Path) -> object:
+        from taccel_lab.files.documents import read_toml
         from taccel_lab.files.table_file import read_table
-        from taccel_lab.files.toml_file import read_toml
         from taccel_lab.files.xml_file import read_xml
 
         if kind == "table":

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.exporters.taxim_table import TERMS, TaximTable
-from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
+from taccel_lab.exporters.taxim_table import TABLE_FILE, TERMS, TableFile, TaximTable, write_table
 from taccel_lab.files.file_cache import CACHE_VARIABLE, CachedFile, cached_arrays
 from taccel_lab.files.output_folder import atomic_directory
 
