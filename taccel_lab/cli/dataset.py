@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 LONG_DRAW = 20_000
 """Episodes whose drawing is announced: it takes a second."""
-HELP = "Make data sets of simulated touches; check and export them."
 
 
 @dataclass(frozen=True)
@@ -102,6 +101,7 @@ class DatasetMake:
     def _make(
         self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard, console: Console
     ) -> DatasetOutcome:
+        from taccel_lab.cli.console import say
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.files.text_file import read_text
         from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
@@ -119,7 +119,7 @@ class DatasetMake:
                 listener=lambda done, total, steps, seconds: progress(
                     f"parts ({steps / seconds:.2f} images/s)" if steps else "parts", done, total
                 ),
-                say=lambda words: console.print(words, soft_wrap=True),
+                say=say,
             )
 
     def _conclude(self, console: Console, outcome: DatasetOutcome, root: Path) -> None:
@@ -230,13 +230,9 @@ class DatasetChannels:
     """Print JSON instead of tables."""
 
     def run(self) -> None:
-        from rich.table import Table
-        from rich.text import Text
-
-        from taccel_lab.cli.console import print_json, results
+        from taccel_lab.cli.console import print_json, print_table
         from taccel_lab.datasets.channels import ALWAYS, channels_of, known_channels
 
-        console = results()
         asked = channels_of(tuple(known_channels()))[len(ALWAYS) :]
         if self.json:
             names = ("name", "dtype", "shape", "unit", "what")
@@ -246,12 +242,11 @@ class DatasetChannels:
             })  # fmt: skip
             return
         for title, channels in (("always kept", ALWAYS), ("output.channels", asked)):
-            table = Table("channel", "of a step", "unit", "what", title=title)
-            for c in channels:
-                kind = f"{c.dtype} [{c.shape}]" if c.shape else c.dtype
-                table.add_row(Text(c.name, style="cyan"), Text(kind), Text(c.unit), Text(c.what))
-            table.columns[0].no_wrap = True
-            console.print(table)
+            rows = [
+                (c.name, f"{c.dtype} [{c.shape}]" if c.shape else c.dtype, c.unit, c.what)
+                for c in channels
+            ]
+            print_table(("channel", "of a step", "unit", "what"), rows, title)
 
 
 COMMANDS = {

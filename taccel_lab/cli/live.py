@@ -7,7 +7,6 @@ import re
 from collections.abc import Generator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -69,7 +68,7 @@ class Live(CameraFlags):
         from taccel_lab.calibration.capture.camera import CameraLostError
         from taccel_lab.calibration.live.page import LiveSheet
         from taccel_lab.calibration.live.run import run_together
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import print_json, say
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import PageOptions, live_page
 
@@ -85,7 +84,6 @@ class Live(CameraFlags):
             raise InputError(f"PROFILE has none for {', '.join(missing)}; add {missing[0]}=PROFILE")
         given = {name: profiles.get(name, profiles.get("", "")) for name in cameras}
         loaded = {name: self._readable(of) for name, of in given.items()}
-        say = partial(notes().print, soft_wrap=True)
         with ExitStack() as stack:
             sheet = None
             if self.page:
@@ -94,7 +92,7 @@ class Live(CameraFlags):
                 sheet = LiveSheet(stack.enter_context(live_page(title, options, say)))
             try:
                 sessions = [
-                    self._session(name, camera, loaded[name], sheet, say, stack)
+                    self._session(name, camera, loaded[name], sheet, stack)
                     for name, camera in cameras.items()
                 ]
                 found = dict(zip(cameras, run_together(sessions), strict=True))
@@ -147,7 +145,6 @@ class Live(CameraFlags):
         camera: str,
         profile: SensorProfile,
         sheet: LiveSheet | None,
-        say: partial[None],
         stack: ExitStack,
     ) -> Generator[LiveResult, None, None]:
         """The session of one sensor, whose name is empty where there is no other."""
@@ -162,7 +159,7 @@ class Live(CameraFlags):
             force = None if profile.force is None else _forces(profile, background)
             return LiveReader(profile, background, force=force, device=self.device)
 
-        watchers: list[LiveWatcher] = [_Lines(say, name)]
+        watchers: list[LiveWatcher] = [_Lines(name)]
         if self.ros is not None:
             publisher = RosPublisher(f"{self.ros}/{name}" if name else self.ros)
             stack.callback(publisher.close)
@@ -258,14 +255,16 @@ def _forces(profile: SensorProfile, background: np.ndarray) -> ForceReadings:
 class _Lines:
     """A ``LiveWatcher`` that prints what to do."""
 
-    def __init__(self, say: partial[None], name: str) -> None:
-        self._say, self._name = say, name
+    def __init__(self, name: str) -> None:
+        self._name = name
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
 
     def tell(self, text: str) -> None:
+        from taccel_lab.cli.console import say
+
         if text:
-            self._say(f"{self._name}: {text}" if self._name else text)
+            say(f"{self._name}: {text}" if self._name else text)
 
     def wants_background(self) -> bool:
         return False

@@ -32,7 +32,7 @@ class ViewCommand:
     """Device of a live task: cpu, cuda:0 or auto."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import say
         from taccel_lab.files.seed import require_seed
         from taccel_lab.model.devices import require_device
         from taccel_lab.processes.start_warp import start_warp
@@ -43,11 +43,5 @@ class ViewCommand:
         viser_module()
         require_device(self.device)
         require_seed(self.seed)
-        console = notes()
-        serve_source(
-            find_source(self.source),
-            self.page,
-            lambda text: console.print(text, soft_wrap=True),
-            seed=self.seed,
-            device=self.device,
-        )
+        source = find_source(self.source)
+        serve_source(source, self.page, say, seed=self.seed, device=self.device)

@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -66,7 +65,7 @@ class _Session(CameraFlags):
         from taccel_lab.calibration.record.page import RecordPage
         from taccel_lab.calibration.record.run import Watcher, run_session
         from taccel_lab.calibration.record.session import Recorder
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import notes, say
         from taccel_lab.report.live_page import PageOptions, live_page
 
         if presses is not None and not 1 <= presses <= 1000:
@@ -93,7 +92,6 @@ class _Session(CameraFlags):
                 if self.page:
                     options = PageOptions(port=self.port, browser=self.browser)
                     title = f"Recording {self.out.name}"
-                    say = partial(console.print, soft_wrap=True)
                     server = stack.enter_context(live_page(title, options, say))
                     watchers.append(RecordPage(server, quick))
                 status = run_session(
