@@ -29,6 +29,7 @@ from taccel_lab.benchmarks.measure import clock_of
 from taccel_lab.benchmarks.results import ResultFile, Suite
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_known
 from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
@@ -117,10 +118,9 @@ class PressAccuracy(Suite):
     def settings(self) -> dict[str, Any]:
         for name in self.families:
             sensor_family(name)
-        unknown = [name for name in self.tools if name not in TOOLS]
-        if unknown:
-            raise InputError(f"no tool {unknown[0]!r}; known: {', '.join(TOOLS)}")
-        return {
+        for name in self.tools:
+            require_known("tool", name, TOOLS)
+        return super().settings() | {
             "default": PHYSICS[Accuracy.DEFAULT].record(),
             "fine": FINE,
             "nearer": NEARER,

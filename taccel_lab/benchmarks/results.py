@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -297,8 +297,10 @@ class Suite:
         return result
 
     def settings(self) -> dict[str, Any]:
-        """What the result file says of the options."""
-        raise NotImplementedError
+        """What the result file says of the options: those of the suite's own, and what more a
+        suite adds."""
+        own = {field.name for field in fields(self)} - {field.name for field in fields(Suite)}
+        return {name: value for name, value in vars(self).items() if name in own}
 
     def measure_rows(self, result: ResultFile) -> None:
         """Add a row for everything that the suite measures."""

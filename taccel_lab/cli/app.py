@@ -83,7 +83,6 @@ def command_tree() -> dict[str, type[Command] | Group]:
         read,
         study,
         task,
-        view,
     )
 
     blocks = {
@@ -143,7 +142,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "dataset": Group(
             "Make data sets of simulated touches; check and export them.", dataset.COMMANDS
         ),
-        "view": view.ViewCommand,
+        "view": live.ViewCommand,
         "bench": bench.BenchCommand,
         "doctor": doctor.Doctor,
     }

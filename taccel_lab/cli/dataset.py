@@ -204,22 +204,22 @@ class DatasetExport:
     """Print what was written as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.datasets import lerobot, univtac
+        from taccel_lab.cli.console import print_json, say
+        from taccel_lab.datasets import exports
 
         folders = _some(self.folders)
         if not 1 <= self.fps <= 1000:
             raise InputError(f"fps must lie in 1..1000, got {self.fps}")
         if self.format == "lerobot":
-            info = lerobot.export_lerobot(folders, self.out, self.fps)
-            count, left_out = info["total_episodes"], lerobot.LEFT_OUT
+            info = exports.export_lerobot(folders, self.out, self.fps)
+            count, left_out = info["total_episodes"], exports.LEROBOT_LEFT_OUT
         else:
-            count, left_out = univtac.export_univtac(folders, self.out), univtac.LEFT_OUT
+            count = exports.export_univtac(folders, self.out)
+            left_out = exports.UNIVTAC_LEFT_OUT
         if self.json:
             print_json({"out": self.out, "episodes": count, "left_out": left_out})
-        console = notes()
-        console.print(f"wrote {count} episodes to {self.out}", soft_wrap=True)
-        console.print(f"not exported: {left_out}", soft_wrap=True)
+        say(f"wrote {count} episodes to {self.out}")
+        say(f"not exported: {left_out}")
 
 
 @dataclass(frozen=True)

@@ -117,8 +117,7 @@ class TaskRecord:
         from taccel_lab.files.output_folder import atomic_directory
         from taccel_lab.learning.gel_colors import default_colors
         from taccel_lab.progress import stage_progress
-        from taccel_lab.tasks.recording import record_seed
-        from taccel_lab.tasks.replay import write_replay
+        from taccel_lab.tasks.replay import record_seed, write_replay
 
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.datasets.channels import ALWAYS, Channel
+from taccel_lab.datasets.motion import TouchRecord
 from taccel_lab.datasets.simulate import joined
-from taccel_lab.datasets.touch import TouchRecord
 from taccel_lab.files.atomic_file import to_jsonable, write_by
 from taccel_lab.files.output_folder import atomic_directory
 

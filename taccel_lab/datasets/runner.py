@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.folder import PARTS, DatasetFolder
+from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.part import PartData, part_data, write_part
 from taccel_lab.datasets.plan import NOISE_KEY, DatasetPart, DatasetPlan
 from taccel_lab.datasets.simulate import TouchBench, simulate_touches
-from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import sweep_up

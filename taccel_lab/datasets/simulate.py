@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.datasets.channels import NODAL, Channel
-from taccel_lab.datasets.motion import rolled_mm
+from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch, rolled_mm
 from taccel_lab.datasets.sensor import Sensor
-from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh

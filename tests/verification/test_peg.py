@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.scenes.peg import peg_config
+from taccel_lab.benchmarks.scenes.assemblies import peg_config
 from taccel_lab.exporters.published_meshes import mesh_folder
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC
