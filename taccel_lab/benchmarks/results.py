@@ -111,7 +111,7 @@ class ResultFile:
     ) -> None:
         """``out``: a folder, or a JSON file, refused where nothing can be written; ``budget_s`` and
         ``shown``: see ``Suite``."""
-        self.path = result_path(suite, out)
+        self.path = out if out.suffix == ".json" else out / f"{suite}.json"
         require_growable(self.path.parent)
         self.deadline = Deadline(budget_s)
         self._shown = shown
@@ -183,11 +183,6 @@ class ResultFile:
         note(f"wrote {self.path} and {page}")
 
 
-def result_path(suite: str, out: Path) -> Path:
-    """``out`` when it names a JSON file, else a file of the suite in that folder."""
-    return out if out.suffix == ".json" else out / f"{suite}.json"
-
-
 def read_result(path: Path) -> dict[str, Any]:
     """A result file, checked."""
     document = read_json(path)
@@ -196,17 +191,13 @@ def read_result(path: Path) -> dict[str, Any]:
     missing = [name for name in REQUIRED if name not in document]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}")
-    tables = [document["run"], document["settings"], *_as_list(document["rows"])]
-    if not all(isinstance(table, dict) for table in tables):
+    rows, whole = document["rows"], (document["run"], document["settings"])
+    if not (isinstance(rows, list) and all(isinstance(one, dict) for one in (*whole, *rows))):
         raise InputError(f"{path} is no result of this suite: its rows have to be tables")
     for name in ("suite", "what"):
         if not isinstance(document.get(name, ""), str):
             raise InputError(f"{path}: {name} is {shown(document[name])}; words are needed")
     return document
-
-
-def _as_list(rows: Any) -> list[Any]:
-    return rows if isinstance(rows, list) else [rows, None]
 
 
 def spread(values: list[float]) -> dict[str, float]:

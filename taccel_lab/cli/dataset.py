@@ -14,8 +14,6 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError, SimulationError, keeping, naming
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from taccel_lab.datasets.plan import DatasetPlan
     from taccel_lab.datasets.runner import DatasetOutcome
     from taccel_lab.files.shard import Shard
@@ -85,7 +83,7 @@ class DatasetMake:
         if plan.spec.dataset.episodes >= LONG_DRAW:
             with stage_progress(console) as progress:
                 plan.group(progress)
-        _describe(console, plan, shard)
+        _describe(plan, shard)
         if self.check_only:
             return
         root = self.out or Path("out") / file.stem
@@ -95,19 +93,19 @@ class DatasetMake:
             return kept if self.write and (root / ABOUT).is_file() else ""
 
         with keeping(what):
-            outcome = self._make(plan, file, root if self.write else None, shard, console)
-        self._conclude(console, outcome, root)
+            outcome = self._make(plan, file, root if self.write else None, shard)
+        self._conclude(outcome, root)
 
     def _make(
-        self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard, console: Console
+        self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard
     ) -> DatasetOutcome:
-        from taccel_lab.cli.console import say
+        from taccel_lab.cli.console import notes, say
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.files.text_file import read_text
         from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
         from taccel_lab.progress import stage_progress
 
-        with stage_progress(console) as progress:
+        with stage_progress(notes()) as progress:
             return make_dataset(
                 plan,
                 root,
@@ -122,8 +120,8 @@ class DatasetMake:
                 say=say,
             )
 
-    def _conclude(self, console: Console, outcome: DatasetOutcome, root: Path) -> None:
-        from taccel_lab.cli.console import print_json
+    def _conclude(self, outcome: DatasetOutcome, root: Path) -> None:
+        from taccel_lab.cli.console import print_json, say
 
         record = outcome.record()
         if self.json:
@@ -138,14 +136,11 @@ class DatasetMake:
             text += (
                 f"; {record['episodes_stopped']} touches stopped early, causes in episodes.parquet"
             )
-        console.print(text, soft_wrap=True)
+        say(text)
         if outcome.root is not None:
-            console.print(f"data set: {root}", soft_wrap=True)
+            say(f"data set: {root}")
             if not outcome.complete:
-                console.print(
-                    f"not finished; go on with:\n  {self._again(root)}",
-                    soft_wrap=True,
-                )
+                say(f"not finished; go on with:\n  {self._again(root)}")
         if outcome.done and outcome.steps <= record["episodes"]:
             raise SimulationError("no touch has a converged step; see cause in episodes.parquet")
 
@@ -171,19 +166,18 @@ class DatasetCheck:
     """Print the findings as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, say
         from taccel_lab.datasets.check import check_dataset
         from taccel_lab.progress import stage_progress
 
-        console = notes()
-        with stage_progress(console) as progress:
+        with stage_progress(notes()) as progress:
             findings = check_dataset(_some(self.folders), progress)
         if self.json:
             print_json([vars(finding) for finding in findings])
         for finding in () if self.json else findings:
-            console.print(f"{finding.severity}: {finding}", soft_wrap=True)
+            say(f"{finding.severity}: {finding}")
         errors = sum(finding.severity == "error" for finding in findings)
-        console.print(f"{errors} errors, {len(findings) - errors} warnings")
+        say(f"{errors} errors, {len(findings) - errors} warnings")
         if errors:
             raise SystemExit(1)
 
@@ -282,14 +276,15 @@ def _require_zarr() -> None:
         )
 
 
-def _describe(console: Console, plan: DatasetPlan, shard: Shard) -> None:
+def _describe(plan: DatasetPlan, shard: Shard) -> None:
+    from taccel_lab.cli.console import say
+
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(part.steps for part in parts)
     grid = plan.sensors[0].grid
-    console.print(
+    say(
         f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
         f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
-        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px",
-        soft_wrap=True,
+        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px"
     )

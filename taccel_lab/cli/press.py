@@ -56,14 +56,14 @@ class PressCommand(PressOptions, _Files):
 
     def _press(self, beside: Beside) -> None:
         from taccel_lab.api.press_run import PressRun, step_progress
-        from taccel_lab.cli.console import notes, print_json, say_first_look
+        from taccel_lab.cli.console import notes, print_json, say, say_first_look
         from taccel_lab.files.output_folder import atomic_directory
 
         console = notes()
         run = PressRun.plan(self.sensor, self)
         told = run.notes()
         for note in told:
-            console.print(f"note: {note}", soft_wrap=True)
+            say(f"note: {note}")
         finished: list[PressResult] = []
         failure: BaseException | None = None
         had_earlier = self.out.exists()
@@ -89,10 +89,10 @@ class PressCommand(PressOptions, _Files):
             beside.finish()
         for note in pressed.plan.notes():
             if note not in told:
-                console.print(f"note: {note}", soft_wrap=True)
+                say(f"note: {note}")
         if pressed.error is not None:
-            console.print(f"note: numerical error {pressed.error.words()}", soft_wrap=True)
-            console.print(f"note: force, {pressed.force_interval.words()}", soft_wrap=True)
+            say(f"note: numerical error {pressed.error.words()}")
+            say(f"note: force, {pressed.force_interval.words()}")
         if failure is not None:
             steps = pressed.outcome.steps
             console.print(

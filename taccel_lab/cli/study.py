@@ -115,7 +115,7 @@ class StudyCommand:
 
     def _run(self, file: Path) -> None:
         from taccel_lab.api.study import plan_study
-        from taccel_lab.cli.console import notes, print_json, working
+        from taccel_lab.cli.console import notes, print_json, say, working
         from taccel_lab.studies.evaluate.runner import read_outcome
         from taccel_lab.studies.evaluate.study_folder import StudyFolder
         from taccel_lab.studies.report import write_study_report
@@ -132,12 +132,11 @@ class StudyCommand:
             if self.report_only:
                 outcome = read_outcome(study, root)
             else:
-                outcome = self._evaluate(study, root, file, console)
+                outcome = self._evaluate(study, root, file)
             if self.shard is not None:
-                console.print(
+                say(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
-                    f"them new; when all shards have finished:\n  {self._again(root)}",
-                    soft_wrap=True,
+                    f"them new; when all shards have finished:\n  {self._again(root)}"
                 )
                 if self.json:
                     print_json({"designs": len(outcome.rows), "new": outcome.new})
@@ -145,7 +144,7 @@ class StudyCommand:
                 return
             with working(console, "writing the report"):
                 values = write_study_report(outcome)
-        self._conclude(console, outcome, values, root, self._again(root))
+        self._conclude(outcome, values, root, self._again(root))
 
     def _again(self, root: Path) -> str:
         words = ["taccel-lab", "study", str(self.study), "--out", str(root)]
@@ -154,19 +153,17 @@ class StudyCommand:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
 
-    def _evaluate(
-        self, study: StudyToRun, root: Path, file: Path, console: Console
-    ) -> StudyOutcome:
+    def _evaluate(self, study: StudyToRun, root: Path, file: Path) -> StudyOutcome:
         from taccel_lab.api.study import evaluate_study
+        from taccel_lab.cli.console import notes, say
         from taccel_lab.files.shard import Shard
 
         presses = ", ".join(study.presses) or "none"
-        console.print(
+        say(
             f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
-            f"{len(study.metrics)} metrics, into {root}",
-            soft_wrap=True,
+            f"{len(study.metrics)} metrics, into {root}"
         )
-        with StudyProgress(console, study) as progress:
+        with StudyProgress(notes(), study) as progress:
             return evaluate_study(
                 study,
                 file,
@@ -178,10 +175,8 @@ class StudyCommand:
                 listener=progress,
             )
 
-    def _conclude(
-        self, console: Console, outcome: StudyOutcome, values: dict, root: Path, again: str
-    ) -> None:
-        from taccel_lab.cli.console import print_json
+    def _conclude(self, outcome: StudyOutcome, values: dict, root: Path, again: str) -> None:
+        from taccel_lab.cli.console import print_json, say
         from taccel_lab.studies.evaluate.study_folder import CSV_NAME, has_parquet
 
         if self.json:
@@ -189,10 +184,10 @@ class StudyCommand:
         else:
             print_summary(outcome, values)
         note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
-        console.print(f"table: {root / CSV_NAME}{note}", soft_wrap=True)
-        console.print(f"report: {root / 'report.html'}", soft_wrap=True)
+        say(f"table: {root / CSV_NAME}{note}")
+        say(f"report: {root / 'report.html'}")
         if not outcome.complete:
-            console.print(f"not finished; go on with:\n  {again}", soft_wrap=True)
+            say(f"not finished; go on with:\n  {again}")
             return
         if not any(row.status == "done" for row in outcome.rows):
             raise SimulationError(f"no design has a figure; the causes stand in {root / CSV_NAME}")

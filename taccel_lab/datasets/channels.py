@@ -127,10 +127,6 @@ def _moved(view: TouchView) -> np.ndarray:
     return 1e3 * (view.positions_m[:, view.face_nodes] - rest)
 
 
-def _area(view: TouchView) -> np.ndarray:
-    return 1e6 * view.contact_area_m2
-
-
 ALWAYS: tuple[Channel, ...] = (
     Channel("episode", "int64", "", "", "number of the episode", lambda v: v.numbers),
     Channel("step", "int32", "", "", "0 is the untouched gel",
@@ -144,7 +140,8 @@ ALWAYS: tuple[Channel, ...] = (
             "the gel's origin, gel frame", lambda v: v.wrench),
     Channel("press_force_n", "float64", "3", "N", "the force in the object's frame at the start: "
             "z is the normal force", lambda v: v.press_force_n),
-    Channel("contact_area_mm2", "float32", "", "mm2", "area in contact", _area),
+    Channel("contact_area_mm2", "float32", "", "mm2", "area in contact",
+            lambda v: 1e6 * v.contact_area_m2),
     Channel("contact_center_mm", "float32", "2", "mm", "middle of the normal force, gel x and y; "
             "NaN without contact", _contact_center, may_be_nan=True),
     Channel("friction_use", "float32", "", "1", "friction forces over the coefficient times normal "
