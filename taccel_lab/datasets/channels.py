@@ -118,10 +118,6 @@ def _patch_forces(view: TouchView) -> np.ndarray:
     return found.reshape(len(view.who), rows, columns, 3)
 
 
-def _normals(view: TouchView) -> np.ndarray:
-    return np.nan_to_num(view.tactile("normals"))
-
-
 def _moved(view: TouchView) -> np.ndarray:
     rest = np.stack([view.meshes[env].nodes_m[view.face_nodes] for env in view.who.tolist()])
     return 1e3 * (view.positions_m[:, view.face_nodes] - rest)
@@ -166,7 +162,7 @@ OPTIONAL: dict[str, Channel] = {
         Channel("depth_mm", "float32", "height, width", "mm", "how far the face has sunk; 0 beside "
                 "the pad", _depth),
         Channel("normals", "float32", "height, width, 3", "1", "outward normals of the face, gel "
-                "frame; 0 beside the pad", _normals),
+                "frame; 0 beside the pad", lambda v: np.nan_to_num(v.tactile("normals"))),
         Channel("contact_mask", "uint8", "height, width", "", "1 where the pixel is in contact",
                 lambda v: v.tactile("contact")),
         Channel("markers_px", "float32", "marker, 2", "px", "column and row of each marker",

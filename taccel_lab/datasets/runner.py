@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.datasets.channels import channels_of
 from taccel_lab.datasets.folder import PARTS, DatasetFolder
 from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.part import PartData, part_data, write_part
@@ -158,8 +159,6 @@ def simulate_parts(
     plan: DatasetPlan, parts: tuple[DatasetPart, ...], device: str, progress: Progress
 ) -> list[PartData]:
     """Simulate parts of one sensor and object side by side."""
-    from taccel_lab.datasets.channels import channels_of
-
     output = plan.spec.output
     first = parts[0]
     prepared = [touches_of(plan, part) for part in parts]
