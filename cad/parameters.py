@@ -20,7 +20,6 @@ from functools import cache
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
-from taccel_lab.files.cell_number import number
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.regular_file import shown

@@ -129,7 +129,7 @@ BARE_ROOMS = {
         *("pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"),
     ],
     # Only environments need the extra ``learning``; the main job's installation has none.
-    "taccel_lab.cli.app, taccel_lab.cli.demo, taccel_lab.cli.calibrate.blocks, "
+    "taccel_lab.cli.app, taccel_lab.cli.calibrate_all, taccel_lab.cli.calibrate, "
     "taccel_lab.api.press_run, taccel_lab.calibration.calibrate, taccel_lab.learning.force.fit": [
         *("gymnasium", "onnx", "h5py", "pyarrow", "newton")
     ],

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 from taccel_lab.files.documents import TOML_LIMIT_BYTES
 from taccel_lab.files.inner_path import file_or_example
 from taccel_lab.files.regular_file import read_text
-from taccel_lab.model.devices import require_device
 from taccel_lab.model.launches import require_device
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.report.page import first_figure

@@ -143,9 +143,6 @@ class Captures(Suite):
     only: tuple[str, ...] = ()
     """Commands to run: contacts, color, normals, camera, markers, material. Default: all."""
 
-    def settings(self) -> dict[str, Any]:
-        return {"only": list(self.only)}
-
     def measure_rows(self, result: ResultFile) -> None:
         if self.device != "cpu":
             raise InputError(f"captures are calibrated on the CPU, got --device {self.device}")

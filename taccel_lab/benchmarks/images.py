@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.measure import clock_of
+from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.camera.gel_camera import face_of
 from taccel_lab.geometry import PixelGrid, TetMesh
@@ -63,7 +63,7 @@ class Images(Suite):
     """Updates of each row; the median counts."""
 
     def settings(self) -> dict[str, Any]:
-        return {"sensors": self.sensors, "repeats": self.repeats, "sizes": SIZES}
+        return super().settings() | {"sizes": SIZES}
 
     def measure_rows(self, result: ResultFile) -> None:
         """All rows, then the speed of the most sensors."""
@@ -159,27 +159,21 @@ def build(
 
 def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str, float]:
     """Time [s] of ``work``, warm; captured once on CUDA: median and range."""
-    work()
     if not device.is_cuda:
-        seconds, clock = [], clock_of(device)
-        for _ in range(repeats):
-            start = clock()
-            work()
-            seconds.append(clock() - start)
-    else:
-        with wp.ScopedCapture(device) as capture:
-            work()
-        events = [wp.Event(device, enable_timing=True) for _ in range(repeats + 1)]
-        for _ in range(3):
-            wp.capture_launch(capture.graph)
-        wp.record_event(events[0])
-        for event in events[1:]:
-            wp.capture_launch(capture.graph)
-            wp.record_event(event)
-        wp.synchronize_device(device)
-        pairs = itertools.pairwise(events)
-        seconds = [wp.get_event_elapsed_time(a, b) * 1e-3 for a, b in pairs]
-    return spread(seconds)
+        return spread(seconds_of(work, device, repeats))
+    work()
+    with wp.ScopedCapture(device) as capture:
+        work()
+    events = [wp.Event(device, enable_timing=True) for _ in range(repeats + 1)]
+    for _ in range(3):
+        wp.capture_launch(capture.graph)
+    wp.record_event(events[0])
+    for event in events[1:]:
+        wp.capture_launch(capture.graph)
+        wp.record_event(event)
+    wp.synchronize_device(device)
+    pairs = itertools.pairwise(events)
+    return spread([wp.get_event_elapsed_time(a, b) * 1e-3 for a, b in pairs])
 
 
 def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene
 from taccel_lab.benchmarks.speed import parse_settings
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known, require_range
 from taccel_lab.model import Model
 from taccel_lab.outputs import to_torch
 from taccel_lab.outputs.gel_frames import GelFrames
@@ -209,30 +210,21 @@ class Learning(Suite):
     """Solver settings other than the scene's, e.g. relative_tolerance=1e-5."""
 
     def settings(self) -> dict[str, Any]:
-        return {
-            "steps": self.steps,
-            "repeats": self.repeats,
-            "reset_share": self.reset_share,
-            "offset_mm": self.offset_mm,
-            "iterations": self.iterations,
-            "observe": list(self.observe),
-            "seed": self.seed,
+        return super().settings() | {
             "solver": parse_settings(self.set),
             "clock": clock_name(self.device),
         }
 
     def measure_rows(self, result: ResultFile) -> None:
         """Few environments before many."""
-        if self.scene not in SCENES:
-            raise InputError(f"scene must be of {', '.join(SCENES)}; got {self.scene!r}")
+        require_known("scene", self.scene, SCENES)
         if min(self.steps, self.repeats, *self.envs) < 1 or self.warm_up < 0:
             raise InputError("--envs, --steps and --repeats must be at least 1, --warm-up 0")
-        if not set(self.pace) <= {"together", "own"}:
-            raise InputError(f"--pace must be together or own, got {' '.join(self.pace)}")
+        for pace in self.pace:
+            require_known("--pace", pace, ("together", "own"))
         if not set(self.observe) <= set(OBSERVED) or len(set(self.observe)) < len(self.observe):
             raise InputError(f"--observe must be rgb, wrench or both, got {' '.join(self.observe)}")
-        if not 0 <= self.reset_share <= 1:
-            raise InputError(f"--reset-share must lie in [0, 1], got {self.reset_share:g}")
+        require_range("--reset-share", self.reset_share, 0, 1)
         for count in self.envs:
             for pace in self.pace:
                 row = partial(measure, count, pace, self)

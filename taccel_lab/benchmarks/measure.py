@@ -30,6 +30,18 @@ def clock_name(device: wp.Device | str) -> str:
     return "wall" if wp.get_device(device).is_cuda else "process"
 
 
+def seconds_of(work: Callable[[], Any], device: wp.Device | str, repeats: int) -> list[float]:
+    """Time of each of ``repeats`` calls [s], until the device has done what they ask; two calls
+    before are not timed."""
+    seconds, clock = [], clock_of(device)
+    for _ in range(repeats + 2):
+        start = clock()
+        work()
+        wp.synchronize_device(device)
+        seconds.append(clock() - start)
+    return seconds[2:]
+
+
 _UNITS = {"B": 1, "KB": 2**10, "MB": 2**20, "GB": 2**30, "TB": 2**40}
 _LINE = re.compile(r"^\s+(\S+)\s+(?:(\d+) \()?([\d.]+) (B|KB|MB|GB|TB)\)?$")
 

@@ -29,6 +29,7 @@ from taccel_lab.benchmarks.measure import clock_of
 from taccel_lab.benchmarks.results import ResultFile, Suite
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_known
 from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
@@ -117,10 +118,9 @@ class PressAccuracy(Suite):
     def settings(self) -> dict[str, Any]:
         for name in self.families:
             sensor_family(name)
-        unknown = [name for name in self.tools if name not in TOOLS]
-        if unknown:
-            raise InputError(f"no tool {unknown[0]!r}; known: {', '.join(TOOLS)}")
-        return {
+        for name in self.tools:
+            require_known("tool", name, TOOLS)
+        return super().settings() | {
             "default": PHYSICS[Accuracy.DEFAULT].record(),
             "fine": FINE,
             "nearer": NEARER,
@@ -174,27 +174,6 @@ class PressCase:
         return sensor_family(self.family).parameters(given)
 
 
-@dataclass(frozen=True)
-class PressCaseOutcome:
-    """What a press gave."""
-
-    force_n: float
-    solved_n: float
-    """Force without what the press beside it takes off."""
-    moved_m: np.ndarray
-    """Height less that at rest [m], [height_px, width_px], NaN where the gel is steep."""
-    force_error_n: float
-    """What the press itself states, as the next one."""
-    height_error_m: float
-    residual: float
-    """Residual over the contact force."""
-    node_count: int
-    newton_iterations: int
-    seconds: float
-    measured: str
-    """What the error rests on, in words."""
-
-
 def all_cases() -> Iterator[PressCase]:
     """Every family with each tool and depth; tool by tool, so that the rows that a budget allows
     say something about all families. Then pads of other thicknesses."""
@@ -242,8 +221,9 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
     )
 
 
-def outcome_of(case: PressCase, accuracy: str, device: str) -> PressCaseOutcome:
-    """The press of a grade or a percentage."""
+def measured_case(case: PressCase, accuracy: str, device: str) -> tuple[dict[str, Any], np.ndarray]:
+    """Figures of the press of a grade or a percentage, with what it states of its own errors; and
+    its height less that at rest [m], [height_px, width_px]."""
     asked, clock = parse_accuracy(accuracy), clock_of(device)
     started = clock()
     physics = PHYSICS[asked if isinstance(asked, Accuracy) else Accuracy.DEFAULT]
@@ -257,21 +237,24 @@ def outcome_of(case: PressCase, accuracy: str, device: str) -> PressCaseOutcome:
     )
     found = measured.error.stated_for(measured.outcome)
     last = found.last
-    return PressCaseOutcome(
-        force_n=found.force_n,
-        solved_n=measured.outcome.force_n,
-        moved_m=_moved_m(found),
-        force_error_n=found.force_error_n,
-        height_error_m=found.height_error_m,
-        residual=float(last.residual_n[0] / max(last.contact_force_n[0], 1e-9)),
-        node_count=found.mesh.node_count,
-        newton_iterations=int(sum(s.report.newton_iterations[0] for s in found.steps)),
-        seconds=clock() - started,
-        measured=measured.error.words(),
-    )
+    figures = {
+        "force_n": found.force_n,
+        "estimated_force_error": found.force_error_n / abs(found.force_n),
+        "estimated_height_rms_m": found.height_error_m,
+        # What the error rests on, in words.
+        "measured": measured.error.words(),
+        # Without what the press beside it takes off.
+        "solved_n": measured.outcome.force_n,
+        "residual": float(last.residual_n[0] / max(last.contact_force_n[0], 1e-9)),
+        "nodes": found.mesh.node_count,
+        "newton_iterations": int(sum(s.report.newton_iterations[0] for s in found.steps)),
+        "seconds": clock() - started,
+    }
+    return figures, _moved_m(found)
 
 
 def _moved_m(found: PressOutcome) -> np.ndarray:
+    """Height less that at rest [m], [height_px, width_px], NaN where the gel is steep."""
     upright = found.normals[..., 2] >= math.cos(math.radians(STEEPEST_DEG))
     return np.where(upright, found.height_m - found.rest_height_m, np.nan)
 
@@ -317,26 +300,21 @@ def measure(case: PressCase, accuracy: str, fine: float, device: str) -> dict[st
     """One row; ``cause`` says why it has no figures: one of the presses did not converge."""
     row: dict[str, Any] = {**asdict(case), "setting": accuracy, "cause": ""}
     try:
-        found = outcome_of(case, accuracy, device)
+        figures, moved_m = measured_case(case, accuracy, device)
     except (InputError, SimulationError) as error:
         return row | {"cause": str(error)}
     try:
         true = truth(case, fine, device)
     except (InputError, SimulationError) as error:
         return row | {"cause": f"converged run: {error}"}
-    apart = found.moved_m - true.moved_m
-    return row | {
-        "force_n": found.force_n,
-        "converged_n": true.force_n,
-        "force_error": found.force_n / true.force_n - 1,
-        "estimated_force_error": found.force_error_n / abs(found.force_n),
-        "height_rms_m": float(np.sqrt(np.nanmean(apart**2))),
-        "estimated_height_rms_m": found.height_error_m,
-        "measured": found.measured,
-        "solved_error": found.solved_n / true.force_n - 1,
-        "residual": found.residual,
-        "nodes": found.node_count,
-        "converged_nodes": true.node_count,
-        "newton_iterations": found.newton_iterations,
-        "seconds": found.seconds,
-    }
+    return (
+        row
+        | figures
+        | {
+            "converged_n": true.force_n,
+            "force_error": figures["force_n"] / true.force_n - 1,
+            "solved_error": figures["solved_n"] / true.force_n - 1,
+            "height_rms_m": float(np.sqrt(np.nanmean((moved_m - true.moved_m) ** 2))),
+            "converged_nodes": true.node_count,
+        }
+    )

@@ -9,7 +9,6 @@ on the device. Heights are compared with those of a reading of every pixel alone
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -17,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from taccel_lab.benchmarks.measure import clock_of
+from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
@@ -58,12 +57,7 @@ class Readings(Suite):
     """Threads of the CPU."""
 
     def settings(self) -> dict[str, Any]:
-        return {
-            "at_once": self.at_once,
-            "repeats": self.repeats,
-            "threads": self.threads,
-            "sizes": SIZES,
-        }
+        return super().settings() | {"sizes": SIZES}
 
     def measure_rows(self, result: ResultFile) -> None:
         """All rows, then the best speed of the smaller size."""
@@ -145,19 +139,6 @@ def presses(grid: PixelGrid, count: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.stack(images), light.astype(np.float32), np.stack(tilts)
 
 
-def timed(work: Callable[[], Any], device: str, repeats: int) -> dict[str, float]:
-    """Time [s] of ``work``, warm: median and range."""
-    seconds, clock = [], clock_of(device)
-    for k in range(repeats + 2):
-        start = clock()
-        work()
-        if device != "cpu":
-            torch.cuda.synchronize(device)
-        if k >= 2:
-            seconds.append(clock() - start)
-    return spread(seconds)
-
-
 def heights_mm(
     model: NormalModel, image: np.ndarray, light: np.ndarray, grid: PixelGrid
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -188,6 +169,6 @@ def measure(size: tuple[int, int], count: int, device: str, repeats: int) -> dic
     }
     for name, uncertainty in (("heights", False), ("heights and deviation", True)):
         work = partial(read_heights, model, given, light, grid, uncertainty=uncertainty)
-        figures = timed(work, device, repeats)
+        figures = spread(seconds_of(work, device, repeats))
         row[name] = {**figures, "images_per_s": count / figures["median"]}
     return row

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -110,7 +110,7 @@ class ResultFile:
     ) -> None:
         """``out``: a folder, or a JSON file, refused where nothing can be written; ``budget_s`` and
         ``shown``: see ``Suite``."""
-        self.path = result_path(suite, out)
+        self.path = out if out.suffix == ".json" else out / f"{suite}.json"
         require_growable(self.path.parent)
         self.deadline = Deadline(budget_s)
         self._shown = shown
@@ -182,11 +182,6 @@ class ResultFile:
         note(f"wrote {self.path} and {page}")
 
 
-def result_path(suite: str, out: Path) -> Path:
-    """``out`` when it names a JSON file, else a file of the suite in that folder."""
-    return out if out.suffix == ".json" else out / f"{suite}.json"
-
-
 def read_result(path: Path) -> dict[str, Any]:
     """A result file, checked."""
     document = read_json(path)
@@ -195,17 +190,13 @@ def read_result(path: Path) -> dict[str, Any]:
     missing = [name for name in REQUIRED if name not in document]
     if missing:
         raise InputError(f"{path} lacks {', '.join(missing)}")
-    tables = [document["run"], document["settings"], *_as_list(document["rows"])]
-    if not all(isinstance(table, dict) for table in tables):
+    rows, whole = document["rows"], (document["run"], document["settings"])
+    if not (isinstance(rows, list) and all(isinstance(one, dict) for one in (*whole, *rows))):
         raise InputError(f"{path} is no result of this suite: its rows have to be tables")
     for name in ("suite", "what"):
         if not isinstance(document.get(name, ""), str):
             raise InputError(f"{path}: {name} is {shown(document[name])}; words are needed")
     return document
-
-
-def _as_list(rows: Any) -> list[Any]:
-    return rows if isinstance(rows, list) else [rows, None]
 
 
 def spread(values: list[float]) -> dict[str, float]:
@@ -296,8 +287,10 @@ class Suite:
         return result
 
     def settings(self) -> dict[str, Any]:
-        """What the result file says of the options."""
-        raise NotImplementedError
+        """What the result file says of the options: those of the suite's own, and what more a
+        suite adds."""
+        own = {field.name for field in fields(self)} - {field.name for field in fields(Suite)}
+        return {name: value for name, value in vars(self).items() if name in own}
 
     def measure_rows(self, result: ResultFile) -> None:
         """Add a row for everything that the suite measures."""

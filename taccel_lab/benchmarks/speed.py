@@ -25,6 +25,7 @@ from taccel_lab.benchmarks.runner import SHOWN, BenchmarkMotion, Runner, figures
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.cad.parameters import parse_words
 from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.guards import require_known
 
 ROOT = Path(taccel_lab.__file__).parents[1]
 """Where the package is imported from."""
@@ -125,9 +126,7 @@ class Speed(Suite):
     """Look for bodies that overlap after the last step."""
 
     def settings(self) -> dict[str, Any]:
-        return {
-            "steps": self.steps,
-            "repeats": self.repeats,
+        return super().settings() | {
             "budget_s": self.budget_s,
             "solver": parse_settings(self.set),
             "clock": clock_name(self.device),
@@ -139,9 +138,8 @@ class Speed(Suite):
         scenes = list(SCENES) if self.scene == ("all",) else list(self.scene)
         if self.repeats < 1 or not self.envs or min(self.envs) < 1:
             raise InputError("--repeats and --envs must be at least 1")
-        unknown = [name for name in scenes if name not in SCENES]
-        if unknown:
-            raise InputError(f"scene must be of {', '.join(SCENES)}, or all; got {unknown[0]!r}")
+        for name in scenes:
+            require_known("scene", name, SCENES)
         config = parse_settings(self.set)
         for scene in scenes:
             for count in self.envs:

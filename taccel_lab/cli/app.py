@@ -67,74 +67,84 @@ class Group:
 
 def command_tree() -> dict[str, type[Command] | Group]:
     """The commands by name; imported here so that other imports of this module are light."""
-    from taccel_lab.cli.bench import BenchCommand
-    from taccel_lab.cli.calibrate import calibrate_commands
-    from taccel_lab.cli.capture import capture_commands
-    from taccel_lab.cli.dataset import COMMANDS as DATASET_COMMANDS
-    from taccel_lab.cli.dataset import HELP as DATASET_HELP
-    from taccel_lab.cli.demo import Demo
-    from taccel_lab.cli.depth import Depth
-    from taccel_lab.cli.design import Design
-    from taccel_lab.cli.doctor import Doctor
-    from taccel_lab.cli.export import Export
-    from taccel_lab.cli.force import Force
-    from taccel_lab.cli.import_gel import ImportGel
-    from taccel_lab.cli.live import Live
-    from taccel_lab.cli.press import PressCommand
-    from taccel_lab.cli.preview import Preview
-    from taccel_lab.cli.profile import (
-        ProfileAddView,
-        ProfileReport,
-        ProfileShow,
-        ProfileValidate,
+    from taccel_lab.cli import (
+        bench,
+        calibrate,
+        calibrate_all,
+        capture,
+        capture_record,
+        catalogue,
+        dataset,
+        design,
+        doctor,
+        live,
+        press,
+        profile,
+        read,
+        study,
+        task,
     )
-    from taccel_lab.cli.read import Read
-    from taccel_lab.cli.robot import RobotList, RobotShow
-    from taccel_lab.cli.sensors import SensorsList, SensorsShow
-    from taccel_lab.cli.study import StudyCommand
-    from taccel_lab.cli.task import TaskList, TaskRecord, TaskRun
-    from taccel_lab.cli.view import ViewCommand
 
+    blocks = {
+        **calibrate.BLOCK_COMMANDS,
+        "all": calibrate_all.CalibrateAll,
+        "force": calibrate.CalibrateForce,
+        "refit": calibrate.CalibrateRefit,
+    }
     return {
-        "demo": Demo,
-        "design": Design,
-        "import-gel": ImportGel,
-        "preview": Preview,
-        "press": PressCommand,
+        "demo": calibrate_all.Demo,
+        "design": design.Design,
+        "import-gel": design.ImportGel,
+        "preview": design.Preview,
+        "press": press.PressCommand,
         "capture": Group(
-            "Plan, record, import, check, review and rectify captures.", capture_commands()
+            "Plan, record, import, check, review and rectify captures.",
+            {
+                "check": capture.CaptureCheckCommand,
+                "guide": capture.CaptureGuide,
+                "devices": capture.CaptureDevices,
+                "record": capture_record.CaptureRecord,
+                "quick": capture_record.CaptureQuick,
+                "import": capture.CaptureImport,
+                "rectify": capture.CaptureRectify,
+            },
         ),
-        "depth": Depth,
-        "read": Read,
-        "live": Live,
-        "force": Force,
-        "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
+        "depth": read.Depth,
+        "read": read.Read,
+        "live": live.Live,
+        "force": read.Force,
+        "calibrate": Group(
+            "Fit the blocks of a profile to real captures.", dict(sorted(blocks.items()))
+        ),
         "profile": Group(
             "Show, check, compare or report on sensor profiles.",
             {
-                "show": ProfileShow,
-                "validate": ProfileValidate,
-                "report": ProfileReport,
-                "add-view": ProfileAddView,
+                "show": profile.ProfileShow,
+                "validate": profile.ProfileValidate,
+                "report": profile.ProfileReport,
+                "add-view": profile.ProfileAddView,
             },
         ),
-        "export": Export,
+        "export": profile.Export,
         "sensors": Group(
-            "List the sensors of the catalogue.", {"list": SensorsList, "show": SensorsShow}
+            "List the sensors of the catalogue.",
+            {"list": catalogue.SensorsList, "show": catalogue.SensorsShow},
         ),
         "robot": Group(
             "Robots that can carry gels, by name or from URDF.",
-            {"list": RobotList, "show": RobotShow},
+            {"list": catalogue.RobotList, "show": catalogue.RobotShow},
         ),
         "task": Group(
             "Tasks with criterion, seeds and a baseline policy.",
-            {"list": TaskList, "run": TaskRun, "record": TaskRecord},
+            {"list": task.TaskList, "run": task.TaskRun, "record": task.TaskRecord},
         ),
-        "study": StudyCommand,
-        "dataset": Group(DATASET_HELP, DATASET_COMMANDS),
-        "view": ViewCommand,
-        "bench": BenchCommand,
-        "doctor": Doctor,
+        "study": study.StudyCommand,
+        "dataset": Group(
+            "Make data sets of simulated touches; check and export them.", dataset.COMMANDS
+        ),
+        "view": live.ViewCommand,
+        "bench": bench.BenchCommand,
+        "doctor": doctor.Doctor,
     }
 
 

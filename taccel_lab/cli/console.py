@@ -7,7 +7,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from taccel_lab.errors import keeping
 from taccel_lab.files.atomic_file import to_jsonable
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.status import Status
 
 
@@ -43,6 +43,31 @@ def notes() -> Console:
     from taccel_lab.plain_console import PlainConsole
 
     return PlainConsole(stderr=True, quiet=_settings["quiet"])
+
+
+def say(words: str) -> None:
+    """Note a line, which is not broken to the width of a terminal."""
+    notes().print(words, soft_wrap=True)
+
+
+def print_table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[RenderableType]],
+    title: str = "",
+    to: Console | None = None,
+) -> None:
+    """Write a table to ``results()``, or ``to`` another console; its first column has the names,
+    and long cells are folded."""
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    table.columns[0].style = "cyan"
+    table.columns[0].no_wrap = True
+    for row in rows:
+        table.add_row(*row)
+    (to or results()).print(table)
 
 
 def print_json(value: Any) -> None:

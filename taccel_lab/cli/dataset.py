@@ -14,15 +14,12 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError, SimulationError, keeping, naming
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from taccel_lab.datasets.plan import DatasetPlan
     from taccel_lab.datasets.runner import DatasetOutcome
     from taccel_lab.files.shard import Shard
 
 LONG_DRAW = 20_000
 """Episodes whose drawing is announced: it takes a second."""
-HELP = "Make data sets of simulated touches; check and export them."
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ class DatasetMake:
         if plan.spec.dataset.episodes >= LONG_DRAW:
             with stage_progress(console) as progress:
                 plan.group(progress)
-        _describe(console, plan, shard)
+        _describe(plan, shard)
         if self.check_only:
             return
         root = self.out or Path("out") / file.stem
@@ -95,18 +92,19 @@ class DatasetMake:
             return kept if self.write and (root / ABOUT).is_file() else ""
 
         with keeping(what):
-            outcome = self._make(plan, file, root if self.write else None, shard, console)
-        self._conclude(console, outcome, root)
+            outcome = self._make(plan, file, root if self.write else None, shard)
+        self._conclude(outcome, root)
 
     def _make(
-        self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard, console: Console
+        self, plan: DatasetPlan, file: Path, root: Path | None, shard: Shard
     ) -> DatasetOutcome:
+        from taccel_lab.cli.console import notes, say
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.files.documents import TOML_LIMIT_BYTES
         from taccel_lab.files.regular_file import read_text
         from taccel_lab.progress import stage_progress
 
-        with stage_progress(console) as progress:
+        with stage_progress(notes()) as progress:
             return make_dataset(
                 plan,
                 root,
@@ -118,11 +116,11 @@ class DatasetMake:
                 listener=lambda done, total, steps, seconds: progress(
                     f"parts ({steps / seconds:.2f} images/s)" if steps else "parts", done, total
                 ),
-                say=lambda words: console.print(words, soft_wrap=True),
+                say=say,
             )
 
-    def _conclude(self, console: Console, outcome: DatasetOutcome, root: Path) -> None:
-        from taccel_lab.cli.console import print_json
+    def _conclude(self, outcome: DatasetOutcome, root: Path) -> None:
+        from taccel_lab.cli.console import print_json, say
 
         record = outcome.record()
         if self.json:
@@ -137,14 +135,11 @@ class DatasetMake:
             text += (
                 f"; {record['episodes_stopped']} touches stopped early, causes in episodes.parquet"
             )
-        console.print(text, soft_wrap=True)
+        say(text)
         if outcome.root is not None:
-            console.print(f"data set: {root}", soft_wrap=True)
+            say(f"data set: {root}")
             if not outcome.complete:
-                console.print(
-                    f"not finished; go on with:\n  {self._again(root)}",
-                    soft_wrap=True,
-                )
+                say(f"not finished; go on with:\n  {self._again(root)}")
         if outcome.done and outcome.steps <= record["episodes"]:
             raise SimulationError("no touch has a converged step; see cause in episodes.parquet")
 
@@ -170,19 +165,18 @@ class DatasetCheck:
     """Print the findings as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, say
         from taccel_lab.datasets.check import check_dataset
         from taccel_lab.progress import stage_progress
 
-        console = notes()
-        with stage_progress(console) as progress:
+        with stage_progress(notes()) as progress:
             findings = check_dataset(_some(self.folders), progress)
         if self.json:
             print_json([vars(finding) for finding in findings])
         for finding in () if self.json else findings:
-            console.print(f"{finding.severity}: {finding}", soft_wrap=True)
+            say(f"{finding.severity}: {finding}")
         errors = sum(finding.severity == "error" for finding in findings)
-        console.print(f"{errors} errors, {len(findings) - errors} warnings")
+        say(f"{errors} errors, {len(findings) - errors} warnings")
         if errors:
             raise SystemExit(1)
 
@@ -203,22 +197,22 @@ class DatasetExport:
     """Print what was written as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.datasets import lerobot, univtac
+        from taccel_lab.cli.console import print_json, say
+        from taccel_lab.datasets import exports
 
         folders = _some(self.folders)
         if not 1 <= self.fps <= 1000:
             raise InputError(f"fps must lie in 1..1000, got {self.fps}")
         if self.format == "lerobot":
-            info = lerobot.export_lerobot(folders, self.out, self.fps)
-            count, left_out = info["total_episodes"], lerobot.LEFT_OUT
+            info = exports.export_lerobot(folders, self.out, self.fps)
+            count, left_out = info["total_episodes"], exports.LEROBOT_LEFT_OUT
         else:
-            count, left_out = univtac.export_univtac(folders, self.out), univtac.LEFT_OUT
+            count = exports.export_univtac(folders, self.out)
+            left_out = exports.UNIVTAC_LEFT_OUT
         if self.json:
             print_json({"out": self.out, "episodes": count, "left_out": left_out})
-        console = notes()
-        console.print(f"wrote {count} episodes to {self.out}", soft_wrap=True)
-        console.print(f"not exported: {left_out}", soft_wrap=True)
+        say(f"wrote {count} episodes to {self.out}")
+        say(f"not exported: {left_out}")
 
 
 @dataclass(frozen=True)
@@ -229,13 +223,9 @@ class DatasetChannels:
     """Print JSON instead of tables."""
 
     def run(self) -> None:
-        from rich.table import Table
-        from rich.text import Text
-
-        from taccel_lab.cli.console import print_json, results
+        from taccel_lab.cli.console import print_json, print_table
         from taccel_lab.datasets.channels import ALWAYS, channels_of, known_channels
 
-        console = results()
         asked = channels_of(tuple(known_channels()))[len(ALWAYS) :]
         if self.json:
             names = ("name", "dtype", "shape", "unit", "what")
@@ -245,12 +235,11 @@ class DatasetChannels:
             })  # fmt: skip
             return
         for title, channels in (("always kept", ALWAYS), ("output.channels", asked)):
-            table = Table("channel", "of a step", "unit", "what", title=title)
-            for c in channels:
-                kind = f"{c.dtype} [{c.shape}]" if c.shape else c.dtype
-                table.add_row(Text(c.name, style="cyan"), Text(kind), Text(c.unit), Text(c.what))
-            table.columns[0].no_wrap = True
-            console.print(table)
+            rows = [
+                (c.name, f"{c.dtype} [{c.shape}]" if c.shape else c.dtype, c.unit, c.what)
+                for c in channels
+            ]
+            print_table(("channel", "of a step", "unit", "what"), rows, title)
 
 
 COMMANDS = {
@@ -286,14 +275,15 @@ def _require_zarr() -> None:
         )
 
 
-def _describe(console: Console, plan: DatasetPlan, shard: Shard) -> None:
+def _describe(plan: DatasetPlan, shard: Shard) -> None:
+    from taccel_lab.cli.console import say
+
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(part.steps for part in parts)
     grid = plan.sensors[0].grid
-    console.print(
+    say(
         f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
         f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
-        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px",
-        soft_wrap=True,
+        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px"
     )

@@ -207,40 +207,27 @@ def find_data() -> dict[str, str | None]:
 
 
 def _print_tables(report: dict[str, Any]) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    from taccel_lab.cli.console import results
+    from taccel_lab.cli.console import print_table, results
 
-    console = results()
-    machine = Table("machine", "", title_justify="left")
-    for name, value in report["machine"].items():
-        machine.add_row(name, Text(str(value)))
-    for name, value in report["data"].items():
-        machine.add_row(name, Text(value or "not found"))
-    console.print(machine)
-
-    packages = Table("package", "version", "allowed", "extra", "state")
-    packages.columns[0].no_wrap = True
+    machine = [(name, str(value)) for name, value in report["machine"].items()]
+    machine += [(name, value or "not found") for name, value in report["data"].items()]
+    print_table(("machine", ""), machine)
+    packages = []
     for package in report["packages"]:
         missing_style = "yellow" if package["extra"] else "red"
         state = Text(package["problem"] or "ok", style=missing_style if package["problem"] else "")
-        packages.add_row(
-            package["name"],
-            package["version"] or "-",
-            Text(package["allowed"]),
-            package["extra"] or "",
-            state,
-        )
-    console.print(packages)
-
+        known = (package["version"] or "-", package["allowed"], package["extra"] or "")
+        packages.append((package["name"], *known, state))
+    print_table(("package", "version", "allowed", "extra", "state"), packages)
+    console = results()
     if "warp" in report:
-        devices = Table("device", "hardware", "FP64 kernel")
-        for device in report["warp"]["devices"]:
-            devices.add_row(device["name"], device["hardware"], Text(device["problem"] or "ok"))
-        console.print(devices)
-        console.print(Text(f"kernel cache: {report['warp']['kernel_cache']}"))
+        devices = report["warp"]["devices"]
+        rows = [(one["name"], one["hardware"], one["problem"] or "ok") for one in devices]
+        print_table(("device", "hardware", "FP64 kernel"), rows)
+        console.print(f"kernel cache: {report['warp']['kernel_cache']}")
     for problem in report["problems"]:
-        console.print(Text(f"broken: {problem}", style="red"))
+        console.print(f"broken: {problem}", style="red")
     if not report["problems"]:
-        console.print(Text("everything required works", style="green"))
+        console.print("everything required works", style="green")

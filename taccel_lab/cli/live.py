@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab live``: what a sensor feels, frame by frame."""
+"""``taccel-lab live``, what a sensor feels, frame by frame; and ``taccel-lab view``: results,
+sensors and live tasks in the browser."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Generator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import tyro
 from tyro.conf import Positional
 
-from taccel_lab.cli.camera_options import CameraFlags
+from taccel_lab.cli.capture_record import CameraFlags
 from taccel_lab.errors import InputError
+from taccel_lab.report.live_page import PageOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +70,7 @@ class Live(CameraFlags):
         from taccel_lab.calibration.capture.camera.camera import CameraLostError
         from taccel_lab.calibration.live.page import LiveSheet
         from taccel_lab.calibration.live.run import run_together
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import print_json, say
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import PageOptions, live_page
 
@@ -84,7 +86,6 @@ class Live(CameraFlags):
             raise InputError(f"PROFILE has none for {', '.join(missing)}; add {missing[0]}=PROFILE")
         given = {name: profiles.get(name, profiles.get("", "")) for name in cameras}
         loaded = {name: self._readable(of) for name, of in given.items()}
-        say = partial(notes().print, soft_wrap=True)
         with ExitStack() as stack:
             sheet = None
             if self.page:
@@ -93,7 +94,7 @@ class Live(CameraFlags):
                 sheet = LiveSheet(stack.enter_context(live_page(title, options, say)))
             try:
                 sessions = [
-                    self._session(name, camera, loaded[name], sheet, say, stack)
+                    self._session(name, camera, loaded[name], sheet, stack)
                     for name, camera in cameras.items()
                 ]
                 found = dict(zip(cameras, run_together(sessions), strict=True))
@@ -146,7 +147,6 @@ class Live(CameraFlags):
         camera: str,
         profile: SensorProfile,
         sheet: LiveSheet | None,
-        say: partial[None],
         stack: ExitStack,
     ) -> Generator[LiveResult, None, None]:
         """The session of one sensor, whose name is empty where there is no other."""
@@ -161,7 +161,7 @@ class Live(CameraFlags):
             force = None if profile.force is None else _forces(profile, background)
             return LiveReader(profile, background, force=force, device=self.device)
 
-        watchers: list[LiveWatcher] = [_Lines(say, name)]
+        watchers: list[LiveWatcher] = [_Lines(name)]
         if self.ros is not None:
             publisher = RosPublisher(f"{self.ros}/{name}" if name else self.ros)
             stack.callback(publisher.close)
@@ -257,17 +257,55 @@ def _forces(profile: SensorProfile, background: np.ndarray) -> ForceReadings:
 class _Lines:
     """A ``LiveWatcher`` that prints what to do."""
 
-    def __init__(self, say: partial[None], name: str) -> None:
-        self._say, self._name = say, name
+    def __init__(self, name: str) -> None:
+        self._name = name
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
 
     def tell(self, text: str) -> None:
+        from taccel_lab.cli.console import say
+
         if text:
-            self._say(f"{self._name}: {text}" if self._name else text)
+            say(f"{self._name}: {text}" if self._name else text)
 
     def wants_background(self) -> bool:
         return False
 
     def stopped(self) -> bool:
         return False
+
+
+@dataclass(frozen=True)
+class ViewCommand:
+    """Look at a result in the browser, step by step: gel with pressure, stress and displacement,
+    sections, force arrows, sensor image with markers.
+
+    The type of SOURCE is detected: a sensor or profile, a press (--states keeps every step), a
+    study, a data set, or a recorded task (taccel-lab task record). A task runs live.
+    Ctrl-C closes the page. Needs the extra view: pip install 'taccel-lab[view]'.
+    Example: taccel-lab view out/press
+    """
+
+    source: Positional[str]
+    """Folder that a command wrote, sensor of the catalogue, or task."""
+    page: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
+    seed: int = 0
+    """Start of a live task."""
+    device: str = "cpu"
+    """Device of a live task: cpu, cuda:0 or auto."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import say
+        from taccel_lab.guards import require_seed
+        from taccel_lab.model.launches import require_device
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.report.live_page import viser_module
+        from taccel_lab.viewer.pages import find_source, serve_source
+
+        start_warp()
+        viser_module()
+        require_device(self.device)
+        require_seed(self.seed)
+        source = find_source(self.source)
+        serve_source(source, self.page, say, seed=self.seed, device=self.device)

@@ -13,8 +13,6 @@ from tyro.conf import Positional
 from taccel_lab.api.press_options import PressOptions
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from taccel_lab.api.press_result import Press as PressResult
     from taccel_lab.presses import PressPath
     from taccel_lab.presses.measured_press import SignalError
@@ -58,14 +56,14 @@ class PressCommand(PressOptions, _Files):
 
     def _press(self, beside: Beside) -> None:
         from taccel_lab.api.press_run import PressRun, step_progress
-        from taccel_lab.cli.console import notes, print_json, say_first_look
+        from taccel_lab.cli.console import notes, print_json, say, say_first_look
         from taccel_lab.files.output_folder import atomic_directory
 
         console = notes()
         run = PressRun.plan(self.sensor, self)
         told = run.notes()
         for note in told:
-            console.print(f"note: {note}", soft_wrap=True)
+            say(f"note: {note}")
         finished: list[PressResult] = []
         failure: BaseException | None = None
         had_earlier = self.out.exists()
@@ -91,10 +89,10 @@ class PressCommand(PressOptions, _Files):
             beside.finish()
         for note in pressed.plan.notes():
             if note not in told:
-                console.print(f"note: {note}", soft_wrap=True)
+                say(f"note: {note}")
         if pressed.error is not None:
-            console.print(f"note: numerical error {pressed.error.words()}", soft_wrap=True)
-            console.print(f"note: force, {pressed.force_interval.words()}", soft_wrap=True)
+            say(f"note: numerical error {pressed.error.words()}")
+            say(f"note: force, {pressed.force_interval.words()}")
         if failure is not None:
             steps = pressed.outcome.steps
             console.print(
@@ -104,7 +102,7 @@ class PressCommand(PressOptions, _Files):
         if self.json:
             print_json({"folder": str(self.out), **pressed.figures()})
         else:
-            _print_outcome(console, pressed)
+            _print_outcome(pressed)
         console.print(f"wrote {self.out}")
 
 
@@ -131,17 +129,15 @@ def _both(error: SignalError, unit: float = 1.0) -> str:
     return f"{unit * error.numerical:.2g}  {unit * error.total:.2g}"
 
 
-def _print_outcome(console: Console, pressed: PressResult) -> None:
-    from rich.table import Table
-
+def _print_outcome(pressed: PressResult) -> None:
+    from taccel_lab.cli.console import notes, print_table
     from taccel_lab.with_error import with_error
 
     outcome, figures = pressed.outcome, pressed.figures()
     force, moment, image = pressed.wrench[:3], 1e3 * pressed.wrench[3:], pressed.image_error
     error_n, heights = outcome.force_error_n, pressed.height_error
     ends = pressed.force_interval_n
-    table = Table("figure", "value", "unit", title="press", title_justify="left")
-    for name, value, unit in (
+    rows = [
         *_path_rows(outcome.path, figures),
         ("normal force, numerical error", with_error(force[2], error_n), "N"),
         ("its 95 % interval, all told", "  ".join(f"{end:.3g}" for end in ends), "N"),
@@ -155,19 +151,19 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
         ("smallest volume ratio of a tet", f"{figures['smallest_volume_ratio']:.3f}", ""),
         ("time", f"{pressed.seconds:.1f}", "s"),
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
-    ):
-        table.add_row(name, value, unit)
+    ]
     if image is not None:
-        table.add_row("image off by: numerical, all told", _both(image), "levels rms")
+        rows.append(("image off by: numerical, all told", _both(image), "levels rms"))
     if pressed.like is not None:
         like = pressed.like
         place = zip("xy", like["at_mm"], like["at_sigma_mm"] or (None, None), strict=True)
-        for axis, at, sigma in place:
-            table.add_row(f"place in the photo, {axis}", with_error(at, sigma), "mm")
-        depth = with_error(like["depth_mm"], like["depth_sigma_mm"])
-        table.add_row("depth in the photo", depth, "mm")
-        table.add_row("photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB")
-        table.add_row("photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB")
+        rows += [
+            *((f"place in the photo, {axis}", with_error(at, s), "mm") for axis, at, s in place),
+            ("depth in the photo", with_error(like["depth_mm"], like["depth_sigma_mm"]), "mm"),
+            ("photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB"),
+            ("photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB"),
+        ]
     if outcome.fine_force_n is not None:
-        table.add_row("force of the contact with the texture", f"{outcome.fine_force_n:.4f}", "N")
-    console.print(table)
+        fine = f"{outcome.fine_force_n:.4f}"
+        rows.append(("force of the contact with the texture", fine, "N"))
+    print_table(("figure", "value", "unit"), rows, "press", notes())

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab profile show``, ``validate``, ``report`` and ``add-view``."""
+"""``taccel-lab profile show``, ``validate``, ``report`` and ``add-view``; and ``taccel-lab
+export``, which writes a profile for another simulator or tool."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -52,8 +53,6 @@ class ProfileValidate:
     """Print the findings as JSON."""
 
     def run(self) -> None:
-        from rich.text import Text
-
         from taccel_lab.cli.console import print_json, results
         from taccel_lab.profile import validate_profile
 
@@ -71,10 +70,9 @@ class ProfileValidate:
             console = results()
             for finding in findings:
                 style = "red" if finding.severity == "error" else "yellow"
-                console.print(Text(f"{finding.severity}: {finding}", style=style), soft_wrap=True)
+                console.print(f"{finding.severity}: {finding}", style=style, soft_wrap=True)
             if not errors:
-                sound = Text(f"{self.profile} is a sound profile", style="green")
-                console.print(sound, soft_wrap=True)
+                console.print(f"{self.profile} is a sound profile", style="green", soft_wrap=True)
         if errors:
             plural = "s" if errors > 1 else ""
             raise InputError(f"{self.profile} is not a sound profile: {errors} error{plural}")
@@ -142,18 +140,15 @@ class ProfileAddView:
 
 def _as_dict(profile: SensorProfile) -> dict[str, Any]:
     blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}
-    if profile.color_weights is not None:
-        blocks["color"]["weight_shapes"] = {
-            name: list(array.shape) for name, array in profile.color_weights.items()
-        }
-    if profile.normal_weights is not None:
-        blocks["normals"]["weight_shapes"] = {
-            name: list(array.shape) for name, array in profile.normal_weights.items()
-        }
-    if profile.force_weights is not None:
-        blocks["force"]["weight_shapes"] = {
-            name: list(array.shape) for name, array in profile.force_weights.items()
-        }
+    networks = {
+        "color": profile.color_weights,
+        "normals": profile.normal_weights,
+        "force": profile.force_weights,
+    }
+    for key, weights in networks.items():
+        if weights is not None:
+            shapes = {name: list(array.shape) for name, array in weights.items()}
+            blocks[key]["weight_shapes"] = shapes
     return blocks
 
 
@@ -172,39 +167,28 @@ _MOST_VALUES, _MOST_RESIDUALS = 4, 2
 
 def _print_overview(profile: SensorProfile, folder: Path) -> None:
     """A table of one screen: what each block says, where from, and what to know of it."""
-    from rich.table import Table
-    from rich.text import Text
+    from taccel_lab.cli.console import print_table, results
 
-    from taccel_lab.cli.console import results
-
-    table = Table(show_lines=False)
-    for title in ("block", "from", "values, +- one standard deviation", "to know"):
-        table.add_column(title, overflow="fold")
+    rows = []
     for key, values in _as_dict(profile).items():
         provenance = values.pop("provenance")
         origin = " ".join(word for word in (provenance["kind"], provenance.get("verdict")) if word)
         remarks = len(provenance.get("remarks") or ())
-        table.add_row(
-            Text(key, style="cyan"),
-            Text(origin),
-            Text(_said(key, values, provenance)),
-            Text(f"{remarks} remark{'s' if remarks > 1 else ''}" if remarks else ""),
-        )
+        told = f"{remarks} remark{'s' if remarks > 1 else ''}" if remarks else ""
+        rows.append((key, origin, _said(key, values, provenance), told))
+    print_table(("block", "from", "values, +- one standard deviation", "to know"), rows)
     console = results()
-    console.print(table)
     for name in profile.views:
         words = f"a further camera, {name}: taccel-lab profile show {folder}@{name}"
-        console.print(Text(words), soft_wrap=True)
+        console.print(words, soft_wrap=True)
     for session in profile.sensor.recorded:
         when = "" if session.begun is None else f" on {session.begun:%Y-%m-%d}"
         short = "; a quick session, see --full for what that leaves out" if session.left_out else ""
         words = f"{', '.join(session.blocks)}: recorded with {session.camera}{when}{short}"
-        console.print(Text(words), soft_wrap=True)
+        console.print(words, soft_wrap=True)
     console.print(
-        Text(
-            f"every value with its source and remarks: taccel-lab profile show {folder} --full; "
-            f"as a page with pictures: taccel-lab profile report {folder} --out PAGE"
-        )
+        f"every value with its source and remarks: taccel-lab profile show {folder} --full; "
+        f"as a page with pictures: taccel-lab profile report {folder} --out PAGE"
     )
 
 
@@ -227,23 +211,15 @@ def _number(value: Any) -> str:
 
 
 def _print_tables(profile: SensorProfile) -> None:
-    from rich.table import Table
-    from rich.text import Text
+    from taccel_lab.cli.console import print_table
 
-    from taccel_lab.cli.console import results
-
-    console = results()
     for key, values in _as_dict(profile).items():
-        provenance = values.pop("provenance")
-        table = Table(title=Text(key, style="bold"), title_justify="left", show_header=False)
-        table.add_column(style="cyan", no_wrap=True)
-        table.add_column(overflow="fold")
-        for name, value in (_flat(values) | _flat(provenance, "provenance.")).items():
-            table.add_row(Text(name), Text(str(value)))
-        console.print(table)
+        flat = _flat(values | {"provenance": values.pop("provenance")})
+        print_table((key, ""), [(name, str(value)) for name, value in flat.items()])
 
 
 def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values by dotted names, those of inner tables and lists too."""
     flat: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, dict):
@@ -253,3 +229,70 @@ def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[prefix + name] = value
     return flat
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a sensor profile for another simulator or tool.
+
+    export.json in the folder states what the files carry, what is left out and why, and the error
+    of each approximation. docs/exporters.md describes the formats.
+    """
+
+    profile: Positional[Path]
+    """Profile folder."""
+    to: Literal[
+        "taccel",
+        "tacto",
+        "taxim",
+        "isaac-lab",
+        "gs-sdk",
+        "onnx",
+        "safetensors",
+        "opencv",
+        "urdf",
+    ]
+    """Format.
+    taccel: Taccel's fabrication list: JSON, tets as VTK, masks and markers, STL.
+    tacto: TACTO's sensor configuration: YAML with camera, gel and lights, STL.
+    taxim: Calibration folder of the PyPI package taxim and of TacEx: colour table, background.
+    isaac-lab: Isaac Lab's GelSight data folder (TacSL) with its configuration.
+    gs-sdk: gs_sdk's device file, background and network from colour to gradients.
+    onnx: The networks of colour, normals and force as ONNX graphs.
+    safetensors: The same networks as safetensors, with settings and formula.
+    opencv: Camera matrix, distortion and pose as OpenCV's YAML.
+    urdf: A URDF with meshes, inertias and the frames of gel and camera."""
+    out: Path
+    """Folder to write; an earlier export there is replaced when everything is done."""
+    table: Path | None = None
+    """Table fitted to captures, written instead of one distilled from the colour model: taxim only.
+    calibrate color leaves it in its report folder as polycalib.npz."""
+    json: bool = False
+    """Print export.json instead of a summary."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json, print_table, results, working
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.profile import load_profile
+
+        require_replaceable(self.out)
+        profile = load_profile(self.profile)
+
+        from taccel_lab.exporters.export import export_profile
+
+        start_warp()
+        with working(notes(), f"exporting {profile.sensor.name} to {self.to}"):
+            document = export_profile(profile, self.to, self.out, table=self.table)
+        if self.json:
+            print_json(document)
+            return
+        rows = [
+            *(("carries", *item) for item in document["carries"].items()),
+            *(("left out", *item) for item in document["left_out"].items()),
+            *(("figure", name, f"{x:.4g}") for name, x in document["approximations"].items()),
+        ]
+        print_table(("", "block", "what"), rows, f"{document['sensor']} for {document['peer']}")
+        for note in document["notes"]:
+            results().print(f"- {note}")
+        results().print(f"wrote {len(document['files'])} files to {self.out}")

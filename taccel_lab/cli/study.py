@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import shlex
+import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import tyro
 from tyro.conf import Positional
@@ -17,7 +19,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.studies.evaluate.cluster import Where
+    from taccel_lab.studies.evaluate.design_row import DesignRow
     from taccel_lab.studies.evaluate.runner import StudyOutcome
+    from taccel_lab.studies.spec.study import Study
     from taccel_lab.studies.spec.study import Study as StudyToRun
 
 
@@ -111,7 +115,7 @@ class StudyCommand:
 
     def _run(self, file: Path) -> None:
         from taccel_lab.api.study import plan_study
-        from taccel_lab.cli.console import notes, print_json, working
+        from taccel_lab.cli.console import notes, print_json, say, working
         from taccel_lab.studies.evaluate.runner import read_outcome
         from taccel_lab.studies.evaluate.study_folder import StudyFolder
         from taccel_lab.studies.report import write_study_report
@@ -128,12 +132,11 @@ class StudyCommand:
             if self.report_only:
                 outcome = read_outcome(study, root)
             else:
-                outcome = self._evaluate(study, root, file, console)
+                outcome = self._evaluate(study, root, file)
             if self.shard is not None:
-                console.print(
+                say(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
-                    f"them new; when all shards have finished:\n  {self._again(root)}",
-                    soft_wrap=True,
+                    f"them new; when all shards have finished:\n  {self._again(root)}"
                 )
                 if self.json:
                     print_json({"designs": len(outcome.rows), "new": outcome.new})
@@ -141,7 +144,7 @@ class StudyCommand:
                 return
             with working(console, "writing the report"):
                 values = write_study_report(outcome)
-        self._conclude(console, outcome, values, root, self._again(root))
+        self._conclude(outcome, values, root, self._again(root))
 
     def _again(self, root: Path) -> str:
         words = ["taccel-lab", "study", str(self.study), "--out", str(root)]
@@ -150,20 +153,17 @@ class StudyCommand:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
 
-    def _evaluate(
-        self, study: StudyToRun, root: Path, file: Path, console: Console
-    ) -> StudyOutcome:
+    def _evaluate(self, study: StudyToRun, root: Path, file: Path) -> StudyOutcome:
         from taccel_lab.api.study import evaluate_study
-        from taccel_lab.cli.study_progress import StudyProgress
+        from taccel_lab.cli.console import notes, say
         from taccel_lab.files.shard import Shard
 
         presses = ", ".join(study.presses) or "none"
-        console.print(
+        say(
             f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
-            f"{len(study.metrics)} metrics, into {root}",
-            soft_wrap=True,
+            f"{len(study.metrics)} metrics, into {root}"
         )
-        with StudyProgress(console, study) as progress:
+        with StudyProgress(notes(), study) as progress:
             return evaluate_study(
                 study,
                 file,
@@ -175,23 +175,19 @@ class StudyCommand:
                 listener=progress,
             )
 
-    def _conclude(
-        self, console: Console, outcome: StudyOutcome, values: dict, root: Path, again: str
-    ) -> None:
-        from taccel_lab.cli.console import print_json
+    def _conclude(self, outcome: StudyOutcome, values: dict, root: Path, again: str) -> None:
+        from taccel_lab.cli.console import print_json, say
         from taccel_lab.studies.evaluate.study_folder import CSV_NAME, has_parquet
 
         if self.json:
             print_json(values)
         else:
-            from taccel_lab.cli.study_progress import print_summary
-
             print_summary(outcome, values)
         note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
-        console.print(f"table: {root / CSV_NAME}{note}", soft_wrap=True)
-        console.print(f"report: {root / 'report.html'}", soft_wrap=True)
+        say(f"table: {root / CSV_NAME}{note}")
+        say(f"report: {root / 'report.html'}")
         if not outcome.complete:
-            console.print(f"not finished; go on with:\n  {again}", soft_wrap=True)
+            say(f"not finished; go on with:\n  {again}")
             return
         if not any(row.status == "done" for row in outcome.rows):
             raise SimulationError(f"no design has a figure; the causes stand in {root / CSV_NAME}")
@@ -200,7 +196,7 @@ class StudyCommand:
 
 
 def _print_lists(options: StudyCommand) -> None:
-    from taccel_lab.cli.console import print_json
+    from taccel_lab.cli.console import print_json, print_table
     from taccel_lab.studies.evaluate.runner import default_kit
     from taccel_lab.studies.report.describe import press_in_words
     from taccel_lab.studies.spec.readings import described
@@ -222,22 +218,121 @@ def _print_lists(options: StudyCommand) -> None:
             | ({"presses": presses} if options.list_presses else {})
         )
         return
-    from rich.table import Table
-    from rich.text import Text
+    if options.list_metrics:
+        columns = ("metric", "unit", "better", "read from", "meaning")
+        rows = [
+            (name, m["unit"], m["better"], ", ".join(m["presses"]) or "no press", m["description"])
+            for name, m in metrics.items()
+        ]
+        print_table(columns, rows, "metrics")
+    if options.list_presses:
+        print_table(("press", "what it does"), list(presses.items()), "standard presses")
 
-    from taccel_lab.cli.console import results
+
+LINE_EVERY_S = 20.0
+"""Where there is no terminal to draw a bar on, a line is written at most this often."""
+
+
+class StudyProgress:
+    """A ``Listener`` that shows a bar over the designs with the time left and the failures, and a
+    line a process."""
+
+    def __init__(self, console: Console, study: Study) -> None:
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        self._console = console
+        self._study = study
+        self._bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}", markup=False),
+            console=console,
+            speed_estimate_period=3600,
+        )
+        self._task: Any = None
+        self._workers: dict[int, Any] = {}
+        self._total = self._done = self._lost = 0
+        self._begun = self._line_at = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def begins(self, total: int, there: int, to_do: int) -> None:
+        if there:
+            self._bar.console.print(f"{there} of {total} designs are there already, {to_do} to do")
+        self._total, self._begun = to_do, time.monotonic()
+        self._task = self._bar.add_task("designs", total=to_do, note="")
+
+    def finished(self, design: DesignRow) -> None:
+        if design.status != "done":
+            self._lost += 1
+            name = self._study.name_of(design.parameters)
+            self._bar.console.print(f"{name} {design.status}: {design.cause}")
+        self._done += 1
+        self._write_line()
+        note = f"{self._lost} failed" if self._lost else ""
+        self._bar.update(self._task, advance=1, note=note)
+
+    def _write_line(self) -> None:
+        now = time.monotonic()
+        last = self._done == self._total
+        if self._console.is_terminal or (now - self._line_at < LINE_EVERY_S and not last):
+            return
+        self._line_at = now
+        spent = now - self._begun
+        left = spent * (self._total - self._done) / self._done
+        self._console.print(
+            f"{self._done} of {self._total} designs, {self._lost} failed, {spent:.0f} s spent, "
+            f"about {left:.0f} s left",
+            soft_wrap=True,
+        )
+
+    def underway(self, worker: int, what: str, done: int, total: int) -> None:
+        if not total:
+            return
+        if worker not in self._workers:
+            self._workers[worker] = self._bar.add_task(f"process {worker + 1}", note="")
+        self._bar.update(self._workers[worker], completed=done, total=total, note=what)
+
+
+def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
+    """The verdict and the best designs, on standard output."""
+    from taccel_lab.cli.console import print_table, results
+    from taccel_lab.report.page import format_number
 
     console = results()
-    if options.list_metrics:
-        table = Table("metric", "unit", "better", "read from", "meaning", title="metrics")
-        for name, metric in metrics.items():
-            read = ", ".join(metric["presses"]) or "no press"
-            cells = (metric["unit"], metric["better"], read, metric["description"])
-            table.add_row(Text(name, style="cyan"), *map(Text, cells))
-        table.columns[0].no_wrap = True
-        console.print(table)
-    if options.list_presses:
-        table = Table("press", "what it does", title="standard presses")
-        for name, text in presses.items():
-            table.add_row(Text(name, style="cyan"), Text(text))
-        console.print(table)
+    verdict = values["verdict"]
+    console.print(verdict["headline"], style="green" if verdict["good"] else "yellow")
+    for sentence in verdict["sentences"]:
+        console.print(f"- {sentence}")
+    if not values["best"]:
+        return
+    rows = {row.id: row for row in outcome.rows}
+    best = [rows[design_id] for design_id in values["best"]]
+    columns = ("figure", "unit", *(values["names"][row.id] for row in best))
+    table = []
+    for name, item in (values["parameters"] | values["metrics"]).items():
+        cells = [{**row.parameters, **row.figures}[name] for row in best]
+        unit = "" if item["unit"] == "1" else item["unit"]
+        table.append((name, unit, *map(format_number, cells)))
+    print_table(columns, table, f"best designs: {values['goal']}")

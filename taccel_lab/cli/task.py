@@ -28,24 +28,15 @@ class TaskList:
     """Print JSON instead of a table, with the figures of others."""
 
     def run(self) -> None:
-        from rich.box import SIMPLE
-        from rich.table import Table
-        from rich.text import Text
-
-        from taccel_lab.cli.console import print_json, results
+        from taccel_lab.cli.console import print_json, print_table
         from taccel_lab.tasks.catalogue import named, names
 
         tasks = {name: named(name).parameters for name in names()}
         if self.json:
             print_json({name: task.model_dump(mode="json") for name, task in tasks.items()})
             return
-        table = Table(box=SIMPLE, pad_edge=False)
-        for heading in ("task", "what", "criterion", "seeds"):
-            table.add_column(heading, overflow="fold")
-        for name, task in tasks.items():
-            cells = (task.summary, task.criterion, str(task.seeds))
-            table.add_row(Text(name, style="cyan"), *map(Text, cells))
-        results().print(table)
+        rows = [(name, t.summary, t.criterion, str(t.seeds)) for name, t in tasks.items()]
+        print_table(("task", "what", "criterion", "seeds"), rows)
 
 
 @dataclass(frozen=True)
@@ -126,8 +117,7 @@ class TaskRecord:
         from taccel_lab.files.output_folder import atomic_directory
         from taccel_lab.learning.gel_colors import default_colors
         from taccel_lab.progress import stage_progress
-        from taccel_lab.tasks.recording import record_seed
-        from taccel_lab.tasks.replay import write_replay
+        from taccel_lab.tasks.replay import record_seed, write_replay
 
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")

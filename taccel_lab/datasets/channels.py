@@ -118,17 +118,9 @@ def _patch_forces(view: TouchView) -> np.ndarray:
     return found.reshape(len(view.who), rows, columns, 3)
 
 
-def _normals(view: TouchView) -> np.ndarray:
-    return np.nan_to_num(view.tactile("normals"))
-
-
 def _moved(view: TouchView) -> np.ndarray:
     rest = np.stack([view.meshes[env].nodes_m[view.face_nodes] for env in view.who.tolist()])
     return 1e3 * (view.positions_m[:, view.face_nodes] - rest)
-
-
-def _area(view: TouchView) -> np.ndarray:
-    return 1e6 * view.contact_area_m2
 
 
 ALWAYS: tuple[Channel, ...] = (
@@ -144,7 +136,8 @@ ALWAYS: tuple[Channel, ...] = (
             "the gel's origin, gel frame", lambda v: v.wrench),
     Channel("press_force_n", "float64", "3", "N", "the force in the object's frame at the start: "
             "z is the normal force", lambda v: v.press_force_n),
-    Channel("contact_area_mm2", "float32", "", "mm2", "area in contact", _area),
+    Channel("contact_area_mm2", "float32", "", "mm2", "area in contact",
+            lambda v: 1e6 * v.contact_area_m2),
     Channel("contact_center_mm", "float32", "2", "mm", "middle of the normal force, gel x and y; "
             "NaN without contact", _contact_center, may_be_nan=True),
     Channel("friction_use", "float32", "", "1", "friction forces over the coefficient times normal "
@@ -169,7 +162,7 @@ OPTIONAL: dict[str, Channel] = {
         Channel("depth_mm", "float32", "height, width", "mm", "how far the face has sunk; 0 beside "
                 "the pad", _depth),
         Channel("normals", "float32", "height, width, 3", "1", "outward normals of the face, gel "
-                "frame; 0 beside the pad", _normals),
+                "frame; 0 beside the pad", lambda v: np.nan_to_num(v.tactile("normals"))),
         Channel("contact_mask", "uint8", "height, width", "", "1 where the pixel is in contact",
                 lambda v: v.tactile("contact")),
         Channel("markers_px", "float32", "marker, 2", "px", "column and row of each marker",

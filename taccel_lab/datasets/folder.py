@@ -122,12 +122,8 @@ class DatasetFolder:
                 if not kept.exists():
                     with atomic_file(kept) as staging:
                         shutil.copyfile(path, staging)
-        self._write_text("spec.toml", source)
-
-    def _write_text(self, name: str, text: str) -> None:
-        if not (self.root / name).exists():
-            with atomic_file(self.root / name) as staging:
-                staging.write_text(text, encoding="utf-8")
+        if not (self.root / "spec.toml").exists():
+            write_bytes(self.root / "spec.toml", source.encode("utf-8"))
 
     @contextmanager
     def locked(self, shard: str) -> Iterator[None]:

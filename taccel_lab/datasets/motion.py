@@ -16,6 +16,7 @@ from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import Indenter, normal_frame
 from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.sensors.press_mesh import pad_press_mesh
+from taccel_lab.signals.perturbation import Perturbation
 
 COMMAND = ("depth_mm", "shear_x_mm", "shear_y_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
 """Columns of what is asked of a step, in the object's frame at the start: depth past first touch,
@@ -148,3 +149,53 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of quaternions x, y, z, w."""
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
     return np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """One episode, ready to be simulated."""
+
+    episode: int
+    mesh: TetMesh
+    frame: np.ndarray
+    """gel_from_press, [7]."""
+    commands: np.ndarray
+    """Columns ``motion.COMMAND``, [step, 6]."""
+    friction: float
+    unit: int = 0
+    young_modulus_factor: float = 1.0
+    light: Perturbation | None = None
+    noise_levels: float = 0.0
+    marker_noise_px: float = 0.0
+    seed: tuple[int, ...] = (0,)
+    """Seed of the noise."""
+
+    def rng(self, step: int, what: int) -> np.random.Generator:
+        """Source of the noise of one step."""
+        return np.random.default_rng([*self.seed, self.episode, step, what])
+
+
+@dataclass(frozen=True, eq=False)
+class TouchRecord:
+    """What is kept of a touch."""
+
+    episode: int
+    rows: dict[str, np.ndarray]
+    """Rows by channel, [step + 1, ...]: the untouched gel, then each step that converged."""
+    wanted: int
+    """Steps of the motion."""
+    cause: str
+    """Why there are fewer; empty when all converged."""
+    gel_from_press: np.ndarray
+    nodes_m: np.ndarray
+    """Contact face at rest, [node, 3]."""
+    faces: np.ndarray
+    """Its triangles, [face, 3]."""
+
+
+def failed_touch(episode: int, wanted: int, cause: str) -> TouchRecord:
+    """The record of a touch that could not be set up."""
+    nothing = np.zeros((0, 3))
+    return TouchRecord(
+        episode, {}, wanted, cause, np.full(7, np.nan), nothing, nothing.astype(np.int32)
+    )

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.datasets.channels import ALWAYS, Channel
+from taccel_lab.datasets.channels import ALWAYS, Channel, channels_of
+from taccel_lab.datasets.motion import TouchRecord
 from taccel_lab.datasets.simulate import joined
-from taccel_lab.datasets.touch import TouchRecord
 from taccel_lab.files.atomic_file import to_jsonable, write_by
 from taccel_lab.files.output_folder import atomic_directory
 
@@ -63,7 +63,7 @@ class PartData:
 
 def part_data(plan: DatasetPlan, part: DatasetPart, records: Sequence[TouchRecord]) -> PartData:
     """The arrays and tables of a part whose episodes were simulated, in order."""
-    channels = _channels(plan)
+    channels = channels_of(plan.spec.output.channels)
     arrays = joined(records, channels)
     rows: list[dict[str, Any]] = []
     first = 0
@@ -79,12 +79,6 @@ def part_data(plan: DatasetPlan, part: DatasetPart, records: Sequence[TouchRecor
         [(record.nodes_m, record.faces) for record in records],
         np.stack([record.gel_from_press for record in records]),
     )
-
-
-def _channels(plan: DatasetPlan) -> list[Channel]:
-    from taccel_lab.datasets.channels import channels_of
-
-    return channels_of(plan.spec.output.channels)
 
 
 def episode_row(

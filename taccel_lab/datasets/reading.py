@@ -66,17 +66,13 @@ def draw_touch(
     return figure
 
 
-def tangential_n(steps: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Tangential force [N], [step]."""
-    return np.hypot(steps["press_force_x_n"], steps["press_force_y_n"])
-
-
 def _draw_forces(axes: Any, steps: Mapping[str, np.ndarray]) -> None:
     number, normal = steps["step"], steps["press_force_z_n"]
     error = steps["force_error_n"]
     axes.plot(number, normal, color=BLUE, marker=".", label="normal")
     axes.fill_between(number, normal - error, normal + error, color=BLUE, alpha=0.2, linewidth=0)
-    axes.plot(number, tangential_n(steps), color=ORANGE, marker=".", label="tangential")
+    tangential = np.hypot(steps["press_force_x_n"], steps["press_force_y_n"])
+    axes.plot(number, tangential, color=ORANGE, marker=".", label="tangential")
     axes.set_xlabel("step")
     axes.set_ylabel("force [N]")
     axes.set_ylim(top=1.3 * axes.get_ylim()[1])

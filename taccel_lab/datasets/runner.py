@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.datasets.channels import channels_of
 from taccel_lab.datasets.folder import PARTS, DatasetFolder
+from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.part import PartData, part_data, write_part
 from taccel_lab.datasets.plan import NOISE_KEY, DatasetPart, DatasetPlan
 from taccel_lab.datasets.simulate import TouchBench, simulate_touches
-from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import sweep_up
@@ -158,8 +159,6 @@ def simulate_parts(
     plan: DatasetPlan, parts: tuple[DatasetPart, ...], device: str, progress: Progress
 ) -> list[PartData]:
     """Simulate parts of one sensor and object side by side."""
-    from taccel_lab.datasets.channels import channels_of
-
     output = plan.spec.output
     first = parts[0]
     prepared = [touches_of(plan, part) for part in parts]

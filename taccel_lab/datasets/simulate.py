@@ -15,9 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from taccel_lab.datasets.channels import NODAL, Channel
-from taccel_lab.datasets.motion import rolled_mm
+from taccel_lab.datasets.motion import Touch, TouchRecord, failed_touch, rolled_mm
 from taccel_lab.datasets.sensor import Sensor
-from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
@@ -103,7 +102,8 @@ def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
     def keep(who: np.ndarray) -> None:
         arrays = {c.name: np.asarray(c.read(view)) for c in bench.channels}
         for row, one in enumerate(who.tolist()):
-            rows[one].append({c.name: _typed(arrays[c.name][row], c.dtype) for c in bench.channels})
+            # Copies, as the arrays of signals are written anew at the next step.
+            rows[one].append({c.name: arrays[c.name][row].astype(c.dtype) for c in bench.channels})
 
     view.at(0, np.arange(count), np.zeros((count, 6)), None)
     keep(np.arange(count))
@@ -144,11 +144,6 @@ def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
         )
         for touch, kept, cause, mesh in zip(touches, rows, causes, meshes, strict=True)
     ]
-
-
-def _typed(value: np.ndarray, dtype: str) -> np.ndarray:
-    """A copy, as the arrays of signals are written anew at the next step."""
-    return np.array(value, dtype=dtype)
 
 
 def _set_parameters(env: PressEnv, touches: Sequence[Touch], bench: TouchBench) -> None:

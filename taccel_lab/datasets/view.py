@@ -14,8 +14,8 @@ import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera, face_of
 from taccel_lab.camera.gel_camera import View as Pixels
+from taccel_lab.datasets.motion import Touch
 from taccel_lab.datasets.sensor import Sensor
-from taccel_lab.datasets.touch import Touch
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs

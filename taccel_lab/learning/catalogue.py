@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
+from taccel_lab.guards import require_known, require_range
 from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
@@ -50,12 +52,9 @@ def make_vec(
     Raises:
         InputError: A task that cannot be learned, or takes no sensor.
     """
-    if num_envs < 1:
-        raise InputError(f"num_envs must be at least 1, got {num_envs}")
+    require_range("num_envs", num_envs, 1, math.inf)
     if isinstance(task, str):
-        if task not in names():
-            known = ", ".join(names())
-            raise InputError(f"{task!r} is no task that can be learned; there are {known}")
+        require_known("task to be learned", task, names())
         # Tests check the package's files by their models, which need pydantic; a machine that
         # learns may have none.
         parameters = _values(read_toml(FILES / f"{task}.toml"))

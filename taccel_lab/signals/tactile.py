@@ -21,7 +21,6 @@ from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.guards import require_known
-from taccel_lab.model.devices import require_device
 from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.model.launches import require_device
 from taccel_lab.model.turns import in_turn

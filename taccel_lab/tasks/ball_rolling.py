@@ -24,7 +24,6 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import G, contact_config, free_body, pad_body, pad_mesh
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -33,6 +32,7 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
 
 
@@ -87,7 +87,6 @@ class BallRolling(TaskEpisode):
     """Ball rolling of some seeds."""
 
     gel = "gel"
-    direction = (0.8, -1.4, 0.2)
 
     def __init__(
         self, parameters: BallRollingParameters, seeds: Sequence[int], device: str | None = None

@@ -27,7 +27,6 @@ from taccel_lab.scene import Surface as Presence
 from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, contact_config, gels_of, mounts_of
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -36,6 +35,7 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
 from taccel_lab.tasks.parts import PARTS
 from taccel_lab.tasks.result import TaskTrial
@@ -232,7 +232,6 @@ class Classification(TaskEpisode):
     """Grasps of some seeds; one that is closed is not stepped any more."""
 
     gel = "left"
-    direction = (0.8, -1.4, 0.6)
 
     def __init__(
         self, parameters: ClassificationParameters, seeds: Sequence[int], device: str | None = None

@@ -22,8 +22,6 @@ class TaskEpisode(ABC):
 
     gel = ""
     """Name of the soft body that recordings show."""
-    direction: tuple[float, float, float] = (1.0, -1.4, 0.6)
-    """Where pictures are taken from."""
 
     def __init__(
         self,

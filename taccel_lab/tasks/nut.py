@@ -18,7 +18,6 @@ from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, G, contact_config, free_body, gels_of, mounts_of
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -28,8 +27,9 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
-from taccel_lab.tasks.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
+from taccel_lab.tasks.parts import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 
 
 class Thread(StrictModel):
@@ -125,15 +125,13 @@ class Nut(TaskEpisode):
     """Nut turning of some seeds."""
 
     gel = "left"
-    direction = (0.5, -1.4, 0.9)
 
     def __init__(
         self, parameters: NutParameters, seeds: Sequence[int], device: str | None = None
     ) -> None:
         self.parameters = parameters
-        count, thread, half = len(seeds), parameters.thread, parameters.start
-        ranges = {"turn_deg": half.turn_deg, "grip_deg": half.grip_deg, "grip_mm": half.grip_mm}
-        starts = [draw(seed, ranges) for seed in seeds]
+        count, thread = len(seeds), parameters.thread
+        starts = [draw(seed, parameters.start.model_dump()) for seed in seeds]
         turned = np.radians([s["turn_deg"] for s in starts])
         bolt, nut = thread.bolt(), thread.nut()
         height = thread.height_m(turned)

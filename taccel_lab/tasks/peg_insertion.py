@@ -117,7 +117,6 @@ class PegInsertion(TaskEpisode):
     """Peg insertion of some seeds."""
 
     gel = "right"
-    direction = (0.9, -1.4, 0.8)
 
     def __init__(
         self,

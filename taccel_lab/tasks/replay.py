@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded seed on disk, to be looked at from all sides."""
+"""One seed of a task, recorded: where all is, what the gel shows, and the forces; and the recording
+on disk, to be looked at from all sides.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +18,78 @@ from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.documents import read_json
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.regular_file import shown
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.gel_faces import Colors, face_grid, marker_points_mm
+from taccel_lab.signals.markers import MarkerLayout
+from taccel_lab.signals.tactile import SignalTactile
+from taccel_lab.tasks.bodies import surfaces
+from taccel_lab.tasks.catalogue import Task
+from taccel_lab.tasks.result import TaskTrial
+
+if TYPE_CHECKING:
+    from taccel_lab.geometry import PixelGrid
+    from taccel_lab.solvers import SolverIPC
+    from taccel_lab.state import State
+
+IMAGE_PX = 160
+"""Height of the images of a gel."""
+
+
+@dataclass(frozen=True)
+class GelSnapshot:
+    """A gel at one time."""
+
+    depth_m: np.ndarray
+    """Sink-in since rest, float32 [height, width]; negative where it rose, NaN beside the gel."""
+    pressure_pa: np.ndarray
+    """Contact pressure, float32 [height, width]; zero before the first step."""
+    markers_px: np.ndarray
+    """(u, v), float32 [marker, 2]; NaN where they are not seen."""
+    rgb: np.ndarray | None
+    """Tactile image, uint8 [height, width, 3]; None without colours."""
+
+
+class GelWatch:
+    """Reads environment 0 of one gel of a scene, in the gel's frame."""
+
+    def __init__(self, solver: SolverIPC, gel: str, colors: Colors | None = None) -> None:
+        """
+        Args:
+            solver: Of the scene.
+            gel: Name of the soft body.
+            colors: Colour network and untouched image of a grid; without them no tactile image.
+        """
+        index = solver.model.body_id(gel)
+        mesh = solver.model.scene.soft_body(index).nodal_mesh
+        self.grid: PixelGrid = face_grid(mesh, _size_px(mesh))
+        points = MarkerLayout.from_points(mesh, marker_points_mm(self.grid))
+        options: dict[str, Any] = {"markers": points}
+        if colors is not None:
+            options["color_model"], options["background_rgb"] = colors(self.grid)
+        self._signal = SignalTactile.from_solver(solver, self.grid, gel=index, **options)
+        self._colored = colors is not None
+
+    def frame(self, state: State, stepped: bool) -> GelSnapshot:
+        """The gel in a state; ``stepped``: whether the solver's forces are of this state."""
+        signal = self._signal
+        signal.update(state)
+        depth = signal.depth_m.numpy()[0].copy()
+        pressure = signal.pressure_pa.numpy()[0].copy() if stepped else np.zeros_like(depth)
+        return GelSnapshot(
+            depth_m=depth,
+            pressure_pa=pressure,
+            markers_px=signal.markers_px.numpy()[0].astype(np.float32),
+            rgb=signal.rgb.numpy()[0].copy() if self._colored else None,
+        )
+
+
+def _size_px(mesh: TetMesh | QuadraticMesh) -> tuple[int, int]:
+    """Square pixels over the contact face."""
+    face = mesh.nodes_m[np.unique(mesh.region_faces(Region.CONTACT))][:, :2]
+    width, height = np.ptp(face, axis=0)
+    return max(1, round(IMAGE_PX * width / height)), IMAGE_PX
+
 
 REPLAY = "replay.json"
 KINDS = ("soft", "affine", "kinematic")
@@ -121,3 +196,62 @@ def _check(replay: TaskReplay) -> None:
     for name, array, right in wanted:
         if not right or array.shape[:1] != frames or array.dtype.kind not in "fiu":
             raise ValueError(f"{name} is {array.shape} of {array.dtype}, for {frames} frames")
+
+
+FRAMES_PER_S = 25
+"""A frame shows a step of 1 / 25 s, or of the task's own where these are longer."""
+
+
+def record_seed(
+    task: Task,
+    seed: int,
+    device: str | None = None,
+    progress: Progress = silent,
+    *,
+    colors: Colors,
+) -> tuple[TaskReplay, TaskTrial]:
+    """Run one seed and record it; ``colors``: of the gel's tactile images."""
+    episode = task.begin([seed], device)
+    dt = task.parameters.dt_s
+    every = max(1, round(1 / (FRAMES_PER_S * dt)))
+    watch = GelWatch(episode.solver, episode.gel, colors)
+    times_s: list[float] = []
+    bodies: list[list[tuple[Any, np.ndarray, np.ndarray]]] = []
+    gel: list[GelSnapshot] = []
+    forces: list[dict[str, float]] = []
+
+    def show() -> None:
+        times_s.append(episode.taken * dt)
+        positions = episode.state.positions.numpy()[0].copy()
+        bodies.append(surfaces(episode.scene, episode.model, positions))
+        gel.append(watch.frame(episode.state, stepped=episode.taken > 0))
+        forces.append(episode.forces())
+
+    show()
+    while not episode.over:
+        episode.advance()
+        progress(task.name, episode.taken, episode.step_limit)
+        if episode.taken % every == 0:
+            show()
+    trial = episode.trials()[0]
+    replay = TaskReplay(
+        task=task.name,
+        seed=seed,
+        cause=trial.cause,
+        times_s=np.array(times_s),
+        bodies=[
+            ReplayBody(
+                f"body {k}",
+                kind.name.lower(),
+                np.stack([frame[k][1] for frame in bodies]).astype(np.float32),
+                np.asarray(faces, dtype=np.int32),
+            )
+            for k, (kind, _, faces) in enumerate(bodies[0])
+        ],
+        forces_n={name: np.array([row[name] for row in forces]) for name in forces[0]},
+        depth_m=np.array([frame.depth_m for frame in gel]),
+        pressure_pa=np.array([frame.pressure_pa for frame in gel]),
+        markers_px=np.array([frame.markers_px for frame in gel]),
+        rgb=np.array([frame.rgb for frame in gel]),
+    )
+    return replay, trial

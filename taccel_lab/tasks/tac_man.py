@@ -30,7 +30,6 @@ from taccel_lab.scene import (
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, contact_config, free_body, gels_of, mounts_of
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.nut import Thread
 from taccel_lab.tasks.parameters import (
@@ -41,6 +40,7 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
 
 FEWEST_MARKERS = 6
@@ -138,7 +138,6 @@ class TacMan(TaskEpisode):
     """Tac-Man of some seeds; an environment that is done or given up is not stepped any more."""
 
     gel = "left"
-    direction = (0.8, -1.4, 0.6)
 
     def __init__(
         self, parameters: TacManParameters, seeds: Sequence[int], device: str | None = None

@@ -19,7 +19,6 @@ from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import Scene, TimeScheme, TimeStepping
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, G, contact_config, gels_of, mounts_of
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_lift import Object
 from taccel_lab.tasks.parameters import (
@@ -28,6 +27,7 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
 
 
@@ -92,7 +92,6 @@ class ThrowCatch(TaskEpisode):
     """Throw and catch of some seeds."""
 
     gel = "left"
-    direction = (0.5, -1.6, 0.4)
 
     def __init__(
         self, parameters: ThrowCatchParameters, seeds: Sequence[int], device: str | None = None

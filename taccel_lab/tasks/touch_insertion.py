@@ -125,7 +125,6 @@ class TouchInsertion(TaskEpisode):
     """Insertion of some seeds; one that is in or has no tries left is not stepped any more."""
 
     gel = "right"
-    direction = (0.9, -1.4, 0.8)
 
     def __init__(
         self,

@@ -28,13 +28,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from taccel_lab.errors import InputError
 from taccel_lab.files.strict_model import Number, StrictModel
+from taccel_lab.guards import require_positive, require_range
 from taccel_lab.scene import Ball, KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import contact_config, pad_body, pad_mesh
-from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -43,6 +42,7 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
+    draw,
 )
 
 _POINTS = 200
@@ -69,10 +69,8 @@ class Torsion:
 
     def __post_init__(self) -> None:
         for name in ("shear_modulus_pa", "contact_m", "force_n", "friction"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive, got {getattr(self, name)}")
-        if not self.angle_rad >= 0:
-            raise InputError(f"angle_rad must not be negative, got {self.angle_rad}")
+            require_positive(name, getattr(self, name))
+        require_range("angle_rad", self.angle_rad, 0, np.inf)
 
     @property
     def limit_nm(self) -> float:
@@ -212,7 +210,6 @@ class Twist(TaskEpisode):
     """Twist of some seeds."""
 
     gel = "gel"
-    direction = (0.8, -1.4, 0.9)
 
     def __init__(
         self, parameters: TwistParameters, seeds: Sequence[int], device: str | None = None

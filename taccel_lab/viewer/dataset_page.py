@@ -17,9 +17,9 @@ from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.page_text import PageText, add_note
-from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.page_parts import look_at
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -65,7 +65,6 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         images = SensorImages(rgb, markers)
     return GelStates(
         rest_mm=rest,
-        tets=np.zeros((0, 4), dtype=np.int64),
         faces=faces.astype(np.int64),
         moved_mm=moved,
         captions=_captions(data, rows),

@@ -7,6 +7,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,6 @@ from taccel_lab.viewer.ball_press import (
     SupersededError,
     height_profile_mm,
 )
-from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_answer import (
     PICTURES,
     Choice,
@@ -40,9 +40,8 @@ from taccel_lab.viewer.design_controls import DesignControls, History
 from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.gel_view import GelView
-from taccel_lab.viewer.parts_view import draw_optics
-from taccel_lab.viewer.section import linear_tets
-from taccel_lab.viewer.sensor_panel import SensorPanel
+from taccel_lab.viewer.page_parts import SensorPanel, look_at
+from taccel_lab.viewer.profile_page import draw_optics
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -143,7 +142,7 @@ class DesignPage:
             gui.add_button("Enlarge", color="gray").on_click(self._enlarge)
         with tabs.add_tab("Look"):
             pad = self._family.parameters(overrides).pad()
-            states = _untouched(self._answers.mesh(pad))
+            states = GelStates.untouched(self._answers.mesh(pad))
             self._view = GelView(self._server, states, self._sensor)
         with tabs.add_tab("Export"):
             add_note(gui, f"Files go to {self._out}.")
@@ -278,7 +277,7 @@ class DesignPage:
         if press is not None and self._middle.value == PRESS:
             self._view.show_states(_states(press, answer), 1)
         elif answer.mesh is not None:
-            self._view.show_states(_untouched(answer.mesh, _images(answer)))
+            self._view.show_states(GelStates.untouched(answer.mesh, _images(answer)))
 
     def _enlarge(self, event: Any) -> None:
         """Enlarges in the browser that asked for it; other ones go on as they were."""
@@ -313,35 +312,20 @@ class DesignPage:
             event.client.send_file_download(name, content, save_immediately=True)
 
 
-def _untouched(mesh: Any, images: SensorImages | None = None) -> GelStates:
-    rest = 1e3 * mesh.nodes_m
-    return GelStates(
-        rest_mm=rest,
-        tets=linear_tets(mesh.tets),
-        faces=mesh.faces.astype(np.int64),
-        moved_mm=np.zeros((1, *rest.shape)),
-        captions=["untouched"],
-        images=images,
-    )
-
-
 def _states(press: PressAnswer, answer: DesignAnswer) -> GelStates:
     """Untouched and pressed, with loads, ball and pictures."""
     ball = answer.press.radius_mm
     sphere = sphere_mesh(1e-3 * ball, 1e-3 * ball / 10)
     above = press.ball_mm + [0, 0, answer.press.depth_mm + 0.3]
     turn = np.array([0.0, 0.0, 0.0, 1.0])
-    rest = 1e3 * press.mesh.nodes_m
-    moved = 1e3 * press.positions_m - rest
-    base = _untouched(press.mesh)
+    base = GelStates.untouched(press.mesh)
+    moved = 1e3 * press.positions_m - base.rest_mm
 
     def twice(values: np.ndarray) -> np.ndarray:
         return np.stack([np.zeros_like(values), values])
 
-    return GelStates(
-        rest_mm=rest,
-        tets=base.tets,
-        faces=base.faces,
+    return replace(
+        base,
         moved_mm=twice(moved),
         captions=["untouched", f"{answer.press.depth_mm:.2f} mm deep, {press.force_n:.3f} N"],
         fields=[

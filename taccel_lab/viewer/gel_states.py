@@ -9,6 +9,8 @@ from typing import Self
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.viewer.section import linear_tets
 
 
 @dataclass(frozen=True)
@@ -60,19 +62,34 @@ class GelStates:
 
     rest_mm: np.ndarray
     """[node, 3]."""
-    tets: np.ndarray
-    """Four-node tets, [tet, 4]; none of a gel that is known by its face alone."""
     faces: np.ndarray
     """Its skin, outward, [face, 3]."""
     moved_mm: np.ndarray
     """[state, node, 3]."""
     captions: list[str]
     """A line of text a state."""
+    tets: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int64))
+    """Four-node tets, [tet, 4]; none of a gel that is known by its face alone."""
     fields: list[Field] = field(default_factory=list)
     forces_n: np.ndarray | None = None
     """Forces of the tool on the nodes, [state, node, 3]."""
     tool: ShownTool | None = None
     images: SensorImages | None = None
+
+    @classmethod
+    def untouched(
+        cls, mesh: TetMesh | QuadraticMesh, images: SensorImages | None = None
+    ) -> GelStates:
+        """A gel in one state, at rest."""
+        rest = 1e3 * mesh.nodes_m
+        return cls(
+            rest_mm=rest,
+            faces=mesh.faces.astype(np.int64),
+            moved_mm=np.zeros((1, *rest.shape)),
+            captions=["untouched"],
+            tets=linear_tets(mesh.tets),
+            images=images,
+        )
 
     @property
     def count(self) -> int:

@@ -14,10 +14,9 @@ from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
+from taccel_lab.viewer.page_parts import SensorPanel, TimeSlider
 from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
 from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets
-from taccel_lab.viewer.sensor_panel import SensorPanel
-from taccel_lab.viewer.time_slider import TimeSlider
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -14,12 +14,9 @@ import numpy as np
 from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.tasks.bodies import surfaces
-from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
-from taccel_lab.tasks.replay import read_replay
-from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.tasks.replay import GelSnapshot, GelWatch, read_replay
 from taccel_lab.viewer.gel_states import Field, SensorImages
-from taccel_lab.viewer.sensor_panel import SensorPanel
-from taccel_lab.viewer.time_slider import TimeSlider
+from taccel_lab.viewer.page_parts import SensorPanel, TimeSlider, look_at
 
 if TYPE_CHECKING:
     from viser import MeshHandle, ViserServer

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -139,11 +138,10 @@ def serve_source(
     *,
     seed: int = 0,
     device: str = "cpu",
-    stop: threading.Event | None = None,
 ) -> None:
-    """Serves the page of ``source_page`` until KeyboardInterrupt or ``stop``."""
+    """Serves the page of ``source_page`` until KeyboardInterrupt."""
     with source_page(source, options, say, seed=seed, device=device):
-        serve_until_stopped(stop)
+        serve_until_stopped()
 
 
 def _read(source: Source) -> Any:

@@ -16,9 +16,9 @@ from taccel_lab.files.regular_file import require_regular_file, shown
 from taccel_lab.files.tet_file import MAX_BYTES
 from taccel_lab.files.vtk_mesh import TETRA, TRIANGLE, cells_of, read_vtk
 from taccel_lab.report.page_text import PageText, add_note, page_table
-from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.page_parts import look_at
 from taccel_lab.viewer.section import linear_tets
 from taccel_lab.with_error import with_error
 

@@ -15,9 +15,9 @@ from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
-from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import GelStates
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.page_parts import look_at
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -30,15 +30,8 @@ def design_gel(row: DesignRow) -> GelStates:
     """The untouched gel of a design, at the resolution of profiles."""
     from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 
-    mesh = gel_mesh(sensor_family(row.family).parameters(row.parameters).pad())
-    rest = 1e3 * mesh.nodes_m
-    return GelStates(
-        rest_mm=rest,
-        tets=mesh.tets.astype(np.int64),
-        faces=mesh.faces.astype(np.int64),
-        moved_mm=np.zeros((1, *rest.shape)),
-        captions=["untouched"],
-    )
+    pad = sensor_family(row.family).parameters(row.parameters).pad()
+    return GelStates.untouched(gel_mesh(pad))
 
 
 def press_files(root: Path, row: DesignRow) -> dict[str, Path]:
@@ -67,7 +60,6 @@ def read_design_press(path: Path) -> GelStates:
     ]
     return GelStates(
         rest_mm=1e3 * finite_numbers(arrays, "contact_rest_m", path),
-        tets=np.zeros((0, 4), dtype=np.int64),
         faces=arrays["contact_faces"].astype(np.int64),
         moved_mm=np.concatenate([np.zeros_like(moved[:1]), moved]),
         captions=["untouched", *captions],
@@ -86,8 +78,7 @@ class StudyPage:
         folder = StudyFolder(root)
         found = [folder.read(one) for one in folder.ids()]
         self._root = root
-        self._designs = [row for row in found if row is not None and row.figures]
-        self._designs = [row for row in self._designs if row.status == "done"]
+        self._designs = [row for row in found if row and row.figures and row.status == "done"]
         if not self._designs:
             raise InputError(f"{root} has no design with a figure yet: run its study first")
         self._swept = _swept(self._designs)

@@ -74,7 +74,7 @@ def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["speed", "--scene", "nonsense"], "scene must be of peg"),
+        (["speed", "--scene", "nonsense"], "no scene 'nonsense'"),
         (["speed", "--envs", "0"], "at least 1"),
         (["speed", "--set", "dhat_m"], "form name=value"),
         (["compare", "no_such.json", "no_such.json"], "does not exist"),

@@ -13,8 +13,8 @@ import pytest
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.run import capture_check
-from taccel_lab.cli.calibrate.blocks import CalibrateColor
-from taccel_lab.cli.export import Export
+from taccel_lab.cli.calibrate import CalibrateColor
+from taccel_lab.cli.profile import Export
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import read_table
 from taccel_lab.profile import load_profile, save_profile

@@ -17,7 +17,7 @@ from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.cli.calibrate.blocks import BLOCK_COMMANDS
+from taccel_lab.cli.calibrate import BLOCK_COMMANDS
 from taccel_lab.errors import InputError
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.profile import load_profile, save_profile

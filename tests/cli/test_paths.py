@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli.calibrate.base import report_folder
+from taccel_lab.cli.calibration_outputs import report_folder
 from taccel_lab.datasets.folder import ABOUT
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import WHOLES, require_outside

@@ -24,10 +24,9 @@ from scipy.spatial.transform import Rotation
 from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets import runner
 from taccel_lab.datasets.check import check_dataset
+from taccel_lab.datasets.exports import export_lerobot, export_univtac
 from taccel_lab.datasets.folder import DatasetFolder
-from taccel_lab.datasets.lerobot import export_lerobot
 from taccel_lab.datasets.reading import Dataset
-from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import CameraBlock, MarkersBlock, save_profile

@@ -15,11 +15,10 @@ import pyvista
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.datasets.motion import Placing, TouchMotion, rolled_mm
+from taccel_lab.datasets.motion import Placing, Touch, TouchMotion, rolled_mm
 from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import touches_of
 from taccel_lab.datasets.spec import DatasetSpec, load_spec
-from taccel_lab.datasets.touch import Touch
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import parse_indenter

@@ -13,7 +13,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from taccel_lab.cli.export import Export
+from taccel_lab.cli.profile import Export
 from taccel_lab.errors import InputError
 from taccel_lab.exporters import export as export_module
 from taccel_lab.exporters import gs_sdk
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 
 def test_every_format_is_in_the_help_and_in_the_docs() -> None:
     assert get_args(get_type_hints(Export)["to"]) == tuple(EXPORTERS)
-    source = (ROOT / "taccel_lab" / "cli" / "export.py").read_text()
+    source = (ROOT / "taccel_lab" / "cli" / "profile.py").read_text()
     table = (ROOT / "docs" / "exporters.md").read_text()
     for name, exporter in EXPORTERS.items():
         assert f"    {name}: {exporter.what}" in source

@@ -66,7 +66,7 @@ def _show_profile(given: Path, out: Path) -> None:
 
 def _read_depth(given: Path, out: Path) -> None:
     from taccel_lab.calibration.pressure import touch as reading_files
-    from taccel_lab.cli.depth import Depth
+    from taccel_lab.cli.read import Depth
 
     command = Depth(
         given / "profile",
@@ -122,28 +122,28 @@ def _work_once() -> None:
 
 
 def _check_captures(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture.check import CaptureCheckCommand
+    from taccel_lab.cli.capture import CaptureCheckCommand
 
     _work_once()
     _run(CaptureCheckCommand(given, json=True))
 
 
 def _check_draft(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture.check import CaptureCheckCommand
+    from taccel_lab.cli.capture import CaptureCheckCommand
 
     _work_once()
     _run(CaptureCheckCommand(given))
 
 
 def _rectify(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture.rectify import CaptureRectify
+    from taccel_lab.cli.capture import CaptureRectify
 
     _run(CaptureRectify(given / "raw", given / "maps.npz", out))
 
 
 def _importer(layout: str, **options: str | float) -> Callable[[Path, Path], None]:
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.cli.capture.import_ import CaptureImport
+        from taccel_lab.cli.capture import CaptureImport
 
         _run(CaptureImport(given, out, layout=layout, **options))
 
@@ -243,7 +243,7 @@ def _read_task(given: Path, out: Path) -> None:
 
 
 def _list_step(given: Path, out: Path) -> None:
-    from taccel_lab.cli.import_gel import ImportGel
+    from taccel_lab.cli.design import ImportGel
 
     _run(ImportGel(given / "gel.step"))
 
@@ -275,7 +275,7 @@ def _indenter(*names: str) -> Callable[[Path, Path], None]:
 
 def _robot(name: str) -> Callable[[Path, Path], None]:
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.cli.robot import RobotShow
+        from taccel_lab.cli.catalogue import RobotShow
 
         _run(RobotShow(str(given / name), json=True))
 

@@ -28,8 +28,7 @@ from taccel_lab.sensors.registry import (
 from taccel_lab.studies.evaluate.evaluate import evaluate_designs
 from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.presses.press_batch import simulate
-from taccel_lab.studies.presses.press_job import press_jobs
+from taccel_lab.studies.presses.press_batch import press_jobs, simulate
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
 from tests.sensors.imported_profiles import SIZE, crowned, imported

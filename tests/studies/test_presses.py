@@ -22,8 +22,7 @@ from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.studies.metrics.evidence import profile_mm
 from taccel_lab.studies.metrics.shear import lost_part
 from taccel_lab.studies.metrics.surface import contrast
-from taccel_lab.studies.presses.press_batch import REFERENCE_PA, simulate
-from taccel_lab.studies.presses.press_job import place_mm, press_jobs
+from taccel_lab.studies.presses.press_batch import REFERENCE_PA, place_mm, press_jobs, simulate
 from taccel_lab.studies.presses.standard import (
     DEFAULT_PRESSES,
     STANDARD_PRESSES,
@@ -83,7 +82,7 @@ def test_depth_follows_the_thickness_up_to_the_limit() -> None:
         ({"depth_limit_mm": 0.0}, "depth_limit_mm must be above 0"),
         ({"twist_deg": 180.0}, "twist_deg must lie in"),
         ({"shear_fraction": float("nan")}, "shear_fraction must lie in"),
-        ({"steps": 0}, "steps must lie in 1..200, got 0"),
+        ({"steps": 0}, r"steps must lie in \[1, 200\], got 0"),
     ],
 )
 def test_bad_presses(changes: dict[str, Any], message: str) -> None:

@@ -294,12 +294,12 @@ def test_a_job_whose_time_is_up_is_queued_again_as_it_was(own_signals: None) -> 
 def test_a_job_that_is_asked_to_end_ends(
     file: Path, tmp_path: Path, own_signals: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def asked_to_end(*_: object) -> int:
+    def asked_to_end(*_: object, **options: object) -> int:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(60)
         return 0
 
-    monkeypatch.setattr("taccel_lab.studies.evaluate.cluster.run_shard", asked_to_end)
+    monkeypatch.setattr("taccel_lab.studies.evaluate.cluster.run_study", asked_to_end)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # As submitit does.
     with pytest.raises(SystemExit) as ended:
         ShardJob(str(file), str(tmp_path / "out"), Shard(1, 2), None, None, None)()

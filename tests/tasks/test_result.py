@@ -130,5 +130,5 @@ def test_torque_and_flow_are_of_one_traction() -> None:
 def test_what_is_no_contact_is_refused() -> None:
     with pytest.raises(InputError, match="friction must be positive"):
         torsion(0.0, 0.1)
-    with pytest.raises(InputError, match="angle_rad must not be negative"):
+    with pytest.raises(InputError, match="angle_rad must be at least 0"):
         torsion(1.0, -0.1)

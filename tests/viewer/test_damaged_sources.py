@@ -30,7 +30,7 @@ View = Callable[[Path], Done]
 @pytest.fixture
 def view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> View:
     """The page of a folder, closed as soon as it is filled."""
-    monkeypatch.setattr("taccel_lab.viewer.pages.serve_until_stopped", lambda stop: None)
+    monkeypatch.setattr("taccel_lab.viewer.pages.serve_until_stopped", lambda: None)
     return lambda folder: done(capsys, "view", folder, "--no-browser", "--port", "0")
 
 

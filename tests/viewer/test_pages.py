@@ -21,12 +21,12 @@ import pytest
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
 from taccel_lab.viewer.design_controls import DesignControls
 from taccel_lab.viewer.design_page import DesignPage
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.page_parts import look_at
 from tests.viewer.browser import (
     chromium_page,
     middle,

@@ -192,8 +192,7 @@ def test_presses_of_studies_start_untouched(tmp_path: Path) -> None:
 def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
     from taccel_lab.learning.gel_colors import default_colors
     from taccel_lab.tasks.catalogue import named
-    from taccel_lab.tasks.recording import record_seed
-    from taccel_lab.tasks.replay import read_replay, write_replay
+    from taccel_lab.tasks.replay import read_replay, record_seed, write_replay
 
     recorded, trial = record_seed(named("ball-rolling"), 0, "cpu", colors=default_colors(None))
     write_replay(recorded, tmp_path)

@@ -19,8 +19,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.files.cell_number import number
-
 from taccel_lab.calibration.capture.camera.recording import natural_key
 from taccel_lab.calibration.capture.importers.draft import (
     Draft,
@@ -44,6 +42,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import read_npz
 from taccel_lab.files.documents import number_at, read_yaml
 from taccel_lab.files.inner_path import inner_path, real_path
+from taccel_lab.files.table_file import number
 from taccel_lab.printable import printable
 
 

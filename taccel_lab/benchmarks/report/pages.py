@@ -12,10 +12,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, VERIFICATION, Section
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from taccel_lab.benchmarks.report.sections import (
+    HEADLINE,
+    SECTIONS,
+    VERIFICATION,
+    Results,
+    Section,
+    read_peers,
+)
 from taccel_lab.benchmarks.results import FOLDER, SCHEMA
-from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.benchmarks.runner import Runner
+from taccel_lab.benchmarks.scenes import build_scene
+from taccel_lab.files.atomic_file import atomic_file, write_by
+from taccel_lab.model import BodyKind
 from taccel_lab.report.page_text import with_parts
+from taccel_lab.studies.report.figures import plain_log_ticks
+from taccel_lab.tasks.bodies import surfaces
 
 _ROOT = Path(__file__).resolve().parents[3]
 PAGE, README = _ROOT / "docs" / "evidence" / "benchmarks.md", _ROOT / "README.md"
@@ -26,7 +43,6 @@ PAGES: dict[Path, dict[str, Section]] = {
 }
 """Generated parts of each page."""
 IMAGES = _ROOT / "docs" / "images" / "benchmarks"
-Results = dict[str, list[dict[str, Any]]]
 
 
 def read_results(folder: Path = FOLDER) -> Results:
@@ -64,12 +80,155 @@ class Report:
                 target.write_text(text, encoding="utf-8")
             written.append(page)
         if self.pictures:
-            from taccel_lab.benchmarks.report.plots import draw_all
-
             written += draw_all(results, IMAGES)
         if self.scenes:
-            from taccel_lab.benchmarks.report.plots import draw_scenes
-
             written.append(draw_scenes(IMAGES / "scenes.png"))
         for path in written:
             print(path)
+
+
+def draw_all(results: Results, folder: Path) -> list[Path]:
+    """Every picture that there is a result for."""
+    written = []
+    if any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
+        written.append(save(draw_speed(results), folder / "speed.png"))
+    for document in results.get("stress", []):
+        name = f"stress_{Path(document['file']).stem}.png"
+        written.append(save(draw_stress(document), folder / name))
+    return written
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture, whole or not at all."""
+    write_by(path, lambda file: figure.savefig(file, dpi=110))
+    plt.close(figure)
+    return path
+
+
+def make_logarithmic(axis: Axes) -> None:
+    """Both axes, with few and plain numbers."""
+    axis.set(xscale="log", yscale="log")
+    plain_log_ticks(axis)
+    axis.grid(True, which="major", lw=0.3)
+
+
+def draw_speed(results: Results) -> Figure:
+    """FPS by environments; the field's figures on the peg scene as dashed lines."""
+    figure, axis = plt.subplots(figsize=(8.5, 6), layout="constrained")
+    for document in results.get("speed", []):
+        device = document["run"]["device"].replace("NVIDIA ", "")
+        for scene, lag in dict.fromkeys((row["scene"], row["lag"]) for row in document["rows"]):
+            rows = [r for r in document["rows"] if (r["scene"], r["lag"]) == (scene, lag)]
+            if len(rows) < 2:
+                continue
+            x = [row["envs"] for row in rows]
+            y = np.array([row["fps"]["median"] for row in rows])
+            low = y - [row["fps"]["min"] for row in rows]
+            high = [row["fps"]["max"] for row in rows] - y
+            axis.errorbar(
+                x,
+                y,
+                [low, high],
+                marker="o",
+                ms=4,
+                label=f"{scene}{f', lag {lag}' if lag else ''}, {device}",
+            )
+    for entry in read_peers()["peg"]:
+        x = [int(count) for count in entry["fps"]]
+        label = f"{entry['name']}, {entry['device']} ({entry['stop'].split(';')[0]})"
+        axis.plot(x, list(entry["fps"].values()), "--", marker="x", lw=0.9, ms=5, label=label)
+    axis.set(xlabel="environments", ylabel="FPS, all environments")
+    axis.set_title("Environments x steps / seconds; dashed: peg scene, others")
+    make_logarithmic(axis)
+    axis.legend(fontsize=7)
+    return figure
+
+
+def draw_stress(document: dict[str, Any]) -> Figure:
+    """Outcomes by family, and Newton iterations of all steps by family."""
+    families = document["summary"]["families"]
+    names = list(families)[::-1]
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 0.3 * len(names) + 1.6), sharey=True, layout="constrained"
+    )
+    colours = {
+        "converged": "#4c9f70",
+        "refused": "#9cc5a1",
+        "failed": "#e0a030",
+        "budget": "#b0b0b0",
+        "silent": "#c0392b",
+        "broken": "#6c3483",
+    }
+    places, start = np.arange(len(names)), np.zeros(len(names))
+    for kind, colour in colours.items():
+        widths = np.array([families[name][kind] for name in names], dtype=float)
+        if widths.any():
+            left.barh(places, widths, left=start, color=colour, label=kind)
+        start += widths
+    left.set_yticks(places, names)
+    left.set_xlabel("cases")
+    left.set_ylim(-0.6, len(names) - 0.4)
+    left.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=6, frameon=False, fontsize=8)
+    for place, name in zip(places, names, strict=True):
+        mine = [case for case in document["cases"] if case["family"] == name]
+        newton = np.array([n + 1 for case in mine for n in case.get("newton_iterations", [])])
+        spread = np.random.default_rng(0).uniform(-0.3, 0.3, len(newton))
+        right.plot(newton, place + spread, ".", ms=3, alpha=0.4, color="#34495e")
+    right.set_xscale("log")
+    right.set_xlabel("Newton iterations of a step + 1")
+    for axis in (left, right):
+        axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+MOMENTS = {
+    "peg": (160, (1.3, -1.0, 0.6)),
+    "press_5215": (20, (0.5, -1.0, 0.55)),
+    "bolt": (40, (1.0, -1.2, 0.5)),
+    "hand": (14, (1.0, 0.9, 0.5)),
+    "squeeze": (36, (1.0, -0.55, 0.3)),
+}
+"""Step, and direction that it is looked at from."""
+
+
+BODY_COLORS = {
+    BodyKind.SOFT: "#7fb2d9",
+    BodyKind.AFFINE: "#e0a458",
+    BodyKind.KINEMATIC: "#b8b8b8",
+}
+
+
+def draw_scenes(path: Path) -> Path:
+    """Run each scene to its moment, render it, and put the pictures side by side."""
+    figure, axes = plt.subplots(1, len(MOMENTS), figsize=(15, 3.6), layout="constrained")
+    for axis, (name, (step, direction)) in zip(axes, MOMENTS.items(), strict=True):
+        runner = Runner(build_scene(name))
+        runner.run(step)
+        axis.imshow(drawn_bodies(runner, direction))
+        axis.set_title(f"{name}, step {step}", fontsize=10)
+        axis.axis("off")
+    return save(figure, path)
+
+
+def drawn_bodies(runner: Runner, direction: tuple[float, float, float]) -> np.ndarray:
+    """The surfaces of all bodies, seen from a direction; pixels [height, width, 3]."""
+    import pyvista
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=[520, 520])
+    positions = runner.state.positions.numpy()[0]
+    for kind, vertices, faces in surfaces(runner.bench.scene, runner.model, positions):
+        cells = np.column_stack([np.full(len(faces), 3), faces])
+        plotter.add_mesh(
+            pyvista.PolyData(1e3 * vertices, cells),
+            color=BODY_COLORS[kind],
+            show_edges=kind is BodyKind.SOFT,
+            edge_color="#3b5a75",
+            line_width=0.6,
+            opacity=0.35 if kind is BodyKind.KINEMATIC else 1.0,
+        )
+    plotter.view_vector(direction, viewup=(0, 0, 1))  # type: ignore[arg-type]
+    plotter.camera.zoom(1.15)
+    plotter.render()
+    picture = np.asarray(plotter.screenshot(return_img=True))
+    plotter.close()
+    return picture

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -193,66 +193,55 @@ def solved(residual: dict[str, Any]) -> str:
     return text
 
 
+def table_of(rows: Iterable[Any], columns: Mapping[str, Callable[[Any], Any]]) -> str:
+    """A table with a cell of each column for every row."""
+    return markdown_table(columns, [[cell(row) for cell in columns.values()] for row in rows])
+
+
 def speed(document: Document) -> Iterator[str]:
     """FPS, memory and time to start."""
-    rows = [
-        [
-            row["scene"] + (f", lag {row['lag']}" if row["lag"] else ""),
-            f"{row['envs']:,}",
-            spread(row["fps"]),
-            number(row["ms_per_step"]["median"]),
-            number(row["newton_mean"]),
-            solved(row["residual"]),
-            number(row["memory_mib_per_env"]),
-        ]
-        for row in document["rows"]
-    ]
-    head = ["scene", "environments", "FPS, median (range)", "ms a step", "Newton a step"]
-    head += ["residual over contact force", "MiB an environment"]
-    yield markdown_table(head, rows)
+    columns: dict[str, Callable[[Row], str]] = {
+        "scene": lambda row: row["scene"] + (f", lag {row['lag']}" if row["lag"] else ""),
+        "environments": lambda row: f"{row['envs']:,}",
+        "FPS, median (range)": lambda row: spread(row["fps"]),
+        "ms a step": lambda row: number(row["ms_per_step"]["median"]),
+        "Newton a step": lambda row: number(row["newton_mean"]),
+        "residual over contact force": lambda row: solved(row["residual"]),
+        "MiB an environment": lambda row: number(row["memory_mib_per_env"]),
+    }
+    yield table_of(document["rows"], columns)
     if document.get("startup"):
-        starts = [
-            [
-                scene,
-                number(found["warm"]["import_to_first_step_s"]),
-                number(found["cold"]["import_to_first_step_s"]),
-                number(found["compilation_s"]),
-            ]
-            for scene, found in document["startup"].items()
-        ]
-        head = ["scene", "import to first step, warm [s]", "cold [s]", "compilation [s]"]
-        yield markdown_table(head, starts)
+        starts: dict[str, Callable[[tuple[str, Row]], str]] = {
+            "scene": lambda item: item[0],
+            "import to first step, warm [s]": lambda item: number(
+                item[1]["warm"]["import_to_first_step_s"]
+            ),
+            "cold [s]": lambda item: number(item[1]["cold"]["import_to_first_step_s"]),
+            "compilation [s]": lambda item: number(item[1]["compilation_s"]),
+        }
+        yield table_of(document["startup"].items(), starts)
 
 
 def learning(document: Document) -> Iterator[str]:
     """FPS of a learning loop, and what its slowest environment costs."""
-    rows = [
-        [
-            row["scene"],
-            f"{row['envs']:,}",
-            row["pace"],
-            number(row["fps"]["median"]),
-            number(row["ms_per_step"]["median"]),
-            f"{number(row['beside_steps_ms'])} ({number(row['resets_per_step'])})",
-            f"{number(row['newton_mean'])}, {number(row['newton_largest_mean'])}",
-            solved(row["residual"]),
-        ]
-        for row in document["rows"]
-    ]
-    head = [
-        "scene",
-        "environments",
-        "pace",
-        "FPS",
-        "ms a step of each",
-        "of it resets (a step) and reading forces",
-    ]
-    head += ["Newton a step: mean, largest of those through at once", "residual over contact force"]
+    columns: dict[str, Callable[[Row], str]] = {
+        "scene": lambda row: row["scene"],
+        "environments": lambda row: f"{row['envs']:,}",
+        "pace": lambda row: row["pace"],
+        "FPS": lambda row: number(row["fps"]["median"]),
+        "ms a step of each": lambda row: number(row["ms_per_step"]["median"]),
+        "of it resets (a step) and reading forces": lambda row: (
+            f"{number(row['beside_steps_ms'])} ({number(row['resets_per_step'])})"
+        ),
+        "Newton a step: mean, largest of those through at once": lambda row: (
+            f"{number(row['newton_mean'])}, {number(row['newton_largest_mean'])}"
+        ),
+        "residual over contact force": lambda row: solved(row["residual"]),
+    }
     if any(row["observed"] for row in document["rows"]):
-        head += ["observed: us a step of each", "FPS without"]
-        for line, row in zip(rows, document["rows"], strict=True):
-            line += _observed(row["observed"])
-    yield markdown_table(head, rows)
+        columns["observed: us a step of each"] = lambda row: _observed(row["observed"])[0]
+        columns["FPS without"] = lambda row: _observed(row["observed"])[1]
+    yield table_of(document["rows"], columns)
 
 
 def _observed(seen: dict[str, Any] | None) -> list[str]:
@@ -301,18 +290,15 @@ def press_accuracy(document: Document) -> Iterator[str]:
 
 def captures(document: Document) -> Iterator[str]:
     """Calibrations of published captures against their goals."""
-    rows = [
-        [
-            row["set"],
-            f"`{row['command']}`",
-            row["figure"],
-            number(row["value"]),
-            f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
-            "met" if row["met"] else "**missed**",
-        ]
-        for row in document["rows"]
-    ]
-    yield markdown_table(["captures", "calibration", "figure", "value", "goal", ""], rows)
+    columns: dict[str, Callable[[Row], str]] = {
+        "captures": lambda row: row["set"],
+        "calibration": lambda row: f"`{row['command']}`",
+        "figure": lambda row: row["figure"],
+        "value": lambda row: number(row["value"]),
+        "goal": lambda row: f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
+        "": lambda row: "met" if row["met"] else "**missed**",
+    }
+    yield table_of(document["rows"], columns)
 
 
 def peers(results: Results) -> str:

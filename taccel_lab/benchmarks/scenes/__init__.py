@@ -8,6 +8,7 @@ from importlib import import_module
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known
 
 SCENES = {
     "peg": "peg",
@@ -24,8 +25,7 @@ SCENES = {
 
 def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
     """The scene of a name; InputError says which there are."""
-    if name not in SCENES:
-        raise InputError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
+    require_known("scene", name, SCENES)
     module = import_module(f"taccel_lab.benchmarks.scenes.{SCENES[name]}")
     options = options or SceneOptions()
     # Presses differ by their pad only.

@@ -24,6 +24,7 @@ from taccel_lab.benchmarks.scenes.base import (
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import AffineBody, KinematicBody, Scene, TimeStepping, TriangleMesh
+from taccel_lab.tasks.parts import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.tasks.peg_scene import (
     GEL_FRICTION,
     GRAVITY,
@@ -31,7 +32,6 @@ from taccel_lab.tasks.peg_scene import (
     generated_parts,
     published_parts,
 )
-from taccel_lab.tasks.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 
 DT_S = 1 / 50
 DENSITY = 1000.0

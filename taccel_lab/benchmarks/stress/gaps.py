@@ -52,21 +52,21 @@ class SurfacePairs:
         self.planes = np.flatnonzero(self.normals.any(axis=1))
         self.is_ball = s.node_is_ball.numpy() != 0
         balls = np.flatnonzero(self.is_ball)
-        self.face_reaches_sq = s.face_reaches_sq.numpy()
+        self.face_reaches_sq = s.face_reaches_sq.numpy()[0]
+        """How far faces may reach into balls: no case has rest shapes of its own."""
         self.points = np.union1d(np.unique(self.faces), balls)
         """Nodes that can touch something."""
         self.may_touch = np.zeros((len(model.bodies), len(model.bodies)), dtype=bool)
         for i, j in model.contact_plan.pairs:
             self.may_touch[i, j] = self.may_touch[j, i] = i != j
 
-    def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float, env: int = 0) -> Gaps:
+    def nearer_than(self, x: np.ndarray, present: np.ndarray, limit_m: float) -> Gaps:
         """All pairs with a gap below ``limit_m``, of bodies that may touch and are present.
 
-        ``x``: node positions [node_count, 3] [m]; ``present``: bool, [body_count]; ``env``: whose
-        rest shape decides how far faces may reach into balls.
+        ``x``: node positions [node_count, 3] [m]; ``present``: bool, [body_count].
         """
         touch = self.may_touch & present & present[:, None]
-        parts = [self._points_to_faces(x, touch, limit_m, env)]
+        parts = [self._points_to_faces(x, touch, limit_m)]
         parts.append(self._edges_to_edges(x, touch, limit_m))
         parts.append(self._points_to_planes(x, touch))
         kinds = np.repeat(np.arange(3), [len(part[0]) for part in parts])
@@ -97,13 +97,13 @@ class SurfacePairs:
         return a[keep], b[keep]
 
     def _points_to_faces(
-        self, x: np.ndarray, touch: np.ndarray, margin: float, env: int
+        self, x: np.ndarray, touch: np.ndarray, margin: float
     ) -> tuple[np.ndarray, ...]:
         a, face = self._candidates(x, touch, self.points[:, None], self.faces, margin)
         node = self.points[a]
         distance = point_triangle_distances(x[node], x[self.faces[face]])
         ball = np.flatnonzero(self.is_ball[node])
-        reaches_sq = self.face_reaches_sq[env % len(self.face_reaches_sq), face[ball]]
+        reaches_sq = self.face_reaches_sq[face[ball]]
         to_nodes = np.linalg.norm(x[self.faces[face[ball]]] - x[node[ball], None], axis=2)
         distance[ball] = np.minimum(
             distance[ball] + ball_insets(self.radii[node[ball]], reaches_sq), to_nodes.min(axis=1)

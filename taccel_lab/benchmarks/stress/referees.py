@@ -290,16 +290,13 @@ class Referees:
         slack = ENERGY_SLACK * scale
         # What the residual that is allowed may do along the way.
         moved_m = np.linalg.norm(taken.now.positions[env] - taken.before.positions[env])
-        slack += self.balance.allowance(_contact_force(taken, env)) * float(moved_m)
+        # The nodal contact forces on one side.
+        contact_n = 0.5 * float(np.linalg.norm(taken.normal[env], axis=-1).sum())
+        slack += self.balance.allowance(contact_n) * float(moved_m)
         if now - before <= slack:
             return []
         says = f"rose by {now - before:.3g} J of {scale:.3g} J"
         return [StressFinding("energy", env, says)]
-
-
-def _contact_force(taken: Taken, env: int) -> float:
-    """Sum of the nodal contact forces on one side [N]."""
-    return 0.5 * float(np.linalg.norm(taken.normal[env], axis=-1).sum())
 
 
 # Referees that need nothing but the step --------------------------------------------------------
@@ -369,6 +366,7 @@ def take(
     report = solver.step(state, target)
     outputs.update(state)
     load, friction = state.external_forces, solver.friction
+    watched = outputs.update(state).energies if watch_energy else {}
     return Taken(
         report=report,
         before=before,
@@ -380,10 +378,6 @@ def take(
         normal=outputs.normal_forces.numpy(),
         friction=outputs.friction_forces.numpy(),
         load=np.zeros_like(before.positions) if load is None else load.numpy().copy(),
-        energies=_energies(outputs, state) if watch_energy else {},
+        energies={name: value.copy() for name, value in watched.items()},
         energies_before=earlier.energies if earlier else {},
     )
-
-
-def _energies(outputs: Outputs, state: State) -> dict[str, np.ndarray]:
-    return {name: value.copy() for name, value in outputs.update(state).energies.items()}

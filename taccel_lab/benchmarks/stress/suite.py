@@ -18,6 +18,8 @@ from taccel_lab.benchmarks.results import ResultFile, Suite, Ticker, note
 from taccel_lab.benchmarks.stress.families import FAMILIES, make_case
 from taccel_lab.benchmarks.stress.runner import SECONDS, CaseId, run_all, run_case
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known, require_range
+from taccel_lab.report.page_text import markdown_table
 
 GOOD = ("converged", "refused")
 """Outcomes that are right."""
@@ -91,44 +93,43 @@ def _all(results: Iterable[dict[str, Any]], name: str) -> list:
 
 
 _HEAD = (
-    "| family | cases | converged | refused rightly | failed with a cause | out of time "
-    "| silent | broken | steps (in parts) | Newton a step: median / p95 / max "
-    "| processor seconds a case: median / max |",
-    "|---|" + "--:|" * 10,
-)
+    "family", "cases", "converged", "refused rightly", "failed with a cause", "out of time",
+    "silent", "broken", "steps (in parts)", "Newton a step: median / p95 / max",
+    "processor seconds a case: median / max",
+)  # fmt: skip
 
 
-def _line(name: str, row: dict[str, Any]) -> str:
-    causes = {cause: n for cause, n in row["outcomes"].items() if cause.isupper()}
-    failed = ", ".join(f"{n} {cause}" for cause, n in causes.items()) or "0"
+def _cells(name: str, row: dict[str, Any]) -> tuple[Any, ...]:
+    causes = [f"{n} {cause}" for cause, n in row["outcomes"].items() if cause.isupper()]
     return (
-        f"| {name} | {row['cases']} | {row['converged']} | {row['refused']} | {failed} "
-        f"| {row['budget']} | {row['silent']} | {row['broken']} "
-        f"| {row['steps']} ({row['steps_in_parts']}) "
-        f"| {row['newton_median']:.0f} / {row['newton_p95']:.0f} / {row['newton_max']:.0f} "
-        f"| {row['processor_s_median']:.2f} / {row['processor_s_max']:.1f} |"
+        *(name, row["cases"], row["converged"], row["refused"], ", ".join(causes) or "0"),
+        *(row["budget"], row["silent"], row["broken"]),
+        f"{row['steps']} ({row['steps_in_parts']})",
+        f"{row['newton_median']:.0f} / {row['newton_p95']:.0f} / {row['newton_max']:.0f}",
+        f"{row['processor_s_median']:.2f} / {row['processor_s_max']:.1f}",
     )
 
 
 def total_table(summary: dict[str, Any]) -> str:
     """Markdown: one row over all cases. A step counts once in each environment."""
-    return "\n".join([*_HEAD, _line("**all**", summary["total"])])
+    return markdown_table(_HEAD, [_cells("**all**", summary["total"])])
 
 
 def table(summary: dict[str, Any]) -> str:
     """Markdown: a row a family, then what failed. A step counts once in each environment."""
-    families = [_line(name, row) for name, row in summary["families"].items()]
-    lines = [*_HEAD, *families, _line("**all**", summary["total"])]
+    families = [_cells(name, row) for name, row in summary["families"].items()]
+    parts = [markdown_table(_HEAD, [*families, _cells("**all**", summary["total"])])]
     if summary["referees"]:
         said = ", ".join(f"{name} {count}" for name, count in summary["referees"].items())
-        lines += ["", f"Referees that objected (cases): {said}."]
+        parts.append(f"Referees that objected (cases): {said}.")
     if summary["failing"]:
-        lines += ["", "| case | outcome | Newton iterations | what |", "|---|---|--:|---|"]
-        for item in summary["failing"]:
-            says = item["says"].replace("|", "/")
-            row = f"| `{item['case']}` | {item['outcome']} | {item['newton_iterations']} | {says} |"
-            lines.append(row)
-    return "\n".join(lines)
+        rows = [
+            (f"`{item['case']}`", item["outcome"], item["newton_iterations"],
+             item["says"].replace("|", "/"))
+            for item in summary["failing"]
+        ]  # fmt: skip
+        parts.append(markdown_table(("case", "outcome", "Newton iterations", "what"), rows))
+    return "\n\n".join(parts)
 
 
 SAVE_EVERY_S = 60.0
@@ -159,11 +160,9 @@ class Stress(Suite):
     """Run one scene again instead, step by step: FAMILY:SEED, as in the result."""
 
     def run(self) -> None:
-        if not 0 <= self.max_unsolved <= 1:
-            raise InputError(f"--max-unsolved must be between 0 and 1, got {self.max_unsolved:g}")
+        require_range("--max-unsolved", self.max_unsolved, 0, 1)
         for name in self.families:
-            if name not in FAMILIES:
-                raise InputError(f"--families must be of {', '.join(FAMILIES)}; got {name!r}")
+            require_known("family", name, FAMILIES)
         if self.replay:
             self._run_again()
             return
@@ -202,14 +201,6 @@ class Stress(Suite):
         print(f"residual over what is allowed: {result['residual_ratio']:.3g}")
         if result["outcome"] not in ("converged", "refused"):
             raise SystemExit(1)
-
-    def settings(self) -> dict[str, Any]:
-        return {
-            "count": self.count,
-            "seed": self.seed,
-            "budget_s": self.seconds,
-            "jobs": self.jobs,
-        }
 
     def measure_rows(self, result: ResultFile) -> None:
         """Run the cases; files are written anew now and then."""

@@ -22,26 +22,10 @@ JOBS = ".jobs"
 """Folder of submitit's scripts and logs in that of the study."""
 
 
-def run_shard(
-    file: str, root: str, shard: Shard, device: str | None, processes: int | None,
-    accuracy: str | None,
-) -> int:  # fmt: skip
-    """Work of one job: its part of the study. Returns the number of new designs.
-
-    Raises SimulationError where processes of it died, as of too little memory.
-    """
-    study = read_study(Path(file), default_kit(), accuracy)
-    source = Path(file).read_text(encoding="utf-8")
-    outcome = run_study(
-        study, root, device=device, processes=processes, shard=shard, source=source
-    )  # fmt: skip
-    outcome.require_whole()
-    return outcome.new
-
-
 @dataclass(frozen=True)
 class ShardJob:
-    """``run_shard`` as submitit runs it: a job whose time is up is queued again, and goes on."""
+    """A part of a study as submitit runs it: a job whose time is up is queued again, and goes
+    on."""
 
     file: str
     root: str
@@ -51,11 +35,23 @@ class ShardJob:
     accuracy: str | None
 
     def __call__(self) -> int:
+        """Run it; returns the number of new designs.
+
+        Raises SimulationError where processes of it died, as of too little memory.
+        """
         # submitit passes SIGTERM over, which SLURM sends to a job that it will kill.
         signal.signal(signal.SIGTERM, _end)
-        return run_shard(
-            self.file, self.root, self.shard, self.device, self.processes, self.accuracy
+        study = read_study(Path(self.file), default_kit(), self.accuracy)
+        outcome = run_study(
+            study,
+            self.root,
+            device=self.device,
+            processes=self.processes,
+            shard=self.shard,
+            source=Path(self.file).read_text(encoding="utf-8"),
         )
+        outcome.require_whole()
+        return outcome.new
 
     def checkpoint(self) -> Any:
         """What submitit queues again."""

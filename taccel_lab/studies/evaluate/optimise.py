@@ -86,7 +86,7 @@ def _follow_slopes(nlopt: Any, slopes: _Slopes, sweep: Sweep, start: list[float]
     optimizer.set_ftol_abs(SMALLEST_GAIN)
     guard = _Guard(optimizer.force_stop)
     optimizer.set_min_objective(lambda x, gradient: guard(slopes.value, x, gradient, None))
-    for place in range(len(slopes.problem.sides)):
+    for place in range(len(slopes.problem.bounds)):
         optimizer.add_inequality_constraint(
             lambda x, gradient, place=place: guard(slopes.value, x, gradient, place),
             CONSTRAINT_TOLERANCE,
@@ -104,7 +104,7 @@ def _search(nlopt: Any, problem: _Problem, sweep: Sweep, start: list[float]) -> 
     optimizer.set_initial_step(0.25)
     guard = _Guard(optimizer.force_stop)
     optimizer.set_min_objective(lambda x, gradient: guard(problem.cost, x))
-    for place in range(len(problem.sides)):
+    for place in range(len(problem.bounds)):
         optimizer.add_inequality_constraint(
             lambda x, gradient, place=place: guard(problem.excess, x, place), CONSTRAINT_TOLERANCE
         )
@@ -212,12 +212,7 @@ class _Problem:
         """Place of the best design that keeps them."""
         self._least_cost = math.inf
         self.state = OptimiserState()
-        self.sides = [
-            (constraint, side)
-            for constraint in constraints
-            for side in ("min", "max")
-            if getattr(constraint, side) is not None
-        ]
+        self.bounds = [bound for constraint in constraints for bound in constraint.bounds]
 
     def swept(self, x: Sequence[float]) -> dict[str, Any]:
         """Values of the axes at a place."""
@@ -252,7 +247,7 @@ class _Problem:
 
     def violation(self, x: Sequence[float]) -> float:
         """Sum of all excesses above zero."""
-        total = sum(max(self.excess(x, place), 0.0) for place in range(len(self.sides)))
+        total = sum(max(self.excess(x, place), 0.0) for place in range(len(self.bounds)))
         if total < self._least:
             self._least, self.least_violating = total, [float(unit) for unit in x]
         return total
@@ -273,15 +268,13 @@ class _Problem:
 
     def excess(self, x: Sequence[float], place: int) -> float:
         """How far a constraint is exceeded; at most 0 where it is kept."""
-        constraint, side = self.sides[place]
-        bound = float(getattr(constraint, side))
+        bound = self.bounds[place]
         figures = self.figures(x)
-        value = figures.get(constraint.metric)
-        name = f"{constraint.metric} {side}"
+        value = figures.get(bound.metric)
+        name = f"{bound.metric} {bound.side}"
         if value is None:
             return max(self._penalty(figures, name), 1.0)
-        beyond = value - bound if side == "max" else bound - value
-        return self._seen(name, beyond / self._scale(name, bound or value))
+        return self._seen(name, bound.beyond(value) / self._scale(name, bound.limit or value))
 
     def _scale(self, name: str, value: float) -> float:
         if name not in self._scales:
@@ -353,12 +346,11 @@ class _Slopes:
         problem = self.problem
         if place is None:
             problem.cost(units)
-            value, bound = problem.figures(units).get(problem.objective.metric), 1.0
-            sign = problem.objective.sign
+            metric, limit, sign = problem.objective.metric, 1.0, problem.objective.sign
         else:
-            constraint, side = problem.sides[place]
-            value, bound = problem.figures(units).get(constraint.metric), getattr(constraint, side)
-            sign = 1.0 if side == "max" else -1.0
-        if value is None or value <= 0 or bound <= 0:
+            bound = problem.bounds[place]
+            metric, limit, sign = bound.metric, bound.limit, bound.sign
+        value = problem.figures(units).get(metric)
+        if value is None or value <= 0 or limit <= 0:
             raise _NoSlopeError
-        return sign * math.log(value / bound)
+        return sign * math.log(value / limit)

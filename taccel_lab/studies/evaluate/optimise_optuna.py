@@ -210,17 +210,11 @@ class _Problem:
     def excess(self, figures: Figures) -> list[float]:
         """How far each constraint is broken, as a part of its bound; at most 0 where it is kept."""
         found = []
-        for constraint in self._constraints:
-            value = figures.get(constraint.metric)
-            for side, bound in (("max", constraint.max), ("min", constraint.min)):
-                if bound is None:
-                    continue
-                beyond = 1.0
-                if value is not None:
-                    beyond = (value - bound if side == "max" else bound - value) / (
-                        abs(bound) or 1.0
-                    )
-                found.append(beyond)
+        bounds = [b for constraint in self._constraints for b in reversed(constraint.bounds)]
+        for bound in bounds:
+            value = figures.get(bound.metric)
+            scale = abs(bound.limit) or 1.0
+            found.append(1.0 if value is None else bound.beyond(value) / scale)
         return found
 
     def worst(self, study: optuna.Study) -> list[float] | None:

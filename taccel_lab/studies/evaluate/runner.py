@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.shard import Shard
@@ -24,7 +24,7 @@ from taccel_lab.studies.evaluate.design_row import DesignRow, directed, ranked
 from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
 from taccel_lab.studies.evaluate.study_folder import StudyFolder, write_table
-from taccel_lab.studies.metrics.design_point import DesignPoint
+from taccel_lab.studies.metrics.base import DesignPoint
 from taccel_lab.studies.spec.study import Kit, Study
 from taccel_lab.summary import Summary
 
@@ -32,8 +32,8 @@ TABLE_EVERY_S = 2.0
 """The table is rewritten at most this often while designs come in, and at the end."""
 
 
-class Listener:
-    """Receives how a run goes; the base class does nothing."""
+class Listener(Protocol):
+    """Receives how a run goes; what is left out here does nothing."""
 
     def begins(self, total: int, there: int, to_do: int) -> None:
         """Designs in all (an optimiser's: at most), those with a row already, and to do now."""
@@ -43,6 +43,9 @@ class Listener:
 
     def underway(self, worker: int, what: str, done: int, total: int) -> None:
         """What one process is doing."""
+
+
+class _Nobody(Listener): ...
 
 
 @dataclass(repr=False)
@@ -162,7 +165,7 @@ def run_study(
         _require_same_sensor(study, folder)
         if source:
             folder.write_text("study.toml", source)
-        run = _Run(study, folder, device, processes, limit, listener or Listener(), shard)
+        run = _Run(study, folder, device, processes, limit, listener or _Nobody(), shard)
         outcome = run.go()
         outcome.seconds = time.perf_counter() - begun
         return outcome
@@ -174,7 +177,7 @@ def read_outcome(study: Study, root: Path | str) -> StudyOutcome:
     if not folder.is_study():
         raise InputError(f"{folder.root} holds no study; run it first")
     _require_same_sensor(study, folder)
-    return _Run(study, folder, study.spec.run.device, 0, 0, Listener()).go()
+    return _Run(study, folder, study.spec.run.device, 0, 0, _Nobody()).go()
 
 
 def _by_optuna(study: Study) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known, require_range
 from taccel_lab.presses import PHYSICS, Accuracy, PressPhysics, parse_indenter
 
 CENTRE = (0.0, 0.0)
@@ -76,22 +77,14 @@ class StandardPress:
             )
         for name, low, high in (
             ("depth_fraction", 0.0, 0.8), ("depth_mm", 0.0, 50.0), ("shear_fraction", -4.0, 4.0),
-            ("twist_deg", -90.0, 90.0),
+            ("twist_deg", -90.0, 90.0), ("steps", 1, 200), ("shear_steps", 1, 200),
+            ("twist_steps", 1, 200),
         ):  # fmt: skip
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise InputError(
-                    f"press {self.name}: {name} must lie in [{low:g}, {high:g}], got {value}"
-                )
+            require_range(f"press {self.name}: {name}", getattr(self, name), low, high)
         if not self.depth_limit_mm > 0:
             raise InputError(
                 f"press {self.name}: depth_limit_mm must be above 0, got {self.depth_limit_mm}"
             )
-        for name in ("steps", "shear_steps", "twist_steps"):
-            if not 1 <= getattr(self, name) <= 200:
-                raise InputError(
-                    f"press {self.name}: {name} must lie in 1..200, got {getattr(self, name)}"
-                )
         if not (np.abs(np.asarray(self.places)) <= 1).all():
             raise InputError(
                 f"press {self.name}: places are parts of half of the view, in [-1, 1], got "
@@ -139,11 +132,7 @@ STANDARD_PRESSES: dict[str, StandardPress] = {
         StandardPress("cylinder", ("roller:2x6",), depth_fraction=0.2, depth_limit_mm=1.0, steps=4),
         StandardPress("edge", ("edge:90x6x0.1",), depth_fraction=0.15, depth_limit_mm=0.6, steps=4),
         StandardPress(
-            "grating",
-            ("grating:2x4x6",),
-            depth_fraction=0.1,
-            depth_limit_mm=0.4,
-            steps=3,
+            "grating", ("grating:2x4x6",), depth_fraction=0.1, depth_limit_mm=0.4, steps=3
         ),
         StandardPress(
             "shear",
@@ -189,6 +178,5 @@ def standard_presses(names: tuple[str, ...] | list[str] | None = None) -> list[S
     """Presses by name, the default six when None; InputError lists the known ones."""
     names = DEFAULT_PRESSES if names is None else names
     for name in names:
-        if name not in STANDARD_PRESSES:
-            raise InputError(f"no press {name!r}; known: {', '.join(STANDARD_PRESSES)}")
+        require_known("press", name, STANDARD_PRESSES)
     return [STANDARD_PRESSES[name] for name in names]

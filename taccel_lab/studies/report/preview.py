@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
 from taccel_lab.studies.evaluate.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
-from taccel_lab.studies.metrics.design_point import LOAD_N, DesignFigures, DesignPoint
+from taccel_lab.studies.metrics.base import LOAD_N, DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.evidence import photometry, view_model
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.presses.standard import standard_presses
@@ -96,8 +96,7 @@ def preview_design(
     Raises:
         InputError: Parameters out of bounds, a family without optics, an unknown press.
     """
-    if not 32 <= size_px <= 4096:
-        raise InputError(f"the size of a preview must lie in [32, 4096] px, got {size_px}")
+    require_range("the size of a preview", size_px, 32, 4096, "px")
     chosen = standard_presses(list(presses))
     parameters = family.parameters(overrides)
     look = partial(view_model, parameters, size_px=size_px, enlarged=True, device=device)

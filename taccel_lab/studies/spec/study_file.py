@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,7 +31,7 @@ from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, desc
 from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
-from taccel_lab.studies.metrics.design_point import LOAD_N
+from taccel_lab.studies.metrics.base import LOAD_N
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""
@@ -215,6 +216,24 @@ class Objective(StrictModel):
         return ("least " if self.sign > 0 else "greatest ") + self.metric
 
 
+@dataclass(frozen=True)
+class Bound:
+    """One side of a constraint."""
+
+    metric: str
+    side: Literal["max", "min"]
+    limit: float
+
+    @property
+    def sign(self) -> float:
+        """1 where values above the limit break it, -1 where those below do."""
+        return 1.0 if self.side == "max" else -1.0
+
+    def beyond(self, value: float) -> float:
+        """How far ``value`` lies outside, in the metric's unit; at most 0 inside."""
+        return self.sign * (value - self.limit)
+
+
 class Constraint(StrictModel):
     """Bounds that a design has to keep."""
 
@@ -230,11 +249,16 @@ class Constraint(StrictModel):
             raise ValueError(f"unreachable: min {self.min:g} is above max {self.max:g}")
         return self
 
+    @property
+    def bounds(self) -> list[Bound]:
+        """Its sides, the lower one first."""
+        limits: tuple[tuple[Literal["max", "min"], float | None], ...]
+        limits = ("min", self.min), ("max", self.max)
+        return [Bound(self.metric, side, limit) for side, limit in limits if limit is not None]
+
     def violation(self, value: float) -> float:
         """How far ``value`` lies outside, in the metric's unit; 0 inside."""
-        below = self.min - value if self.min is not None else 0.0
-        above = value - self.max if self.max is not None else 0.0
-        return max(below, above, 0.0)
+        return max(0.0, *(bound.beyond(value) for bound in self.bounds))
 
     def text(self) -> str:
         """Words such as ``stiffness_n_per_mm from 1 to 2``."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.report.plots import draw_stress
+from taccel_lab.benchmarks.report.pages import draw_stress
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.benchmarks.stress import suite
 from taccel_lab.benchmarks.stress.families import FAMILIES, make_case

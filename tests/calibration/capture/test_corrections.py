@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.calibration.capture import ContactCircle, load_captures
 from taccel_lab.calibration.capture.load import override_presses, override_text
 from taccel_lab.calibration.circles.labels import choose_circles
-from taccel_lab.cli.capture.check import CaptureCheckCommand
+from taccel_lab.cli.capture import CaptureCheckCommand
 from taccel_lab.errors import InputError
 from tests.calibration.circles.presses import (
     BALL_MM,

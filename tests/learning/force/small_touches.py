@@ -15,9 +15,9 @@ import numpy as np
 
 from taccel_lab.datasets.channels import channels_of
 from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.motion import TouchRecord
 from taccel_lab.datasets.part import part_data, write_part
 from taccel_lab.datasets.plan import DatasetPlan
-from taccel_lab.datasets.touch import TouchRecord
 from tests.support.small_data_sets import plan
 
 TOOLS = {"sphere:2": 2.0, "sphere:3": 3.0, "sphere:4": 4.0, "sphere:5": 5.0, "sphere:6": 6.0}

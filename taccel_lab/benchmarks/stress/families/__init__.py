@@ -8,7 +8,6 @@ from typing import Any
 
 from taccel_lab.benchmarks.stress.case import Draw, StressCase
 from taccel_lab.benchmarks.stress.families import (
-    close_calls,
     grasps,
     impacts,
     mechanisms,
@@ -19,9 +18,9 @@ from taccel_lab.benchmarks.stress.families import (
 FAMILIES: dict[str, Callable[[Draw], StressCase]] = {
     make.__name__: make
     for make in (
-        close_calls.thin_gap,
-        close_calls.parallel_edges,
-        close_calls.soft_edges,
+        impacts.thin_gap,
+        impacts.parallel_edges,
+        impacts.soft_edges,
         grasps.throw_and_catch,
         grasps.ratios,
         grasps.pile,

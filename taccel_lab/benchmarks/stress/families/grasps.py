@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Draw, StressCase
-from taccel_lab.benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import (
     ELEMENTS,
+    Draw,
+    StressCase,
     bonded_block,
     friction,
     in_time,
@@ -55,10 +56,6 @@ def _fingers(draw: Draw, young_pa: tuple[float, float]) -> list[SoftBody]:
     ]
 
 
-def _half_width(shape_nodes: np.ndarray, turn: np.ndarray) -> float:
-    return float(np.abs(rotate(turn, shape_nodes)[:, 0]).max())
-
-
 def throw_and_catch(draw: Draw) -> StressCase:
     """A stiff body is thrown between two gels, which close on it, lift and shake it, and let go."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
@@ -75,7 +72,7 @@ def throw_and_catch(draw: Draw) -> StressCase:
         initial_velocity_m_s=(float(away[0]), float(away[1]), float(away[2])),
         initial_spin_rad_s=(0.0, draw.between("spin", -50, 50), 0.0),
     )
-    wide = _half_width(shape.vertices_m, turn)
+    wide = float(np.abs(rotate(turn, shape.vertices_m)[:, 0]).max())
     gap = draw.decades("gap", 1e-5, 3e-4)
     squeeze = draw.between("squeeze", 0.02, 0.3) * GEL[2]
     lift, shake = draw.between("lift", 0, 2e-3), draw.between("shake", 0, 0.5)

@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Draw, StressCase
-from taccel_lab.benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import (
     ELEMENTS,
+    Draw,
+    StressCase,
     bonded_block,
     friction,
     in_time,

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Draw, StressCase
-from taccel_lab.benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import (
     ELEMENTS,
+    Draw,
+    StressCase,
     bonded_block,
     friction,
     material,

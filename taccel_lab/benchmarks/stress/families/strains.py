@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Draw, StressCase
-from taccel_lab.benchmarks.stress.families.common import (
+from taccel_lab.benchmarks.stress.case import (
     ELEMENTS,
     FREE,
+    Draw,
+    StressCase,
     free_block,
     friction,
     in_time,

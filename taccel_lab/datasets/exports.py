@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export to the layout of LeRobotDataset v3.0 (huggingface/lerobot, ``src/lerobot/datasets``).
+"""Exports to other projects: to the layout of LeRobotDataset v3.0 (huggingface/lerobot,
+``src/lerobot/datasets``), and to the names of UniVTAC's HDF5 files (univtac/UniVTAC,
+``envs/_base_task.py`` and ``envs/utils/data.py``).
 
-Images are PNG inside the Parquet files (dtype ``image``, ``video_path`` null): lossless, and no
-encoder is needed. Arrays of more than one axis are written flat, as the layout's own are.
+LeRobot's images are PNG inside the Parquet files (dtype ``image``, ``video_path`` null): lossless,
+and no encoder is needed. Arrays of more than one axis are written flat, as the layout's own are.
+
+UniVTAC has a file an episode, ``hdf5/N.hdf5``, and ``metadata.json``. One gel is there, as
+``tactile/left_tactile``. Images are PNG streams in fixed-length strings, which UniVTAC's reader
+decodes as it does its own JPEG, but losslessly; colours are in its order (RGB handed to the encoder
+as they are).
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +42,34 @@ FLAT = {
     "tool_pose": "observation.tool_pose",
 }
 """Channels and the features that they become, where a data set has them."""
-LEFT_OUT = "depth_mm, contact_mask, normals, nodal channels, error estimates and what was drawn"
+LEROBOT_LEFT_OUT = (
+    "depth_mm, contact_mask, normals, nodal channels, error estimates and what was drawn"
+)
+
+
+def _opened(
+    folders: Sequence[Path | str], out: Path | str, needed: Sequence[str], layout: str
+) -> tuple[Dataset, list[int]]:
+    """The data set, and the places of its episodes that have steps.
+
+    Raises InputError for one without a step or without a channel that the layout needs.
+    """
+    require_outside(out)
+    data = Dataset(folders)
+    for name in needed:
+        if name not in data.channels:
+            raise InputError(f"the data set has no {name}, which {layout} need")
+    shown = [k for k, row in enumerate(data.episodes) if row["rows"]]
+    if not shown:
+        raise InputError("the data set has no step")
+    return data, shown
+
+
+def _png(image: np.ndarray) -> bytes:
+    """An image of OpenCV's order of colours as PNG."""
+    import cv2
+
+    return cv2.imencode(".png", image)[1].tobytes()
 
 
 def export_lerobot(folders: Sequence[Path | str], out: Path | str, fps: int = 10) -> dict[str, Any]:
@@ -44,13 +80,7 @@ def export_lerobot(folders: Sequence[Path | str], out: Path | str, fps: int = 10
 
     Raises InputError for a data set without rgb or without a step.
     """
-    require_outside(out)
-    data = Dataset(folders)
-    if "rgb" not in data.channels:
-        raise InputError("the data set has no rgb, which LeRobot's observation.images needs")
-    shown = [k for k, row in enumerate(data.episodes) if row["rows"]]
-    if not shown:
-        raise InputError("the data set has no step")
+    data, shown = _opened(folders, out, ("rgb",), "LeRobot's observation.images")
     if len({data.read("rgb", data.rows_of(k)[:1]).shape for k in shown}) > 1:
         raise InputError("LeRobot wants images of one size; export each sensor's data separately")
     with atomic_directory(out) as staging:
@@ -122,15 +152,10 @@ class _Writer:
     def _episode(
         self, episode: int, number: int, index: int
     ) -> tuple[dict[str, list[Any]], dict[str, Any]]:
-        import cv2
-
         rows = self._data.rows_of(episode)
         count = len(rows)
         images = self._data.read("rgb", rows)
-        encoded = [
-            {"bytes": cv2.imencode(".png", image[..., ::-1])[1].tobytes(), "path": None}
-            for image in images
-        ]
+        encoded = [{"bytes": _png(image[..., ::-1]), "path": None} for image in images]
         state = self._data.read("command", rows).astype(np.float32)
         action = state[np.minimum(np.arange(count) + 1, count - 1)]
         numeric = {"observation.state": state, "action": action}
@@ -271,3 +296,82 @@ def _gathered(parts: list[dict[str, list[Any]]]) -> dict[str, Any]:
         "std": np.sqrt(variance).tolist(),
         "count": [int(count.sum())],
     }
+
+
+GEL = "left_tactile"
+UNIVTAC_LEFT_OUT = (
+    "observation (no camera looks on), right_tactile, tactile/*/rgb_marker (rgb shows the dots "
+    "of a sensor that has some), embodiment/joint (no robot)"
+)
+
+
+def export_univtac(folders: Sequence[Path | str], out: Path | str) -> int:
+    """Write ``out``; returns the number of episodes. Episodes without a step are left out.
+
+    Raises InputError for a data set without rgb or depth_mm.
+    """
+    data, shown = _opened(folders, out, ("rgb", "depth_mm"), "UniVTAC's files")
+    described: dict[str, Any] = {}
+    with atomic_directory(out) as staging:
+        (staging / "hdf5").mkdir()
+        for place, number in enumerate(shown):
+            path = staging / "hdf5" / f"{place}.hdf5"
+            write_by(path, partial(_write_episode, data, number))
+            described[str(place)] = data.episodes[number]
+        write_json(staging / "metadata.json", described)
+    return len(described)
+
+
+def _write_episode(data: Dataset, number: int, stream: BytesIO) -> None:
+    import h5py
+
+    row = data.episodes[number]
+    steps = data.rows_of(number)
+    base_mm = _camera_distance_mm(data, number)
+    with h5py.File(stream, "w") as file:
+        gel = file.create_group("tactile").create_group(GEL)
+        _put_images(gel, "rgb", data.read("rgb", steps))
+        depth = gel.create_dataset(
+            "depth", data=(base_mm - data.read("depth_mm", steps)).astype(np.float32)
+        )
+        depth.attrs["unit"] = "mm"
+        depth.attrs["what"] = "from the camera along its axis" if base_mm else "height over rest"
+        if "markers_px" in data.channels:
+            there = data.read("markers_px", steps).astype(np.float32)
+            rest = np.broadcast_to(there[:1], there.shape)
+            gel.create_dataset("marker", data=np.stack([rest, there], axis=1))
+        if "node_moved_mm" in data.channels:
+            nodes, _ = data.mesh(number)
+            moved = data.read("node_moved_mm", steps)[:, : len(nodes)]
+            points = gel.create_dataset("points", data=(nodes + 1e-3 * moved).astype(np.float32))
+            points.attrs["unit"] = "m, gel frame: nodes of the contact face"
+        # The gel rests; the object moves. Quaternions are w, x, y, z there.
+        still = np.zeros((len(steps), 7), dtype=np.float32)
+        still[:, 3] = 1
+        gel.create_dataset("pose", data=still)
+        pose = data.read("tool_pose", steps)[:, [0, 1, 2, 6, 3, 4, 5]]
+        file.create_group("actor").create_dataset("object", data=pose.astype(np.float32))
+        embodiment = file.create_group("embodiment")
+        embodiment.create_dataset("ee", data=pose.astype(np.float32))
+        file.create_dataset("step", data=data.steps["step"][steps].astype(np.int64))
+        atom = file.create_group("atom")
+        pressed = data.steps["step"][steps]
+        atom.create_dataset("id", data=(pressed > 0).astype(np.int64))
+        tags = np.where(pressed > 0, str(row["motion"]), "rest").astype("S")
+        atom.create_dataset("tag", data=tags)
+        # Names of ours, beside theirs.
+        labels = file.create_group("taccel_lab")
+        for name in ("wrench", "contact_area_mm2", "patch_forces_n", "contact_mask"):
+            if name in data.channels:
+                labels.create_dataset(name, data=data.read(name, steps))
+
+
+def _put_images(group: Any, name: str, images: np.ndarray) -> None:
+    streams = [_png(image) for image in images]
+    group.create_dataset(name, data=streams, dtype=f"S{max(map(len, streams))}")
+
+
+def _camera_distance_mm(data: Dataset, number: int) -> float:
+    """Distance from the camera to the face at rest along z, where the profile knows; else 0."""
+    optics = data.profile(number).optics
+    return 0.0 if optics is None else abs(float(optics.position_mm[2]))

@@ -15,8 +15,6 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from taccel_lab.calibration.result import BlockResult
     from taccel_lab.profile import SensorProfile
     from taccel_lab.report.page import Page
@@ -103,48 +101,41 @@ class BlockCommand(CalibrationFiles):
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        console, block = notes(), block_named(self.block_name())
+        block = block_named(self.block_name())
         folder = load_capture_folder(self.captures)
-        with stage_progress(console) as progress:
+        with stage_progress(notes()) as progress:
             base = base_profile(self.base, folder)
             options = None if block.options is None else self.options(base)
             result = block.fit(folder, base, options, progress)
             page = block.page(result, folder)
         before = None if self.base is None else base
         profile = with_session(before, result.apply_to(base), folder)
-        say = Sayings(block.name, console, self.json)
-        write_results(result, page, profile, self.out, report, say, self.files(result))
-
-
-@dataclass(frozen=True)
-class Sayings:
-    """What a command says of a calibration, and where."""
-
-    name: str
-    """Name of the block."""
-    notes: Console
-    json: bool
-    """Figures as JSON in place of the page's summary."""
+        saved = profile, self.out
+        write_results(block.name, result, page, saved, report, self.json, self.files(result))
 
 
 def write_results(
+    name: str,
     result: BlockResult,
     page: Page,
-    profile: SensorProfile,
-    out: Path,
+    saved: tuple[SensorProfile, Path],
     report: Path,
-    say: Sayings,
+    as_json: bool,
     files: Mapping[Path, Callable[[Path], None]] | None = None,
 ) -> None:
-    """Save the extended profile and the report, say the verdict with its remarks, and give the
-    figures on standard output: as JSON, or the page's summary and first table."""
-    from taccel_lab.cli.console import print_json, results
+    """Save the extended profile and the report of a block, say the verdict with its remarks, and
+    give the figures on standard output: as JSON, or the page's summary and first table.
+
+    ``saved``: the profile, and its folder; ``files``: further ones, with what writes them.
+    """
+    from taccel_lab.cli.console import notes, print_json
     from taccel_lab.files.atomic_file import atomic_file
     from taccel_lab.profile.io import profile_saved
     from taccel_lab.report.page import write_page
     from taccel_lab.report.remark import judge
 
-    files = files or {}
+    profile, out = saved
+    files, console = files or {}, notes()
     # All of it is on disk before anything of it takes the place of an earlier one.
     with ExitStack() as stack:
         stack.enter_context(profile_saved(profile, out))
@@ -155,28 +146,25 @@ def write_results(
         for path in files.keys() - beside.keys():
             files[path](path)
     for remark in result.remarks:
-        say.notes.print(str(remark))
-    say.notes.print(f"verdict: {judge(result.remarks)}")
+        console.print(str(remark))
+    console.print(f"verdict: {judge(result.remarks)}")
     wrote = " and ".join(str(path) for path in (out, report / "report.html", *files))
-    say.notes.print(f"wrote {wrote}")
-    if say.json:
-        print_json({"profile": str(out), say.name: result.figures()})
+    console.print(f"wrote {wrote}")
+    if as_json:
+        print_json({"profile": str(out), name: result.figures()})
     else:
-        _print_page(page, results())
+        _print_page(page)
 
 
-def _print_page(page: Page, console: Console) -> None:
-    from rich.table import Table as Grid
-
+def _print_page(page: Page) -> None:
+    from taccel_lab.cli.console import print_table, results
     from taccel_lab.report.page import format_number
 
-    console.print(page.summary)
+    results().print(page.summary)
     if not page.tables or page.tables[0].folded:
         return
     table = page.tables[0].shown()
-    grid = Grid(*table.columns, title=table.title, title_justify="left")
-    for row in table.rows[:_MOST_ROWS]:
-        grid.add_row(*map(format_number, row))
-    console.print(grid)
+    rows = [[format_number(value) for value in row] for row in table.rows[:_MOST_ROWS]]
+    print_table(table.columns, rows, table.title)
     if len(table.rows) > _MOST_ROWS:
-        console.print(f"{len(table.rows) - _MOST_ROWS} more rows stand in the report")
+        results().print(f"{len(table.rows) - _MOST_ROWS} more rows stand in the report")

@@ -1,19 +1,115 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's image beside the gel, or depth and pressure in it, with the markers' motion."""
+"""What pages share: where they look from at first and the light that they have, a slider over time,
+and the image of the sensor beside the gel.
+"""
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.report.page_text import add_html_note, add_note
+from taccel_lab.viewer.arrows import round_length
 from taccel_lab.viewer.gel_states import Field, SensorImages
 from taccel_lab.viewer.painting import bar_html, map_rgb, shares
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+DIRECTION = (0.35, -1.0, 0.75)
+"""Direction from which a gel is seen: from the front, right and above; z is up."""
+
+
+def add_axes(server: ViserServer, corner_mm: np.ndarray, length_mm: float) -> None:
+    """The axes of the gel frame at a corner, each ``length_mm`` long, with their names."""
+    colors = ((213, 60, 50), (0, 158, 115), (0, 114, 178))
+    for axis, (name, color) in enumerate(zip("xyz", colors, strict=True)):
+        end = corner_mm + length_mm * np.eye(3)[axis]
+        server.scene.add_arrows(
+            f"/axes/{name}", np.stack([corner_mm, end])[None], color,
+            shaft_radius=0.03 * length_mm, head_radius=0.08 * length_mm,
+            head_length=0.2 * length_mm,
+        )  # fmt: skip
+        text = f"{name}, {length_mm:g} mm" if name == "x" else name
+        server.scene.add_label(f"/axes/{name}/label", text, position=tuple(end))
+
+
+def look_at(
+    server: ViserServer,
+    points_mm: np.ndarray,
+    direction: tuple[float, float, float] = DIRECTION,
+    distance: float = 1.6,
+) -> None:
+    """Point the view of a page at the middle of points [n, 3], ``distance`` times their extent
+    away."""
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    middle, size = (low + high) / 2, float(np.linalg.norm(high - low))
+    toward = np.asarray(direction) / np.linalg.norm(direction)
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.configure_default_lights(cast_shadow=False)
+    server.gui.main_panel.dock_right()
+    # Above the far left corner, where nothing hides them and no panel is.
+    corner = np.array([low[0], high[1], high[2] + 0.04 * size])
+    add_axes(server, corner, round_length(0.15 * size))
+    camera = server.initial_camera
+    camera.position = middle + distance * size * toward
+    camera.look_at = middle
+    camera.fov = float(np.radians(38))
+    for client in server.get_clients().values():
+        client.camera.position = tuple(camera.position)
+        client.camera.look_at = tuple(middle)
+
+
+FRAMES_PER_S = 8.0
+
+
+class TimeSlider:
+    """Calls ``show(state)`` whenever another state is chosen or played."""
+
+    def __init__(self, server: ViserServer, count: int, show: Callable[[int], None]) -> None:
+        self._count, self._show = count, show
+        self._playing = threading.Event()
+        self._slider = server.gui.add_slider("step", 0, max(count - 1, 1), 1, 0)
+        self._buttons = server.gui.add_button_group("", ("first", "play", "stop", "last"))
+        self._slider.on_update(lambda _: self._show(min(self.state, self._count - 1)))
+        self._buttons.on_click(lambda event: self._pressed(event.target.value))
+
+    @property
+    def state(self) -> int:
+        """Which is shown."""
+        return int(self._slider.value)
+
+    def set(self, state: int) -> None:
+        """Show a state; the slider follows."""
+        self._slider.value = int(state)
+
+    def resize(self, count: int, state: int = 0) -> None:
+        """Another row of states, of which ``state`` is shown."""
+        self._playing.clear()
+        self._count = count
+        self._slider.max = max(count - 1, 1)
+        self.set(min(state, count - 1))
+
+    def _pressed(self, button: str) -> None:
+        playing = self._playing.is_set()
+        self._playing.clear()
+        if button == "play" and not playing:
+            self._playing.set()
+            threading.Thread(target=self._play, daemon=True).start()
+        elif button in ("first", "last"):
+            self.set(0 if button == "first" else self._count - 1)
+
+    def _play(self) -> None:
+        pause = threading.Event()
+        while self._playing.is_set():
+            self.set((self.state + 1) % self._count)
+            pause.wait(1 / FRAMES_PER_S)
+
 
 MARKER_RGB = (255, 221, 51)
 WIDTH_PX = 480

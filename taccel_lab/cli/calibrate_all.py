@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate all``, every block that a capture folder has captures for, in order; and
+``taccel-lab demo``, which does that with real captures and presses the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.calibration.press_options import ThicknessMode
+from taccel_lab.cli.calibration_outputs import CalibrationFiles, report_folder, require_outputs
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.calibrate import Calibration
+
+
+@dataclass(frozen=True)
+class CalibrateAll(CalibrationFiles):
+    """Fit every block that the captures allow and write one profile and one report.
+
+    The captures are checked first (taccel-lab capture check). Then camera, scale, background,
+    color, normals, depth, markers and material are fitted in this order. Blocks without captures
+    are skipped, and the report says what to capture. After a board on the gel the images
+    are rectified; the maps are in the report. Finished blocks are kept in <report>_unfinished,
+    where the same command continues after a crash. Exits with 1 when the captures of a block cannot
+    be used.
+    """
+
+    report: Path | None = None
+    """Folder for the reports: one of the whole and one for each block; <out>_report when left
+    out."""
+    only: tuple[str, ...] = ()
+    """Blocks to fit, by name. Default: all."""
+    thickness: ThicknessMode = "auto"
+    """Thickness of the gel, for color and normals: auto fits an unmeasured one, and rejects a
+    stated one that the presses contradict. fit always fits it."""
+
+    def run(self) -> None:
+        from taccel_lab.calibration.calibrate import calibrate
+        from taccel_lab.cli.console import kept_blocks, notes, print_json, print_table, working
+        from taccel_lab.profile.io import profile_saved
+        from taccel_lab.progress import stage_progress
+
+        console = notes()
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        with kept_blocks(report) as unfinished:
+            with stage_progress(console) as progress:
+                found = calibrate(
+                    self.captures,
+                    self.base,
+                    self.only,
+                    self._options(),
+                    progress=progress,
+                    unfinished=unfinished,
+                )
+            with working(console, "writing the reports"), profile_saved(found.profile, self.out):
+                found.write_report(report)
+        if found.unfinished is not None:
+            found.unfinished.remove()
+        _print_remarks(console, found)
+        if self.json:
+            outcomes = [outcome.figures() for outcome in found.blocks]
+            print_json({"profile": str(self.out), "blocks": outcomes})
+        else:
+            rows = [(b.name, str(b.state), b.message, f"{b.seconds:.0f}") for b in found.blocks]
+            print_table(("block", "state", "verdict or reason", "seconds"), rows)
+        console.print(f"wrote {self.out} and {report / 'report.html'}")
+        if found.unfit:
+            raise SystemExit(1)
+
+    def _options(self) -> dict[str, Any]:
+        from taccel_lab.calibration.press_options import ColorOptions, NormalOptions
+
+        return {
+            "color": ColorOptions(thickness=self.thickness),
+            "normals": NormalOptions(thickness=self.thickness),
+        }
+
+
+def _print_remarks(console: Console, found: Calibration) -> None:
+    for note in found.notes:
+        console.print(f"note: {note}")
+    for outcome in found.blocks:
+        if outcome.page is not None:
+            console.rule(outcome.name, align="left")
+            for remark in outcome.page.remarks:
+                console.print(str(remark))
+            console.print(f"verdict: {outcome.message}")
+
+
+DEMO_INDENTER = "sphere:2.0"
+DEMO_AT_MM = (1.0, -0.5)
+"""A place where no capture was taken."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Calibrate a real GelSight and press it: captures in, profile and report out; takes some
+    minutes.
+
+    Runs calibrate all and press. It checks the captures, fits every block that they allow, and
+    writes profile and report. A quarter of the presses is held out before any image is read. Then
+    it presses the calibrated sensor at a position that was never captured. The captures are the
+    GelSight ball presses of the PyPI package taxim. Finished blocks are kept in <out>_unfinished,
+    where the same command continues after a crash.
+    """
+
+    out: Path = Path("out/demo")
+    """Folder to write: profile, report and press. An earlier one is replaced when everything is
+    done."""
+    captures: Path | None = None
+    """Capture folder (docs/captures.md). Default: the captures of taxim."""
+    depth_mm: float = 0.8
+    """Depth of the last press [mm]."""
+    only: tuple[str, ...] = ()
+    """Blocks to fit, by name. Default: all."""
+    json: bool = False
+    """Print the figures as JSON instead of summaries."""
+
+    def run(self) -> None:
+        from taccel_lab.api.press_options import PressOptions
+        from taccel_lab.api.press_run import PressRun, step_progress
+        from taccel_lab.calibration.base_profile import base_profile
+        from taccel_lab.calibration.calibrate import calibrate
+        from taccel_lab.calibration.capture import find_taxim_pack
+        from taccel_lab.calibration.capture.load import load_capture_folder
+        from taccel_lab.cli.console import kept_blocks, notes, print_json, results, working
+        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.progress import stage_progress
+
+        console = notes()
+        require_replaceable(self.out)
+        folder = load_capture_folder(self.captures or find_taxim_pack())
+        options = PressOptions(self.depth_mm, indenter=DEMO_INDENTER, at_mm=DEMO_AT_MM)
+        # What can be rejected is rejected before minutes of work.
+        PressRun.plan(base_profile(None, folder), options)
+        with kept_blocks(self.out) as unfinished, atomic_directory(self.out) as staging:
+            with stage_progress(console) as progress:
+                found = calibrate(folder, only=self.only, progress=progress, unfinished=unfinished)
+            with working(console, "writing the reports"):
+                found.write_report(staging / "report")
+            found.save(staging / "profile")
+            with step_progress(console, "pressing the calibrated sensor") as bar:
+                pressed = PressRun.plan(found, options).run(bar)
+            pressed.save(staging / "press")
+        if found.unfinished is not None:
+            found.unfinished.remove()
+        if self.json:
+            print_json({"blocks": found.figures(), "press": pressed.figures()})
+        else:
+            results().print(f"{found!r}\n{pressed!r}", soft_wrap=True)
+        console.print(f"report: {self.out / 'report' / 'report.html'}")
