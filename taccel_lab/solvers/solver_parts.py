@@ -21,7 +21,7 @@ from taccel_lab.ipc.linear.corrected import CorrectedSolve
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion.trial import FrameNodes, StraightNodes
 from taccel_lab.ipc.potentials.contact import ContactPotential
-from taccel_lab.ipc.potentials.elements.data import ElasticPotential
+from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
 from taccel_lab.ipc.potentials.elements.inversion import BEARS_INVERSION
 from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad

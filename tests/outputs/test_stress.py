@@ -106,7 +106,7 @@ def test_branches_add_what_has_not_relaxed(element: Element) -> None:
 @pytest.mark.parametrize("element", list(Element))
 def test_stress_balances_the_forces_of_the_potential(element: Element) -> None:
     """sum_e sigma V = sum_i x_i (x) g_i: the virial of the gradient, in any deformation."""
-    from taccel_lab.ipc.potentials.elements.data import ElasticPotential
+    from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
 
     model = block(MaterialModel.MOONEY_RIVLIN, element, 0.3)
     x = (

@@ -25,7 +25,7 @@ from taccel_lab.studies.evaluate.batches import write_design_files
 from taccel_lab.studies.evaluate.runner import default_kit, run_study
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.metrics.base import DesignFigures, DesignPoint
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.design_task import design_task
 from taccel_lab.studies.metrics.evidence import Evidence
 from taccel_lab.studies.report import preview as previews

@@ -20,7 +20,7 @@ from taccel_lab.studies.evaluate import evaluate
 from taccel_lab.studies.evaluate.evaluate import Unknowns, evaluate_designs
 from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.metrics.base import DesignPoint
+from taccel_lab.studies.metrics.design_point import DesignPoint
 from taccel_lab.studies.presses import press_batch
 from taccel_lab.studies.presses.standard import STANDARD_PRESSES
 from taccel_lab.studies.spec.readings import described, split_name

@@ -12,7 +12,8 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.metrics.base import DesignFigures, DesignPoint, Metric
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.spec.study import Kit, Study, make_study
 from taccel_lab.studies.spec.study_file import spec_of
 

@@ -9,7 +9,8 @@ import warp as wp
 
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
-from taccel_lab.ipc.potentials.elements.data import ElasticPotential, ElementSum
+from taccel_lab.ipc.potentials.elements.data import ElementSum
+from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
 from taccel_lab.model import Model
 
 

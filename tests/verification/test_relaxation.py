@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.potentials.elements.data import ElasticPotential
+from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     Ball,

@@ -20,7 +20,7 @@ from taccel_lab.report.style import BLUE, GREY, LIGHT, in_report_style, new_figu
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.studies.evaluate.design_row import DesignRow, row_of
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
-from taccel_lab.studies.metrics.base import DesignFigures, DesignPoint
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.evidence import section_mm, view_model
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.spec.study import Study

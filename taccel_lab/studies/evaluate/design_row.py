@@ -18,7 +18,7 @@ from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec.study_file import Constraint, Objective
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.metrics.base import DesignFigures
+    from taccel_lab.studies.metrics.design_point import DesignFigures
 
 
 Status = Literal["done", "failed", "broken"]

@@ -24,7 +24,8 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.scene import Ball
 from taccel_lab.sensors.base import INCOMPRESSIBLE, FamilyParameters
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.metrics.base import DesignFigures, DesignPoint, Fitted, Metric, NoFigure
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint, Fitted, NoFigure
 from taccel_lab.studies.metrics.evidence import Evidence
 from taccel_lab.studies.presses.press_batch import (
     REFERENCE_PA,

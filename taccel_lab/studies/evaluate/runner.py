@@ -24,7 +24,7 @@ from taccel_lab.studies.evaluate.design_row import DesignRow, directed, ranked
 from taccel_lab.studies.evaluate.optimise import OptimiserState, optimise
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL, optimise_with_optuna
 from taccel_lab.studies.evaluate.study_folder import StudyFolder, write_table
-from taccel_lab.studies.metrics.base import DesignPoint
+from taccel_lab.studies.metrics.design_point import DesignPoint
 from taccel_lab.studies.spec.study import Kit, Study
 from taccel_lab.summary import Summary
 

@@ -17,7 +17,7 @@ from taccel_lab.geometry import Region
 from taccel_lab.presses.press_force import by_power_law
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import MarkerLayout
-from taccel_lab.studies.metrics.base import LOAD_N, NoFigure
+from taccel_lab.studies.metrics.design_point import LOAD_N, NoFigure
 from taccel_lab.studies.presses.press_record import PressRecord, section_heights
 
 if TYPE_CHECKING:

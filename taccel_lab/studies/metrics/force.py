@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.metrics.base import Fitted, NoFigure, metric
+from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.design_point import Fitted, NoFigure
 from taccel_lab.studies.metrics.evidence import Evidence, at_load, contact_radius_mm
 from taccel_lab.studies.presses.press_record import PressRecord
 

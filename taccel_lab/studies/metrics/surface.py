@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.metrics.base import NoFigure, metric
+from taccel_lab.studies.metrics.base import metric
+from taccel_lab.studies.metrics.design_point import NoFigure
 from taccel_lab.studies.metrics.evidence import (
     Evidence,
     at_load,

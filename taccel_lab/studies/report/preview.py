@@ -16,7 +16,7 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
 from taccel_lab.studies.evaluate.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
-from taccel_lab.studies.metrics.base import LOAD_N, DesignFigures, DesignPoint
+from taccel_lab.studies.metrics.design_point import LOAD_N, DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.evidence import photometry, view_model
 from taccel_lab.studies.presses.press_record import PressRecord
 from taccel_lab.studies.presses.standard import standard_presses

@@ -20,7 +20,8 @@ from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.sensors.base import STIFFNESS, FamilyParameters, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
-from taccel_lab.studies.metrics.base import DesignFigures, DesignPoint, Metric
+from taccel_lab.studies.metrics.base import Metric
+from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.spec.axis import Axis, axis_of, grid_points, random_points, significant
 from taccel_lab.studies.spec.readings import press_of, readings, split_name
 from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec

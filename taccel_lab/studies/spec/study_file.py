@@ -31,7 +31,7 @@ from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, desc
 from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
-from taccel_lab.studies.metrics.base import LOAD_N
+from taccel_lab.studies.metrics.design_point import LOAD_N
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""

@@ -16,9 +16,8 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.bodies import Element
-from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.device.sums import add_row_sums
-from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
+from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import gather_carried
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
@@ -358,25 +357,3 @@ class ElementSum(Potential):
             inputs = [moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes, self._blocks]
             inputs += [system.displacements, system.rhs]
             launch(_gather_rim_kernel, (m.env_count, len(g.rim_rows)), *inputs)
-
-
-def elastic_kernels(law: MaterialModel, element: Element) -> ElementKernels:
-    """Kernels of a law on a kind of element: compiled when first launched, and only then."""
-    if element is Element.QUADRATIC:
-        from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_quadratic_kernels
-
-        return elastic_quadratic_kernels(law)
-    from taccel_lab.ipc.potentials.elements.linear_kernels import create_linear_kernels
-
-    return create_linear_kernels(LAWS[law])
-
-
-class ElasticPotential(ElementSum):
-    """Elastic energy of one group of elements.
-
-    The energy is +inf when an element is inverted, at any of its quadrature points, except in
-    materials that bear it (see scene.MaterialModel).
-    """
-
-    def __init__(self, model: Model, group: ElementArrays) -> None:
-        super().__init__(model, group, elastic_kernels(group.law, group.element))

@@ -33,12 +33,8 @@ from taccel_lab.bodies.bodies import Element
 from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.ipc.device.matrices import symmetric_eigen_3x3
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
-from taccel_lab.ipc.potentials.elements.data import (
-    ElementData,
-    ElementKernels,
-    ElementSum,
-    elastic_kernels,
-)
+from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, ElementSum
+from taccel_lab.ipc.potentials.elements.elastic import elastic_kernels
 from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.elements.point_stage import PointHessian
 from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadratic_kernels
