@@ -228,14 +228,14 @@ def find_still_gel(profile: SensorProfile, frames: Frames) -> StillGel | str:
     if not pairs:
         return "nothing changes in it"
     images = _read(frames, np.concatenate([np.concatenate(pair) for pair in pairs]))
-    best: tuple[float, StillGel] | None = None
+    clearest, best = 0.0, None
     for state, others in pairs:
         own = [images[number] for number in sorted(state)]
         mean = np.asarray(np.mean([image for _, image in own], axis=0, dtype=np.float32))
-        margin = _margin(profile, mean, [images[number][1] for number in others])
-        if margin > (0.0 if best is None else best[0]):
-            best = margin, StillGel(mean, tuple(name for name, _ in own))
-    return "what stands still in it may be a press that is held" if best is None else best[1]
+        margin = _margin(profile, mean, [images[number][1] for number in others], clearest)
+        if margin > clearest:
+            clearest, best = margin, StillGel(mean, tuple(name for name, _ in own))
+    return best or "what stands still in it may be a press that is held"
 
 
 def _picked(frames: Frames) -> dict[int, np.ndarray]:
@@ -302,27 +302,28 @@ def _witnesses(apart: np.ndarray, state: np.ndarray) -> np.ndarray:
     return np.array(distinct, dtype=int)[np.linspace(0, len(distinct) - 1, count).astype(int)]
 
 
-def _margin(profile: SensorProfile, rest: np.ndarray, others: Sequence[np.ndarray]) -> float:
+def _margin(
+    profile: SensorProfile, rest: np.ndarray, others: Sequence[np.ndarray], enough: float
+) -> float:
     """How clearly ``rest`` is higher than all others: the least of its net rises above one of them
-    less that the other way, as a part of all that rises or sinks; 0 where that is not clear."""
-    needed, least = max(LEAST_MARGIN, MARGIN_OF_ONE / len(others)), 1.0
+    less that the other way, as a part of all that rises or sinks; 0 where that is not clear, or not
+    more than ``enough``."""
+    least = 1.0
+    needed = max(LEAST_MARGIN, MARGIN_OF_ONE / len(others), enough)
+    resting = SurfaceReader(profile, background=rest)
     for other in others:
-        up, moved_up = _net_rise(profile, other, rest)
-        down, moved_down = _net_rise(profile, rest, other)
+        up, moved_up = _net_rise(SurfaceReader(profile, background=other), rest)
+        down, moved_down = _net_rise(resting, other)
         least = min(least, (up - down) / max(moved_up + moved_down, 1e-12))
         if least < needed:
             return 0.0
     return least
 
 
-def _net_rise(
-    profile: SensorProfile, background: np.ndarray, image: np.ndarray
-) -> tuple[float, float]:
-    """Sums over the pixels of the rise of an image above a background, and of its size.
+def _net_rise(reader: SurfaceReader, image: np.ndarray) -> tuple[float, float]:
+    """Sums over the pixels of the rise of an image above a reader's background, and of its size.
 
     Both of squares [mm2]: a contact is deep, what surrounds it wide.
     """
-    reader = SurfaceReader(profile, background=background)
-    lit = reader.lit(image)
-    rise_mm = 1e3 * reader.read_lit(lit, uncertainty=False).rise_m
+    rise_mm = 1e3 * reader.read_lit(reader.lit(image), uncertainty=False).rise_m
     return float((rise_mm * np.abs(rise_mm)).sum()), float(np.square(rise_mm).sum())

@@ -29,7 +29,7 @@ def require_range(
         unit = f" {unit}" if unit else ""
         bounds = f"lie in [{low:g}, {high:g}]{unit}"
         if math.isinf(high):
-            bounds = "be finite" if math.isinf(low) else f"be at least {low:g}{unit} and finite"
+            bounds = f"be at least {low:g}{unit}" if value < low else "be finite"
         raise InputError(f"{name} must {bounds}, got {value:g}")
 
 

@@ -19,7 +19,8 @@ PARAMETERS = [f"length_{k}_mm" for k in range(20)]
     [
         (2.0, 0, 1, r"^depth must lie in \[0, 1\] mm, got 2$"),
         (math.nan, 0, 1, "got nan"),
-        (math.inf, 0, math.inf, "must be at least 0 mm and finite, got inf"),
+        (math.inf, 0, math.inf, "must be finite, got inf"),
+        (-1, 0, math.inf, "must be at least 0 mm, got -1"),
         (-math.inf, -math.inf, math.inf, "must be finite, got -inf"),
         ((0.5, -1.0), 0, 1, "got -1"),
     ],

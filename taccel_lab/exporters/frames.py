@@ -11,12 +11,14 @@ the apparent distance: focal length times mm/px, which is nearer than the lens r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from taccel_lab.camera.gel_camera import apparent_distance_mm
-from taccel_lab.profile import SensorProfile
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 T = TypeVar("T")
 

@@ -31,7 +31,8 @@ from taccel_lab.scene import AffineBody, Element, Material, PositionDrive, Scene
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import contact_config, free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import TaskEpisode
-from taccel_lab.tasks.grasp_scene import LiftGoal, LiftRecord, grasp_scene
+from taccel_lab.tasks.grasp_scene import grasp_scene
+from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,

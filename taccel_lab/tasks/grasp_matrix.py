@@ -26,7 +26,7 @@ from taccel_lab.scene import Plane, Scene, TimeStepping, TriangleMesh, sphere_me
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import G, contact_config, free_body, pad_body, pad_mesh
 from taccel_lab.tasks.episode import TaskEpisode
-from taccel_lab.tasks.grasp_scene import LiftGoal, LiftRecord
+from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,

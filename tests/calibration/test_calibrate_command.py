@@ -69,7 +69,7 @@ def test_bands_of_the_positional_encoding_are_asked_for(
     profile = load_profile(folder.parent / "profile")
     assert profile.color is not None and profile.color.architecture["position_bands"] == 2
     assert "2 bands of position" in profile.color.provenance.method
-    with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
+    with pytest.raises(InputError, match=r"position_bands must lie in \[0, 8\], got 9"):
         command(folder, position_bands=9).run()
 
 

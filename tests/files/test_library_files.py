@@ -75,7 +75,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "a.npz": partial(write_by, write=partial(np.savez_compressed, noise=NOISE)),
     "a.pth": partial(write_by, write=partial(torch.save, {"noise": torch.from_numpy(NOISE)})),
     "a.png": figure,
-    "b.png": partial(write_image, rgb=NOISE),
+    "b.png": partial(write_image, levels=NOISE),
     "a.stl": lambda path: mesh_files.write_stl(path, np.eye(256, 3), NOISE.reshape(-1, 3)),
     "a.vtk": vtk,
     "a.step": step,

@@ -129,7 +129,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
         )
     ],
     (lambda: Material.mooney_rivlin(-1.0, 2.0, 1e6), "c10 must be at least 0 Pa"),
-    (lambda: Material.mooney_rivlin(1e4, NAN, 1e6), "c01 must be at least 0 Pa"),
+    (lambda: Material.mooney_rivlin(1e4, NAN, 1e6), "c01 must be finite"),
     (lambda: Material.mooney_rivlin(0.0, 0.0, 1e6), "must be positive"),
     (lambda: Material.mooney_rivlin(1e4, 0.0, 0.0), "bulk modulus must be positive"),
     (lambda: Material.mooney_rivlin(1e4, 1e4, 2e4), "at least 0.25"),
@@ -205,7 +205,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     # Without inertia it would do nothing.
     (lambda: TimeStepping(gravity_m_s2=(0, 0, -9.81)), r"gravity.*quasi_static"),
     # Gels in scenes.
-    (lambda: Scene(gel(), env_count=0), "env_count must be at least 1 and finite, got 0"),
+    (lambda: Scene(gel(), env_count=0), "env_count must be at least 1, got 0"),
     (
         lambda: Scene(gel(rest_positions_m=np.zeros((2, 18, 3))), env_count=3),
         r"rest_positions_m has shape \(2, 18, 3\).*\(3, 18, 3\)",

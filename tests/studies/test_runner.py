@@ -166,7 +166,7 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
     whole = json.loads(text)
     for bad, words in (
         (text[:-30], "is not valid JSON"),
-        ("[]", r"holds \[\]; an object"),
+        ("[]", r"holds \[\]; a table"),
         (json.dumps({"id": outcome.rows[0].id}), "is damaged: keys .* are missing"),
         (json.dumps({**whole, "figures": 3}), "is damaged: figures is 3"),
         (json.dumps({**whole, "figures": {"blur": True}}), r"is damaged: figures\.blur is True"),
