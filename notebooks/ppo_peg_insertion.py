@@ -28,7 +28,7 @@ from torch import nn
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.report.machine import describe_run
-from taccel_lab.tasks.parameters import draw
+from taccel_lab.tasks.draw import draw
 
 TASK = "peg-insertion"
 BASELINE = 53 / 64

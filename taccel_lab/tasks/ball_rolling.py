@@ -24,6 +24,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import G, contact_config, free_body, pad_body, pad_mesh
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -32,7 +33,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 
 

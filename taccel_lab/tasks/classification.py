@@ -27,6 +27,7 @@ from taccel_lab.scene import Surface as Presence
 from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, contact_config, gels_of, mounts_of
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -35,7 +36,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 from taccel_lab.tasks.parts import PARTS
 from taccel_lab.tasks.result import TaskTrial

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot with a gel on each finger above a body on a plane, stiff or soft, and what becomes of
-that body as it is gripped and lifted."""
+"""A robot with a gel on each finger above a body on a plane, stiff or soft."""
 
 from __future__ import annotations
 

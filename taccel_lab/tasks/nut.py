@@ -18,6 +18,7 @@ from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, G, contact_config, free_body, gels_of, mounts_of
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -27,7 +28,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 from taccel_lab.tasks.parts import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every task's file says, what a seed draws, and parts that several tasks have in common."""
+"""What every task's file says, and parts that several tasks have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import Annotated, Literal, Self
 
@@ -13,20 +13,7 @@ from pydantic import Field, model_validator
 from taccel_lab.errors import InputError
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.scene import Element
-
-
-def draws(seed: int, half_ranges: dict[str, float]) -> Iterator[dict[str, float]]:
-    """Offsets of a seed, each evenly from minus to plus its half range, in the order given, again
-    and again: the same whatever other seeds run beside it."""
-    generator = np.random.default_rng(seed)
-    while True:
-        yield {name: float(generator.uniform(-half, half)) for name, half in half_ranges.items()}
-
-
-def draw(seed: int, half_ranges: dict[str, float]) -> dict[str, float]:
-    """The first offsets of a seed."""
-    return next(draws(seed, half_ranges))
-
+from taccel_lab.tasks.draw import draws
 
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]

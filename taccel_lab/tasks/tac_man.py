@@ -30,6 +30,7 @@ from taccel_lab.scene import (
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, contact_config, free_body, gels_of, mounts_of
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.nut import Thread
 from taccel_lab.tasks.parameters import (
@@ -40,7 +41,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 
 FEWEST_MARKERS = 6

@@ -19,6 +19,7 @@ from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import Scene, TimeScheme, TimeStepping
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import SIDES, G, contact_config, gels_of, mounts_of
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_lift import Object
 from taccel_lab.tasks.parameters import (
@@ -27,7 +28,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 
 

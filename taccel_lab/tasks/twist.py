@@ -34,6 +34,7 @@ from taccel_lab.scene import Ball, KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import contact_config, pad_body, pad_mesh
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -42,7 +43,6 @@ from taccel_lab.tasks.parameters import (
     PadParameters,
     Positive,
     TaskParameters,
-    draw,
 )
 
 _POINTS = 200

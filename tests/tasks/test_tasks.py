@@ -11,8 +11,9 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.tasks.catalogue import FILES, Task, named, names, read_task, run_task
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.grasp_lift import GraspLiftParameters
-from taccel_lab.tasks.parameters import PlanarStart, draw
+from taccel_lab.tasks.parameters import PlanarStart
 from tests.support.variants import variants
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
