@@ -25,12 +25,13 @@ TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
 # In the order of tests/conftest.py.
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
+.PHONY: help demo test thorough style lint check slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
-	@echo "make test      linters, type checker, import contracts, fast tests"
-	@echo "               FOLDER=calibration/color: ruff and the tests of one folder"
+	@echo "make test      linters, type checker, import contracts, tests of every promise: minutes"
+	@echo "               FOLDER=calibration/color: ruff and all fast tests of one folder"
+	@echo "make thorough  the dearer tests, notebooks, documentation, wheel: with make test what CI runs"
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
@@ -55,7 +56,11 @@ lint: style
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
-	$(PYTEST) tests/$(FOLDER)
+	$(PYTEST) -m "not slow$(if $(FOLDER),, and not thorough)" tests/$(FOLDER)
+
+thorough: $(VENV)/.installed-dev
+	$(PYTEST) -m "thorough and not slow" tests
+	$(MAKE) notebook docs wheel
 
 slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow

@@ -85,6 +85,14 @@ LONG = (
 """Files whose few tests take longest, as ``--durations`` tells."""
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """``thorough(cases=...)`` names the dear cases of a test: the others stay in ``make test``."""
+    for mark in item.iter_markers("thorough"):
+        cases = mark.kwargs.get("cases")
+        if cases is not None and item.name.partition("[")[2][:-1] not in cases:
+            item.own_markers.remove(mark)
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files begin first, then those of many tests: where a process takes one file after the

@@ -103,6 +103,7 @@ def test_imports_are_light() -> None:
     assert done.stdout.split() == []
 
 
+@pytest.mark.thorough
 def test_blocks_of_images_load_no_solver() -> None:
     code = "import sys, taccel_lab.calibration.calibrate\nprint(*sys.modules)"
     done = subprocess.run(
@@ -137,6 +138,7 @@ BARE_ROOMS = {
 """Modules, and what they load without."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("modules", "absent"), BARE_ROOMS.items(), ids=["core", "calibration"])
 def test_what_a_bare_machine_runs_needs_no_more(modules: str, absent: list[str]) -> None:
     code = _BARE.format(absent=absent, modules=modules)
@@ -233,6 +235,7 @@ MENTIONED = re.compile(rf"\b(?:{'|'.join(TEXT_FORMATS)})\b")
 _PARSERS = {"load", "loads", "safe_load", "reader", "DictReader"}
 
 
+@pytest.mark.thorough
 def test_text_formats_are_read_in_one_place() -> None:
     """Elsewhere they are written, or read from files of our own: their readers know the limits."""
     known = {**OWN_FILES, **WRITERS}
@@ -267,6 +270,7 @@ PAGE_WORDS = {
 }
 
 
+@pytest.mark.thorough
 def test_pages_are_served_and_written_in_one_place() -> None:
     """Behind the guard of pages; what they show is escaped there."""
     for path in SOURCES:

@@ -208,6 +208,7 @@ def test_linear_solvers_compile_for_the_least_and_the_most_shared_memory(arch: i
             require_lean_gradients(name, arch)
 
 
+@pytest.mark.thorough(cases=("signals/deformed_face.py",))
 @pytest.mark.parametrize("name", sorted({*FILES} - {*LINEAR}))
 def test_kernels_compile_for_the_oldest(name: str) -> None:
     for module in modules_of(name):

@@ -60,6 +60,20 @@ LONG = (DOCS / "tutorials" / "curved_pad.md", DOCS / "gradients.md")
 """Presses of the default accuracy, and a fit by their gradients."""
 
 
+@pytest.mark.thorough(
+    cases=(
+        "docs/cad.md",
+        "docs/environments.md",
+        "docs/newton.md",
+        "docs/optics.md",
+        "docs/python.md",
+        "docs/robots.md",
+        "docs/scenes.md",
+        "docs/signals.md",
+        "docs/tasks.md",
+        "docs/tutorials/many_environments.md",
+    )
+)
 @pytest.mark.parametrize(
     "page", variants([page for page in WITH_PYTHON if page not in LONG], WITH_PYTHON), ids=named
 )

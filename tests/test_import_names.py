@@ -54,6 +54,7 @@ def test_three_rooms_at_the_top_are_parts_of_the_package() -> None:
     assert [link.resolve() for link in links] == [ROOT / name for name in ROOMS]
 
 
+@pytest.mark.thorough
 def test_a_users_own_modules_do_no_harm_to_a_checkout(tmp_path: Path) -> None:
     assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, ROOT)
 
@@ -86,6 +87,7 @@ def names(folder: Path) -> set[str]:
     }
 
 
+@pytest.mark.thorough
 def test_the_wheel_installs_one_name(wheel: Path) -> None:
     top = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
     assert top == {"taccel_lab"}
@@ -93,6 +95,7 @@ def test_the_wheel_installs_one_name(wheel: Path) -> None:
     assert not list(wheel.rglob("test_*.py"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("links", ["text", "none"])
 def test_the_wheel_of_a_checkout_without_links_is_whole(
     wheel: Path, tmp_path: Path, links: str
@@ -141,5 +144,6 @@ print(importlib.util.find_spec("taccel_lab.cad.parameters").origin)
     assert done.stdout.strip() == str(ROOT / "taccel_lab" / "cad" / "parameters.py")
 
 
+@pytest.mark.thorough
 def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
     assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, wheel)

@@ -88,6 +88,7 @@ def test_docstrings_of_public_names_are_plain() -> None:
     assert not bare
 
 
+@pytest.mark.thorough
 def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
     found = [
         f"{path.relative_to(ROOT)}: {line}"

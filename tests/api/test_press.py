@@ -40,6 +40,7 @@ def test_the_folder_of_a_profile(tmp_path: Path) -> None:
         tl.load_sensor(tmp_path / "profile", {"thickness_mm": 3})
 
 
+@pytest.mark.thorough
 def test_a_step_file(tmp_path: Path) -> None:
     import build123d as bd
 
@@ -74,6 +75,7 @@ def pressed() -> tl.Press:
     return tl.press("flat_pad", "sphere:4", **QUICK)
 
 
+@pytest.mark.thorough
 def test_nobody_has_measured_a_stored_mesh() -> None:
     small = tl.load_sensor("flat_pad", {"thickness_mm": 8, "length_x_mm": 12, "length_y_mm": 10})
     pressed = tl.press(small, "sphere:4", **QUICK, mesh="profile")
@@ -83,6 +85,7 @@ def test_nobody_has_measured_a_stored_mesh() -> None:
     assert low < 0.6 * pressed.force_n and high > 1.9 * pressed.force_n, "of any modulus"
 
 
+@pytest.mark.thorough
 def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
     shape = pressed.plan.profile.grid().height_px, pressed.plan.profile.grid().width_px
     assert pressed.force_n > 0
@@ -132,6 +135,7 @@ def loaded_by(code: str, names: tuple[str, ...]) -> str:
     return done.stdout.splitlines()[-1]
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(usable_cores() < 2, reason="on one core the command draws itself")
 def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
     words = ["press", "flat_pad", "--depth-mm", "0.2", "--accuracy", "fast"]
@@ -146,11 +150,13 @@ def test_what_draws_loads_no_solver(module: str) -> None:
     assert loaded_by(f"import taccel_lab.{module}", (*HEAVY, *DRAWING, "warp", "scipy")) == "set()"
 
 
+@pytest.mark.thorough
 def test_a_plan_loads_no_kernels() -> None:
     kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
     assert loaded_by("import taccel_lab.api.press_run", (*HEAVY, *kernels, "scipy")) == "set()"
 
 
+@pytest.mark.thorough
 def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> None:
     methods = tuple(f"taccel_lab.ipc.linear.{name}" for name in ("arrow.solver", "cg.block_cg"))
     code = (
@@ -202,6 +208,7 @@ def test_what_cannot_be_pressed_is_refused(words: dict, message: str) -> None:
         tl.press("flat_pad", "sphere:4", **words)
 
 
+@pytest.mark.thorough
 def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) -> None:
     """As on Windows: links are files that hold where they lead. Nothing is printed but by the
     script, which has no main guard; the press and its files load neither torch nor vtk."""

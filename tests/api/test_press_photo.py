@@ -40,6 +40,7 @@ def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path) -> None:
     press = tl.press(SENSOR, "sphere:4", like=photo, accuracy="fast")
     like = press.like
@@ -60,6 +61,7 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path
     assert written["like"]["at_sigma_mm"] == pytest.approx(like["at_sigma_mm"])
 
 
+@pytest.mark.thorough
 def test_the_table_says_what_press_json_does(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -182,6 +184,7 @@ def test_what_the_simulation_cannot_show_is_said(photo: Path) -> None:
     assert [rough.photo for rough in asked] == [None]
 
 
+@pytest.mark.thorough
 def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
     """Sideways, but not back to where nothing is seen; its steps are not kept."""
     options = PressOptions(
@@ -208,6 +211,7 @@ def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
 # Backgrounds and refusals -------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_path: Path) -> None:
     """Of photo and background that are darker alike, nothing else changes."""
     profile = tl.load_sensor(SENSOR)
@@ -222,6 +226,7 @@ def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_pat
     np.testing.assert_array_equal(moved, own.background)
 
 
+@pytest.mark.thorough
 def test_what_shows_no_press_is_refused(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

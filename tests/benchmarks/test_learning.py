@@ -33,6 +33,7 @@ def text_of(*rows: dict[str, Any]) -> str:
     return SECTIONS["learning"]({"learning": [document]})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pace", ["together", "own"])
 def test_a_learning_row(pace: str) -> None:
     """Phases differ, some environments begin anew, and nothing else is left of before."""
@@ -65,6 +66,7 @@ def test_by_default_phases_are_uniform_over_the_motion() -> None:
         phases.begin(ready)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pace", ["together", "own"])
 def test_a_row_says_what_was_observed(pace: str) -> None:
     row = learning.measure(3, pace, options(observe=BOTH))
@@ -80,6 +82,7 @@ def test_a_row_says_what_was_observed(pace: str) -> None:
     assert f"| rgb {number(seen['rgb_us_per_env_step'])}, wrench " in text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pace", ["together", "own"])
 def test_torch_sees_the_gels_of_the_steps_that_are_over(pace: str) -> None:
     """Images are those rendered afterwards, wrenches those of the nodal forces and of the pairs of
@@ -127,6 +130,7 @@ def test_torch_sees_the_gels_of_the_steps_that_are_over(pace: str) -> None:
         np.testing.assert_allclose(wrenches[:, gel, :3], turned, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.thorough
 def test_looking_changes_no_step() -> None:
     bench = build_scene("peg", SceneOptions(2, "generated"))
     ends = []

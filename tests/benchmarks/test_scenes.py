@@ -41,6 +41,7 @@ def converges(name: str, source: str, steps: int | None) -> None:
     assert find_intersections(runner.model, runner.state) == [[]]
 
 
+@pytest.mark.thorough(cases=("bolt-2", "hand-2", "squeeze-3"))
 @pytest.mark.parametrize(("name", "steps"), STEPS.items())
 def test_scenes_begin(name: str, steps: int) -> None:
     converges(name, "generated", steps)
@@ -57,6 +58,7 @@ def test_whole_motions(name: str, source: str) -> None:
     converges(name, source, None)
 
 
+@pytest.mark.thorough
 def test_only_warp_numpy_scipy_and_torch_are_needed() -> None:
     code = f"""
 import sys

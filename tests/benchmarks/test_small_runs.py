@@ -33,6 +33,7 @@ def test_images_are_read_at_a_speed_and_an_error(
 # Accuracy of presses ------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,6 +136,7 @@ def test_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 # Quick figures --------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_quick_figures_are_those_of_the_baseline() -> None:
     findings = list(quick.out_of_bounds(quick.read_baseline(), quick.measure_all()))
     assert [f.describe() for f in findings if f.is_failure] == []

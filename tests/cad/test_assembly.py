@@ -28,6 +28,7 @@ def sensor() -> Assembly:
     return small_sensor()
 
 
+@pytest.mark.thorough
 def test_joints_put_every_part_in_its_place(sensor: Assembly) -> None:
     names = [part.name for part in sensor.parts]
     assert names == ["gel_pad", "window", "housing", "cover", "camera", *led_names(LEDS)]
@@ -82,6 +83,7 @@ def _slab_mm3() -> float:
     return 24 * 20 - (4 - math.pi) * 2**2
 
 
+@pytest.mark.thorough
 def test_an_led_inside_the_window_is_a_warning() -> None:
     inside = Light((5.0, 0.0, -7.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0), name="inside")
     sensor = small_sensor(leds=(inside,))
@@ -133,6 +135,7 @@ def test_window_dome_is_a_shell() -> None:
     assert bond.area == pytest.approx(2 * math.pi * 13.5**2, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_bosses_stand_in_the_corners_only_where_there_is_room() -> None:
     assert small_sensor().notes == ()
     tight = small_sensor(housing=housing(size_mm=(25.4, 21.4, 30.0), wall_mm=1.0))

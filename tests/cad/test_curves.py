@@ -88,6 +88,7 @@ def test_digit_has_the_measured_outline() -> None:
     np.testing.assert_allclose(outline.inside_distance_mm(points), [9.2, 0.5, 1.2, 0.5, -0.3])
 
 
+@pytest.mark.thorough
 @given(ANY_OUTLINE, st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_distance_is_that_of_the_nearest_outline_point(outline: PadOutline, seed: int) -> None:
@@ -119,6 +120,7 @@ def test_lengths_areas_and_normals_are_those_of_the_loop(outline: PadOutline) ->
     assert np.abs(across).max() < 0.05
 
 
+@pytest.mark.thorough
 @given(ANY_OUTLINE, st.floats(0.5, 2))
 @settings(max_examples=15, deadline=None)
 def test_nodes_keep_the_sagitta(outline: PadOutline, edge_mm: float) -> None:

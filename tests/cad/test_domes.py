@@ -174,6 +174,7 @@ def check_mesh(mesh: TetMesh, pad: DomePad) -> None:
     assert (pad.region_of(centers) == mesh.face_regions).mean() > 0.9
 
 
+@pytest.mark.thorough
 @given(shell_domes(), st.floats(0.8, 1.5))
 @settings(max_examples=5, deadline=None)
 def test_even_shells_are_sound(pad: ShellDomePad, edge_mm: float) -> None:
@@ -186,6 +187,7 @@ def test_even_shells_are_sound(pad: ShellDomePad, edge_mm: float) -> None:
     assert quality.region_areas_mm2["window"] == pytest.approx(window, rel=0.05)
 
 
+@pytest.mark.thorough
 @given(solid_domes())
 @settings(max_examples=4, deadline=None)
 def test_even_solids_are_sound(pad: SolidDomePad) -> None:
@@ -213,6 +215,7 @@ def test_a_sweep_keeps_the_connectivity(pad: DomePad, changes: dict[str, float])
     assert np.abs(meshes[0].nodes_m - meshes[1].nodes_m).max() > 1e-5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pad", variants([R_TAC], [DIGIT_360, R_TAC, GEL_TIP]))
 def test_focused_meshes_share_connectivity_and_are_fine_at_the_contact(pad: DomePad) -> None:
     reference = None

@@ -80,6 +80,7 @@ def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
     assert part.area_mm2(Region.SIDE) == pytest.approx(4 * perimeter, rel=1e-9)
 
 
+@pytest.mark.thorough(cases=("values3-3e-05", "values4-0.0002"))
 @pytest.mark.parametrize(
     ("values", "tolerance"),
     [
@@ -131,6 +132,7 @@ def test_dimensions_measure_the_solid(dome: LabelledSolid) -> None:
     assert found["crown_drop_at_window_corner"] == pytest.approx(drop)
 
 
+@pytest.mark.thorough
 def test_mini_lies_on_the_measured_gel() -> None:
     step = real_data("sensor_geometry/gelsight_mini/gelsight_mini_gel_feats.step")
     vertices, triangles = import_step(str(step)).solids()[0].tessellate(0.005, 0.05)
@@ -159,6 +161,7 @@ def test_digit_sections_have_the_wanted_sag(radius: float, thickness: float, rol
     assert line.max() == pytest.approx(0, abs=1e-4)
 
 
+@pytest.mark.thorough
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=10, deadline=None)
 def test_fillets_are_the_envelope_of_balls_that_fit(seed: int) -> None:

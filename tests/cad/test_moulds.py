@@ -38,6 +38,7 @@ def crowned() -> tuple[LabelledSolid, Mould]:
     return gel, gel_mould(gel)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", variants(["dome"], PADS))
 def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
     gel = labelled_solid(PADS[name])
@@ -58,6 +59,7 @@ def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
     assert mould.cavity.solid.is_valid and mould.lid.solid.is_valid
 
 
+@pytest.mark.thorough
 def test_no_shrinkage_and_no_draft_give_the_gel_itself() -> None:
     gel = labelled_solid(CROWNED)
     mould = gel_mould(gel, MouldOptions(draft_deg=0.0, shrinkage_percent=0.0))
@@ -66,6 +68,7 @@ def test_no_shrinkage_and_no_draft_give_the_gel_itself() -> None:
     assert report.vertical_mm == pytest.approx(5 - (50 - math.sqrt(50**2 - 10**2)), abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_contact_face_of_the_cavity_is_exact(crowned: tuple[LabelledSolid, Mould]) -> None:
     _, mould = crowned
     faces = [f for f in mould.cavity.faces("mould") if f.center().Z > -0.9]
@@ -127,6 +130,7 @@ def test_a_back_without_room_for_a_hole_is_refused() -> None:
         place_gates(ring.faces(), pour_mm=3, vent_mm=1, vents=3)
 
 
+@pytest.mark.thorough
 def test_a_planted_undercut_is_refused_with_its_place() -> None:
     """A groove round the wall holds the gel in the cavity."""
     body = labelled_solid(CROWNED).solid
@@ -149,6 +153,7 @@ def test_a_body_wider_than_its_foot_is_refused() -> None:
         gel_mould(gel)
 
 
+@pytest.mark.thorough
 def test_skin_is_cast_over_the_core() -> None:
     pad: Pad = GelPad(thickness_mm=2.8, skin_top_mm=0.3, skin_side_mm=1.4)
     gel = labelled_solid(pad)

@@ -57,6 +57,7 @@ def check_invariants(mesh: TetMesh, pad: GelPad) -> None:
     np.testing.assert_allclose(pad.inside_distance_mm(side[:, :2]), 0, atol=1e-9)
 
 
+@pytest.mark.thorough
 @given(gel_pads(), st.floats(2.2, 3.0))
 @example(replace(FLAT_FILLET, length_x_mm=33.5, window_x_mm=16.75), 2.6)
 @settings(max_examples=3, deadline=None)
@@ -70,6 +71,7 @@ def test_even_meshes_are_sound(pad: GelPad, edge_mm: float) -> None:
     assert area.sum() / 2 == pytest.approx(pad.window_x_mm * pad.window_y_mm, rel=1e-9)
 
 
+@pytest.mark.thorough
 @given(gel_pads(), st.floats(-1, 1), st.floats(-1, 1), st.floats(0.8, 2.2), st.floats(0.1, 0.2))
 @settings(max_examples=6, deadline=None)
 def test_focused_meshes_are_sound(
@@ -96,6 +98,7 @@ def test_focus_has_the_wanted_elements(focus: tuple[float, float]) -> None:
     assert np.median(length[near > 6]) > 4 * size
 
 
+@pytest.mark.thorough
 def test_mesh_volume_converges_to_the_pad() -> None:
     # Volume of the spherical dome over the rounded rectangle, by midpoint rule.
     cells = 2000
@@ -147,6 +150,7 @@ def test_bad_options_say_what_is_allowed(options: dict[str, object], word: str) 
         focused_gel_mesh(CLASSIC, replace(around((0, 0)), **options))  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 @given(st.floats(3.6, 6), st.floats(22, 28), st.floats(18, 24), st.floats(90, 300), st.floats(2, 4))
 @settings(max_examples=2, deadline=None)
 def test_minis_of_a_sweep_share_their_connectivity(
@@ -162,6 +166,7 @@ def test_minis_of_a_sweep_share_their_connectivity(
     check_sound(mesh, pad)
 
 
+@pytest.mark.thorough
 def test_digits_of_a_sweep_share_their_connectivity() -> None:
     pad = DigitPad(mid_radius_mm=30.0, thickness_mm=5.1, length_mm=27.0)
     mesh = gel_mesh(pad, counts_of=DIGIT)
@@ -183,6 +188,7 @@ def test_bevels_wider_than_the_margin_do_not_fold() -> None:
     check_sound(gel_mesh(pad, 1.5), pad)
 
 
+@pytest.mark.thorough(cases=("False",))
 @pytest.mark.parametrize("focused", [False, True])
 def test_tets_do_not_cross_from_gel_to_skin(focused: bool) -> None:
     options = FocusOptions((3, -2), 2.0, 0.3, core=8, rings=12)

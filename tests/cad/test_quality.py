@@ -50,6 +50,7 @@ def test_angles_and_mean_ratios_of_the_regular_tet_and_of_a_corner() -> None:
         np.testing.assert_allclose(mean_ratios(nodes, TET), 12 * 0.5 ** (2 / 3) / 9)
 
 
+@pytest.mark.thorough
 def test_pad_measures_agree_with_the_pad() -> None:
     pad = GelPad(crown_radius_x_mm=80, crown_radius_y_mm=80)
     part, mesh = labelled_solid(pad), gel_mesh(pad, 1.5)
@@ -65,6 +66,7 @@ def test_pad_measures_agree_with_the_pad() -> None:
     require_quality(mesh, found)
 
 
+@pytest.mark.thorough
 def test_surface_distance_is_the_offset_of_two_boxes() -> None:
     pad = GelPad()
     mesh = gel_mesh(pad, 2.0)
@@ -115,6 +117,7 @@ def test_gate_names_place_and_figure() -> None:
     assert result.violations[0].text == "the mesh has no WINDOW faces"
 
 
+@pytest.mark.thorough
 @pytest.mark.rasterised
 def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     pad = GelPad(crown_radius_x_mm=80, crown_radius_y_mm=80)
@@ -228,6 +231,7 @@ def test_a_digit_cast_flat_gets_a_sound_mesh() -> None:
     assert edge_mm in [pytest.approx(share * usual_edge_mm(pad)) for share in SHORTER[1:]]
 
 
+@pytest.mark.thorough
 def test_a_sound_mesh_stays_the_usual_one() -> None:
     pad = sensor_family("flat_pad").parameters().pad()
     mesh, _, edge_mm = sound_gel_mesh(pad)

@@ -268,6 +268,7 @@ def test_damaged_files_end_in_a_sentence(
     assert "is damaged" not in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_files_that_are_large_or_take_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(box(), tmp_path / "box.step")
     monkeypatch.setattr(gel_file, "LIMIT_S", 1e-3)
@@ -292,6 +293,7 @@ def test_exceptions_of_the_kernel_are_sentences_and_ours_are_not(
             step_gel.gel_of_step(tmp_path / "x.step", BOX)
 
 
+@pytest.mark.thorough
 def test_this_process_lists_faces_without_the_kernel(tmp_path: Path) -> None:
     path = write(box(), tmp_path / "box.step")
     code = (

@@ -94,6 +94,7 @@ def test_layers_conform() -> None:
     assert quality.layer_volumes_mm3 == pytest.approx(wanted, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_an_imported_surface_gets_its_planes_exactly() -> None:
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 0.9]).as_matrix()
     part = tessellate_solid(labelled_solid(small_pad()), tolerance_mm=0.02, angle_rad=0.3)
@@ -105,6 +106,7 @@ def test_an_imported_surface_gets_its_planes_exactly() -> None:
     np.testing.assert_allclose(glued[:, 2], -2.4, atol=1e-6)
 
 
+@pytest.mark.thorough
 def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pad = small_pad()
     flat = gel_mesh(pad, 1.5)
@@ -138,6 +140,7 @@ def with_flat_tets(mesh: TetMesh) -> TetMesh:
     return replace(mesh, nodes_m=nodes)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("good_at", [5, None])
 def test_runs_that_miss_the_gate_by_flat_tets_alone_are_made_once_more(
     monkeypatch: pytest.MonkeyPatch, good_at: int | None
@@ -182,6 +185,7 @@ def test_glued_points_land_on_their_planes() -> None:
     np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rim", variants(["chamfer"], ["none", "chamfer", "fillet"]))
 def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     pad = GelPad(rim=rim, crown_radius_x_mm=80, crown_radius_y_mm=80)

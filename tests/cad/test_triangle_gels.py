@@ -90,6 +90,7 @@ def test_smooth_faces_end_at_creases_and_where_they_turn_far() -> None:
     assert len(faces.table) < 20
 
 
+@pytest.mark.thorough
 def test_a_dome_of_triangles_has_a_back_and_a_recess_to_look_through(tmp_path: Path) -> None:
     surface = tessellate_solid(labelled_solid(SolidDomePad()), tolerance_mm=0.05, angle_rad=0.2)
     write_stl(surface, tmp_path / "dome.stl")

@@ -44,6 +44,7 @@ def gel() -> LabelledSolid:
     return labelled_solid(PAD)
 
 
+@pytest.mark.thorough
 def test_assembly_step_keeps_names_colours_faces_and_places(
     sensor: Assembly, tmp_path: Path
 ) -> None:
@@ -81,6 +82,7 @@ def test_parts_alone_are_written_in_their_own_frame(sensor: Assembly, tmp_path: 
     assert surface.bounds[5] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_3mf_holds_named_bodies_in_millimetres(sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "sensor.3mf"
     write_3mf(sensor.parts, path)
@@ -131,6 +133,7 @@ def texts(path: Path) -> list[str]:
     return ["".join(node.itertext()).strip() for node in found]
 
 
+@pytest.mark.thorough
 def test_drawing_states_the_dimensions_of_the_solid(gel: LabelledSolid, tmp_path: Path) -> None:
     path = tmp_path / "pad.svg"
     parameters = {"thickness_mm": (5.0, "mm")}
@@ -180,6 +183,7 @@ def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path:
     assert "glue the gel" in words
 
 
+@pytest.mark.thorough
 def test_drawings_state_revision_date_and_tolerances(
     gel: LabelledSolid, sensor: Assembly, tmp_path: Path
 ) -> None:
@@ -193,6 +197,7 @@ def test_drawings_state_revision_date_and_tolerances(
     assert any("ISO 2768-1 medium" in text for text in words)
 
 
+@pytest.mark.thorough
 def test_overlapping_leds_are_red_in_the_plan_and_named(tmp_path: Path) -> None:
     def bar(name: str, x: float, y: float) -> Light:
         return Light((x, y, -20.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (6.0, 1.0), name=name)

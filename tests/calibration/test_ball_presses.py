@@ -32,6 +32,7 @@ def codes(presses: BallPresses) -> set[str]:
     return {remark.code for remark in (*presses.findings, *presses.remarks)}
 
 
+@pytest.mark.thorough
 def test_one_wrong_label_and_one_untouched_frame_harm_no_other_press(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=spread_circles(12))
     sound = presses_of(maker, tmp_path / "sound")

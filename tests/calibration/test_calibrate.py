@@ -65,6 +65,7 @@ def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
     monkeypatch.setattr(module, f"calibrate_{name}", fit)
 
 
+@pytest.mark.thorough
 def test_a_block_loads_no_other() -> None:
     """Nor torch, where it fits no network."""
     script = (
@@ -78,6 +79,7 @@ def test_a_block_loads_no_other() -> None:
     assert not {f"taccel_lab.calibration.{name}" for name in others} & set(modules)
 
 
+@pytest.mark.thorough
 def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     told: list[str] = []
     found = calibrate(
@@ -117,6 +119,7 @@ def test_a_block_that_refuses_leaves_the_others_alone(
     assert data["verdict"] == "weak" and data["blocks"][0]["state"] == "refused"
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_color")
 def test_the_same_call_goes_on_after_a_kill(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -44,6 +44,7 @@ def command(folder: Path, **changes: Any) -> CalibrateColor:
     return CalibrateColor(folder, folder.parent / "profile", **(values | changes))
 
 
+@pytest.mark.thorough
 def test_the_fitted_table_lies_beside_the_report_and_is_exported(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,6 +61,7 @@ def test_the_fitted_table_lies_beside_the_report_and_is_exported(
     assert np.array_equal(exported.grad_rgb, file.table.grad_rgb)
 
 
+@pytest.mark.thorough
 def test_bands_of_the_positional_encoding_are_asked_for(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -73,6 +75,7 @@ def test_bands_of_the_positional_encoding_are_asked_for(
         command(folder, position_bands=9).run()
 
 
+@pytest.mark.thorough
 def test_a_sensor_of_ones_own_is_a_flat_pad_and_the_report_says_so(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,6 +112,7 @@ def with_design(folder: Path, lines: str) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_a_measured_gel_is_what_the_presses_are_simulated_on(folder: Path) -> None:
     """Colours, normals and the check take it from the captures, not each from a flag of its own."""
     captures = load_capture_folder(with_design(folder, "thickness_mm = 3.5"))

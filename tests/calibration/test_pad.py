@@ -79,6 +79,7 @@ def test_a_pad_that_cannot_be_turned_is_told() -> None:
     assert remark.code == "images_across" and remark.severity is Severity.WARNING
 
 
+@pytest.mark.thorough
 def test_flat_pads_are_made_to_measure() -> None:
     grid = PixelGrid(400, 300, 0.07, 0.08)
     found = fitted_design("flat_pad", grid)
@@ -117,6 +118,7 @@ def test_an_unknown_sensor_is_refused_with_what_may_stand_for_it() -> None:
 MINI = sensor_family("gelsight_mini").parameters()
 
 
+@pytest.mark.thorough
 @settings(max_examples=30)
 @given(scale=st.floats(0.05, 0.1), v_px=st.floats(100, 140))
 def test_what_is_left_out_lies_beside_the_pad_or_at_its_edge(scale: float, v_px: float) -> None:

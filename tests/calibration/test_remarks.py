@@ -70,6 +70,7 @@ def test_the_docs_list_all_kinds() -> None:
     ), made
 
 
+@pytest.mark.thorough
 def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path) -> None:
     path, out = source(tmp_path / "set", 2), tmp_path / "out"
     facts = replace(FACTS, quick=True, source="bench 2, by Ada")
@@ -104,6 +105,7 @@ def press_errors(rng: np.random.Generator, pixels: int = 400) -> np.ndarray:
     return np.exp(rng.normal(0, 0.25)) * np.linalg.norm(vectors, axis=1)
 
 
+@pytest.mark.thorough(cases=("36",))
 @pytest.mark.parametrize("count", [6, 12, 36])
 def test_new_presses_lie_in_the_radius(count: int) -> None:
     rng = np.random.default_rng(count)

@@ -70,6 +70,7 @@ def test_a_file_beside_the_images_is_taken_by_its_name(name: str, mini: SensorPr
     assert touched_mm2(found, found.image) == 0.0
 
 
+@pytest.mark.thorough
 def test_the_rest_before_the_first_touch_of_a_dotted_mini_is_found(
     mini: SensorProfile, tmp_path: Path
 ) -> None:
@@ -88,6 +89,7 @@ def test_the_rest_before_the_first_touch_of_a_dotted_mini_is_found(
     assert touched_mm2(found, read_image(folder / "0089.png")) > 10.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_press_that_is_held_longer_than_the_rest_is_not_taken(
     order: int, mini: SensorProfile, tmp_path: Path
@@ -100,6 +102,7 @@ def test_a_press_that_is_held_longer_than_the_rest_is_not_taken(
     assert np.abs(found.image - rest).mean() < 1.0 < np.abs(found.image - press).mean()
 
 
+@pytest.mark.thorough
 def test_two_photos_of_the_gel_at_rest_among_presses_are_found(
     mini: SensorProfile, tmp_path: Path
 ) -> None:
@@ -111,6 +114,7 @@ def test_two_photos_of_the_gel_at_rest_among_presses_are_found(
     assert found.image is not None and np.abs(found.image - rest).mean() < 1.0
 
 
+@pytest.mark.thorough(cases=("4",))
 @pytest.mark.parametrize("held", [1, 4])
 def test_presses_alone_are_refused(held: int, mini: SensorProfile, tmp_path: Path) -> None:
     presses = [middle(f"frame_{number}.jpg") for number in range(1, 49, 8)]

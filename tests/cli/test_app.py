@@ -78,6 +78,7 @@ def test_exit_codes(
     assert "Traceback" not in captured.err
 
 
+@pytest.mark.thorough
 def test_file_names_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
     """By a command that reads a profile: it starts without Warp, in a quarter of the time."""
     name = os.fsencode(tmp_path) + b"/m\xe4rz"
@@ -159,6 +160,7 @@ QUIET = """
 """
 
 
+@pytest.mark.thorough
 def test_quiet_leaves_results_and_errors() -> None:
     """In a process of its own: Warp's library writes to the process' standard error itself."""
     done = python(QUIET)
@@ -263,6 +265,7 @@ def test_no_garbage_is_looked_for_as_the_process_ends() -> None:
     assert python(FROZEN).stdout.splitlines()[-1] == "True"
 
 
+@pytest.mark.thorough
 def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:
     reader, writer = os.pipe()
     os.close(reader)

@@ -44,6 +44,7 @@ def test_every_block_has_a_command() -> None:
     assert {block.name for block in BLOCKS} == set(BLOCK_COMMANDS)
 
 
+@pytest.mark.thorough
 def test_one_camera_of_several_is_calibrated_and_put_back(
     captures: Path, tmp_path: Path, cli: Cli
 ) -> None:
@@ -65,6 +66,7 @@ def test_one_camera_of_several_is_calibrated_and_put_back(
 # All ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_a_block_that_refuses_ends_with_1(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
@@ -98,6 +100,7 @@ def test_nothing_to_do_writes_nothing(captures: Path, tmp_path: Path, cli: Cli) 
 # Color -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_base_profile_gives_the_design(captures: Path, tmp_path: Path, cli: Cli) -> None:
     base = write_profile(tmp_path / "base", color=False)
     out = tmp_path / "unit"
@@ -110,6 +113,7 @@ def test_base_profile_gives_the_design(captures: Path, tmp_path: Path, cli: Cli)
     assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit", "unit_report"]
 
 
+@pytest.mark.thorough
 def test_an_interrupted_calibration_leaves_the_earlier_profile(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
@@ -167,6 +171,7 @@ def write_boards(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_boards_to_profile_report_and_maps(
     boards: Path, base: Path, tmp_path: Path, cli: Cli
 ) -> None:
@@ -194,6 +199,7 @@ def test_boards_to_profile_report_and_maps(
     assert json.loads((report / "report.json").read_text())["verdict"] in ("good", "usable")
 
 
+@pytest.mark.thorough
 def test_a_board_that_contradicts_the_stated_scale(
     boards: Path, base: Path, tmp_path: Path, cli: Cli
 ) -> None:
@@ -208,6 +214,7 @@ def test_a_board_that_contradicts_the_stated_scale(
     assert "mm_per_px_y = " not in said
 
 
+@pytest.mark.thorough
 def test_known_lengths_to_profile(base: Path, tmp_path: Path, cli: Cli) -> None:
     captures = write_folder(tmp_path / "captures", (0.085, 0.082))
     out = tmp_path / "out"
@@ -295,6 +302,7 @@ def words(record_captures: Path) -> list[object]:
     ]
 
 
+@pytest.mark.thorough
 def test_records_become_a_profile_and_a_report(record_captures: Path, cli: Cli) -> None:
     printed = cli.json("calibrate material", *words(record_captures))["material"]
     assert printed["verdict"] == "good"

@@ -119,6 +119,7 @@ def test_several_sets_are_checked_one_by_one(here: Path, cli: Cli) -> None:
     assert len(cli.json("capture check", "both")["parts"]) == 2
 
 
+@pytest.mark.thorough
 def test_the_report_of_several_sets_is_one_output(here: Path, cli: Cli) -> None:
     """It is replaced by the next one, and there as a whole or not at all."""
     for name in ("a[green]", "b"):
@@ -136,6 +137,7 @@ def test_the_report_of_several_sets_is_one_output(here: Path, cli: Cli) -> None:
     assert everything_below(here / "page") == before
 
 
+@pytest.mark.thorough
 def test_several_sets_of_a_layout_have_pages_of_their_own_names(here: Path, cli: Cli) -> None:
     """Not those of the passing folders that they are read from."""
     names = ["left", "right"]
@@ -173,6 +175,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_a_session_is_recorded_and_goes_on(bench: Path, cli: Cli) -> None:
     command = [*RECORD, *FACTS]
     printed = cli(*command, "--presses", "1", "--json")
@@ -184,6 +187,7 @@ def test_a_session_is_recorded_and_goes_on(bench: Path, cli: Cli) -> None:
     assert "begun otherwise: --radius-mm was 2.0 and is 2.5" in told
 
 
+@pytest.mark.thorough
 def test_quick_says_what_it_leaves_out(bench: Path, cli: Cli) -> None:
     printed = cli("capture quick", "flat_pad", "--camera", "set", "--out", "out", *FACTS)
     assert "leaves out" in printed.err and "no load cell" in printed.err
@@ -210,6 +214,7 @@ def test_bad_input_is_told_and_leaves_nothing(
     assert not (bench / "out").exists()
 
 
+@pytest.mark.thorough
 def test_what_was_taken_is_told_whatever_ends_it(
     bench: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,6 +227,7 @@ def test_what_was_taken_is_told_whatever_ends_it(
     assert "No space left" in said
 
 
+@pytest.mark.thorough
 def test_lamps_are_printed_where_there_is_no_page(bench: Path, cli: Cli) -> None:
     folder = load_capture_folder(bench / "set")
     assert folder.background is not None

@@ -81,6 +81,7 @@ def out(captures: Path, words: list[str], kept: tuple[bytes, int]) -> Path:
     return captures.parent / "out" / "demo"
 
 
+@pytest.mark.thorough
 def test_after_a_kill_what_was_finished_is_kept(out: Path, kept: tuple[bytes, int]) -> None:
     page = out / "report" / "background" / "report.html"
     assert (page.read_bytes(), page.stat().st_mtime_ns) == kept
@@ -120,6 +121,7 @@ def test_profile_report_and_press_are_there(out: Path) -> None:
     assert left * right < 0 and min(abs(left), abs(right)) > 3
 
 
+@pytest.mark.thorough
 def test_interrupted_in_the_middle(
     captures: Path, out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

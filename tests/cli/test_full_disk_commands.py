@@ -45,6 +45,7 @@ def largest(folder: Path) -> int:
     return max(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.thorough(cases=("gs-sdk", "isaac-lab", "onnx", "taxim"))
 @pytest.mark.parametrize("to", EXPORTERS)
 def test_an_export_is_whole_or_not_at_all(to: str, mini: Path, tmp_path: Path, cli: Cli) -> None:
     if to == "onnx":
@@ -74,6 +75,7 @@ def test_a_full_drive_takes_no_part_of_an_export(to: str, mini: Path, small_driv
     assert everything_below(small_drive) == {"mine.txt": b"mine"}
 
 
+@pytest.mark.thorough
 def test_a_block_stands_with_its_report_or_not_at_all(
     here: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,6 +109,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_no_design_of_a_study_is_to_blame_for_a_full_disk(
     study: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +134,7 @@ def raised(error: BaseException) -> Callable[..., None]:
     return write
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("error", "code", "begins"),
     [

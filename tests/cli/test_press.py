@@ -98,6 +98,7 @@ def check_press_figures(values: dict[str, Any], steps: int) -> None:
     assert figures["step_count"] == len(figures["steps"]) == steps
 
 
+@pytest.mark.thorough
 @pytest.mark.rasterised
 def test_press_on_a_sensor_of_the_catalogue(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -147,6 +148,7 @@ def test_press_on_a_sensor_of_the_catalogue(
             assert image is not None and image.std() > 5, name
 
 
+@pytest.mark.thorough
 def test_equal_presses_write_equal_figures(unit: Path, shallow: Path, tmp_path: Path) -> None:
     assert press(unit, tmp_path / "again", "--depth-mm", "0.2", *QUICK) == 0
     for name in ("press.json", "gel.vtu", "signals.npz"):
@@ -155,6 +157,7 @@ def test_equal_presses_write_equal_figures(unit: Path, shallow: Path, tmp_path: 
     assert times["seconds"] > sum(times["step_seconds"]) > 0
 
 
+@pytest.mark.thorough
 def test_a_texture_shows_in_the_heights(
     unit: Path, shallow: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -184,6 +187,7 @@ def test_a_texture_shows_in_the_heights(
     assert not (tmp_path / "bad").exists()
 
 
+@pytest.mark.thorough
 def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> None:
     assert press(unit, tmp_path / "force", "--force-n", "0.6", *QUICK) == 0
     found = read(tmp_path / "force")
@@ -197,6 +201,7 @@ def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> N
     assert again["mesh"] == found["mesh"]
 
 
+@pytest.mark.thorough
 def test_a_hold_and_a_way_back_are_told(
     unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -213,6 +218,7 @@ def test_a_hold_and_a_way_back_are_told(
     assert [value.strip() for _, value in rows] == ["0.2", "0"]
 
 
+@pytest.mark.thorough
 def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
     common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1", "--accuracy", "fast"]
     assert press(unit, tmp_path / "a", *common) == 0
@@ -224,6 +230,7 @@ def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
     assert a["min_distance_m"] < 2e-5 < b["min_distance_m"] < 5e-5
 
 
+@pytest.mark.thorough
 def test_a_press_that_fails_leaves_the_earlier_one(
     unit: Path,
     earlier: Path,
@@ -244,6 +251,7 @@ def test_a_press_that_fails_leaves_the_earlier_one(
     assert everything_below(tmp_path) == before
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("error", "code"),
     [pytest.param(SimulationError("stuck"), 3, marks=pytest.mark.slow), (KeyboardInterrupt(), 130)],
@@ -312,6 +320,7 @@ def test_a_part_in_metres_is_refused_with_its_sizes(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_an_interrupted_press_leaves_nothing(
     unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -155,6 +155,7 @@ def json_commands() -> Iterator[str]:
                 yield f"{name} {word}".strip()
 
 
+@pytest.mark.thorough(cases=("preview",))
 @pytest.mark.parametrize("command", sorted(CHEAP))
 def test_what_is_printed_is_json(
     command: str, places: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -239,6 +240,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "command", variants(["press --depth-mm 0.5"], ["press --depth-mm 0.5", "preview", "design"])
 )

@@ -154,6 +154,7 @@ def test_list(cli: Cli) -> None:
     assert listed["sensors"]["9dtact"]["young_modulus_mpa"].count(",") == 1
 
 
+@pytest.mark.thorough(cases=("digit",))
 @pytest.mark.parametrize("name", NAMES)
 def test_show_every_family(name: str, cli: Cli) -> None:
     text = cli("sensors show", name).out
@@ -179,6 +180,7 @@ def test_show_with_other_values(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> No
     assert "set; the default is 4.0" in " ".join(shown.split())
 
 
+@pytest.mark.thorough
 def test_camera_distance_moves_the_scale(cli: Cli) -> None:
     """Further away by 20 mm in air, with the same lens."""
     scales = []
@@ -200,6 +202,7 @@ def test_bad_input(arguments: str, told: str, cli: Cli) -> None:
     assert told in cli.refusal("sensors show", *arguments.split())
 
 
+@pytest.mark.thorough(cases=("9dtact",))
 @pytest.mark.parametrize("name", ["9dtact", "digit_360", "rtac"])
 def test_picture(name: str, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / f"{name}.png"

@@ -92,6 +92,7 @@ CAPTURES: list[tuple[Change, list[str]]] = [
 ]
 
 
+@pytest.mark.thorough(cases=("frame_without_contact-words5",))
 @pytest.mark.parametrize(("change", "words"), CAPTURES)
 def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[str]) -> None:
     change(here / "captures")
@@ -100,6 +101,9 @@ def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[st
     refuse(command, words, capsys, ("earlier_profile",))
 
 
+@pytest.mark.thorough(
+    cases=("--holdout-every 6-captures\\\\.toml holds 5 presses, too few to hold out",)
+)
 @pytest.mark.parametrize(
     ("options", "words"),
     [

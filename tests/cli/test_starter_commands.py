@@ -45,6 +45,7 @@ def test_without_an_untouched_frame_all_commands_ask_for_it(
     assert "has the background of another unit" in said
 
 
+@pytest.mark.thorough
 def test_depth_read_and_live_find_it_and_say_the_same(
     photos: Path, tmp_path: Path, cli: Cli
 ) -> None:

@@ -58,6 +58,7 @@ def use(monkeypatch: pytest.MonkeyPatch, how) -> None:
     monkeypatch.setattr("taccel_lab.api.study.default_kit", lambda: Kit(PRESSES, METRICS, how))
 
 
+@pytest.mark.thorough
 def test_a_study_runs_and_says_where_to_look(file: Path, cli: Cli) -> None:
     _, out, err = cli("study", file)
     assert "3 designs compared" in out and "stiffness" in out
@@ -78,6 +79,7 @@ def test_processes_of_the_study_file_count(file: Path, cli: Cli) -> None:
     assert values["cost"]["processes"] == 2
 
 
+@pytest.mark.thorough
 def test_limit_and_report_only(file: Path, cli: Cli) -> None:
     err = cli("study", file, "--out", "a b", "--limit", "2").err
     assert "not finished; go on with" in err and f"taccel-lab study {file} --out 'a b'" in err
@@ -179,6 +181,7 @@ def test_make_may_be_left_out() -> None:
         assert with_make(words) == words
 
 
+@pytest.mark.thorough
 def test_made_checked_shown_and_gone_on_with(spec: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
     cli("dataset", spec, "--out", out, "--check-only")

@@ -62,6 +62,7 @@ def presses(tmp_path: Path) -> Path:
     return write_captures(tmp_path / "captures", captures)
 
 
+@pytest.mark.thorough
 def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     without_check(monkeypatch)
     folder = presses.parent
@@ -114,6 +115,7 @@ def _refuses_what_is_no_press(image: Path, profile: str, folder: Path, cli: Cli)
         assert not out.exists()
 
 
+@pytest.mark.thorough
 def test_grey_depth(tmp_path: Path, cli: Cli) -> None:
     save_profile(flat_profile(GRID), tmp_path / "base")
     background = np.full((GRID.height_px, GRID.width_px, 3), 150, dtype=np.uint8)
@@ -246,6 +248,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_figures_and_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert load_profile(folder / "p").force is not None
     report = json.loads((folder / "p_report" / "report.json").read_text())
@@ -267,6 +270,7 @@ def test_figures_and_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert all(words in said.out for words in ("Fz", "+-", "N mm", "mm2"))
 
 
+@pytest.mark.thorough
 def test_an_interrupted_training_goes_on_with_the_same_command(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:

@@ -33,6 +33,7 @@ def test_list(cli: Cli) -> None:
     assert all(task["published"][0]["differs"] for task in listed.values())
 
 
+@pytest.mark.thorough
 def test_run(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ["task run", short_task(tmp_path, 3), "--seeds", "2", "--out", out]

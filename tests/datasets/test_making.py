@@ -46,6 +46,7 @@ def started(*words: object) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
 
 
+@pytest.mark.thorough
 def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: Path) -> None:
     """Two shards in folders of their own, one of them by another process, give what one run gave;
     together they are read as one."""
@@ -61,6 +62,7 @@ def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: 
     assert not check_dataset([tmp_path / "a", tmp_path / "b"])
 
 
+@pytest.mark.thorough
 def test_a_killed_run_goes_on_and_ends_the_same(profile: Path, made: Path, tmp_path: Path) -> None:
     folder = DatasetFolder(tmp_path / "k")
     assert started(profile, folder.root, "1/1", "0", "2").wait() == -signal.SIGKILL
@@ -78,6 +80,7 @@ def test_a_killed_run_goes_on_and_ends_the_same(profile: Path, made: Path, tmp_p
     assert make(profile, folder.root).done == []
 
 
+@pytest.mark.thorough
 def test_what_a_part_leaves_in_circles_goes_with_the_next(
     profile: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,6 +128,7 @@ def test_shards_may_begin_a_folder_at_the_same_time(profile: Path, tmp_path: Pat
         folder.begin(plan(profile), "small")
 
 
+@pytest.mark.thorough
 def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     outcome = runner.make_dataset(plan(profile), None, processes=0, limit=1)
@@ -133,6 +137,7 @@ def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sizes", ["kept", "of an earlier version"])
 def test_damaged_parts_are_made_again_and_told(
     sizes: str, profile: Path, made: Path, copied: Path
@@ -161,6 +166,7 @@ def test_damaged_parts_are_made_again_and_told(
     assert make(profile, copied, say=said.append).done == [] and len(said) == 2
 
 
+@pytest.mark.thorough
 def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
     profile: Path, made: Path, copied: Path
 ) -> None:
@@ -179,6 +185,7 @@ def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
     assert parts_of(copied) == parts_of(made)
 
 
+@pytest.mark.thorough(cases=("up/x",))
 @pytest.mark.parametrize("name", ["{0}/thesis.tex", "../../../thesis.tex", "C:\\x", "a\0b", "up/x"])
 def test_the_list_of_a_part_names_nothing_outside(
     profile: Path, tmp_path: Path, name: str, copied: Path
@@ -235,6 +242,7 @@ def dotted_profile(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_dots_go_with_the_markers(tmp_path: Path) -> None:
     profile = dotted_profile(tmp_path / "profile")
     make(
@@ -259,6 +267,7 @@ def test_dots_go_with_the_markers(tmp_path: Path) -> None:
             assert np.hypot(*(np.array(middle) - [u_px, v_px])) < 0.25
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "sensor", ["gelsight_mini", pytest.param("gelsight_40", marks=pytest.mark.slow)]
 )
@@ -357,6 +366,7 @@ def test_univtac(made: Path, tmp_path: Path) -> None:
     assert len(json.loads((tmp_path / "uv" / "metadata.json").read_text())) == 6
 
 
+@pytest.mark.thorough
 def test_univtac_has_the_poses_of_tools_that_lean(profile: Path, tmp_path: Path) -> None:
     """Its quaternions begin with w."""
     leaning = {"tool": "sphere:3", "tilt_deg": [4, 6], "yaw_deg": [30, 60]}
@@ -396,6 +406,7 @@ def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
     assert parts_of(made) == before and not inside.exists()
 
 
+@pytest.mark.thorough(cases=("parts/000001/data.zarr/rgb/c/0/0/0/0-kinds0",))
 @pytest.mark.parametrize(
     ("place", "kinds"),
     [

@@ -28,6 +28,7 @@ from tests.support.small_data_sets import plan, small_profile, table
 EXAMPLES = Path(__file__).parents[2] / "taccel_lab" / "datasets" / "examples"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path, tmp_path: Path) -> None:
     # What a reader has of their own lies beside the file: a profile with a spread.
@@ -143,6 +144,7 @@ def test_what_was_drawn_once_is_drawn_for_ever() -> None:
     assert [part.episodes for part in made.parts] == KEPT_PARTS
 
 
+@pytest.mark.thorough
 def test_a_great_many_touches_are_not_kept_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("taccel_lab.datasets.plan._TOLD_EVERY", 1_000)
     told: list[tuple[int, int]] = []

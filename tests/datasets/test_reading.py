@@ -102,6 +102,7 @@ def test_splits_are_held_apart(made: Path) -> None:
     assert len(train) + len(test) == len(Dataset(made))
 
 
+@pytest.mark.thorough
 def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
     """All of the table and all signals of the gel's surface, with drawn units; nodal
     channels add up to the wrench."""
@@ -208,6 +209,7 @@ def test_check_finds_what_parts_share_changed(
     assert any("error" in line and message in line for line in told), told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["steps.parquet", "episodes.parquet"])
 def test_no_flipped_bit_of_an_index_is_missed(name: str, copied: Path) -> None:
     """Two bytes of five are in what stands beside the rows: no reader of all rows sees them."""

@@ -59,6 +59,7 @@ def folder(mini: SensorProfile, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return out
 
 
+@pytest.mark.thorough
 def test_the_network_reads_the_press(mini: SensorProfile, folder: Path) -> None:
     network = BgrxyNetwork()
     state = torch.load(folder / "nnmodel.pth", weights_only=True)

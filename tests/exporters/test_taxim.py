@@ -156,6 +156,7 @@ def render(simulator: Any, height_mm: np.ndarray, **options: object) -> np.ndarr
     return 255 * np.asarray(simulator.render_direct(height_mm.astype(np.float32), **options))
 
 
+@pytest.mark.thorough
 def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_path: Path) -> None:
     """Of two scales, which end in the bins that taxim looks up by its one."""
     mini = mini.with_block(mini.camera.replace(mm_per_px_x=0.09, mm_per_px_y=0.045))
@@ -184,6 +185,7 @@ def test_the_neutral_shadows_change_nothing(mini: SensorProfile, tmp_path: Path)
     require_upright(image, our_image(mini, press), 50)
 
 
+@pytest.mark.thorough
 def test_taxim_presses_an_object_into_it(mini: SensorProfile, tmp_path: Path) -> None:
     """With Taxim's own model of the gel, from an object's height map."""
     export_profile(mini, "taxim", tmp_path / "calib")
@@ -274,6 +276,7 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
         read_table(path)
 
 
+@pytest.mark.thorough
 def test_taxim_renders_the_fitted_table(mini: SensorProfile, tmp_path: Path) -> None:
     """Read back by taxim's own class, with other bins than its own; no colour model takes part."""
     path = tmp_path / TABLE_FILE
@@ -296,6 +299,7 @@ def test_taxim_renders_the_fitted_table(mini: SensorProfile, tmp_path: Path) -> 
     assert np.abs(at_rest - mini.background_rgb).max() < 0.51
 
 
+@pytest.mark.thorough
 def test_gel_that_bulges_is_shown_from_a_map_below_the_gel(
     mini: SensorProfile, tmp_path: Path
 ) -> None:

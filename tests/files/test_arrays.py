@@ -150,6 +150,7 @@ def test_damaged_archives_are_sentences(content: bytes, words: str, tmp_path: Pa
         unpack_npz(content)
 
 
+@pytest.mark.thorough
 def test_a_small_file_that_unpacks_to_gigabytes_takes_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "bomb.npz"
     with (

@@ -227,6 +227,7 @@ for turn in range(40):
 """
 
 
+@pytest.mark.thorough
 def test_processes_share_a_cache(folder: Path) -> None:
     """Four write, read and delete the same files: nobody meets a half-written one."""
     processes = [

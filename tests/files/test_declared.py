@@ -24,6 +24,19 @@ def cpu_s() -> float:
     return time.process_time() + ended.ru_utime + ended.ru_stime + memory.children_cpu_s()
 
 
+@pytest.mark.thorough(
+    cases=(
+        "3mf-lies",
+        "3mf-points",
+        "hdf5-long-chunks",
+        "lerobot-rows",
+        "lerobot-times",
+        "npz-zeros",
+        "ply-list",
+        "vtu-blocks",
+        "xml-elements",
+    )
+)
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("name", BOMBS)
 def test_what_a_file_states_is_not_believed(name: str, tmp_path: Path) -> None:

@@ -115,6 +115,7 @@ def test_the_size_in_the_header_is_limited(width: int, height: int, tmp_path: Pa
             read(path)
 
 
+@pytest.mark.thorough
 def test_large_images_are_read(tmp_path: Path) -> None:
     path = tmp_path / "large.png"
     rgb = np.zeros((4000, 6000, 3), dtype=np.uint8)
@@ -221,6 +222,7 @@ def test_a_damaged_frame_is_left_out_and_an_end_cut_off_is_counted(tmp_path: Pat
     assert count_frames(path) == (11, 20) and len(list(read_frames(path))) == 11
 
 
+@pytest.mark.thorough(cases=("turn0",))
 @pytest.mark.parametrize("turn", [(0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)])
 def test_frames_are_as_stored_whatever_a_player_is_asked_to_turn(
     turn: tuple[int, ...], tmp_path: Path
@@ -247,6 +249,7 @@ def test_only_one_frame_is_held(tmp_path: Path) -> None:
     assert peak < 5 * 640 * 480 * 3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("read", READERS)
 def test_frames_that_are_too_large_are_refused(read: Callable[[Path], Any], tmp_path: Path) -> None:
     path = write(tmp_path / "v.avi", "MJPG", 2, (8000, 4200))

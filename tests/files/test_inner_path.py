@@ -231,6 +231,12 @@ def test_results_come_back_from_a_process_that_stays() -> None:
     assert first == second != os.getpid()
 
 
+@pytest.mark.thorough(
+    cases=(
+        "crash-numpy 2.4.6 crashed on it (the process was ended by signal 6). The file",
+        "leave-numpy 2.4.6 crashed on it (the process ended with code 7). The file",
+    )
+)
 @pytest.mark.parametrize(
     ("read", "words"),
     [(readers.crash, f"{NUMPY} crashed on it (the process was ended by signal 6). The file"),
@@ -247,6 +253,7 @@ def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
     assert read_apart("a", readers.double, 2) == 4
 
 
+@pytest.mark.thorough
 def test_a_reader_that_never_ends_takes_what_its_file_is_worth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -261,6 +268,7 @@ def test_a_reader_that_never_ends_takes_what_its_file_is_worth(
     assert read_apart("a", readers.double, 2) == 4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", ["crash", "memory"])
 def test_a_file_is_not_blamed_for_what_earlier_files_left(how: str) -> None:
     first, second = (read_apart("a", readers.harm, how) for _ in range(2))
@@ -318,6 +326,7 @@ def test_a_mistake_of_ours_stays_one_and_tells_its_traceback() -> None:
     assert "in mistake" in caught.value.__notes__[0]
 
 
+@pytest.mark.thorough
 def test_streams() -> None:
     assert list(stream_apart("v", readers.count, 5)) == [0, 1, 2, 3, 4]
     assert list(stream_apart("v", readers.count, 0)) == []

@@ -155,6 +155,7 @@ def _killed(when: int, at_once: bool, target: Path) -> int:
         os._exit(code)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at_once", [True, False])
 def test_killed_anywhere_the_next_run_finds_the_earlier_or_the_new_one(
     tmp_path: Path, at_once: bool
@@ -213,6 +214,7 @@ def test_writers_side_by_side(tmp_path: Path) -> None:
     require_replaceable(target)
 
 
+@pytest.mark.thorough
 def test_a_folder_that_others_put_away_and_back_is_no_file(tmp_path: Path) -> None:
     target, stop = tmp_path / "out", threading.Event()
     target.mkdir()

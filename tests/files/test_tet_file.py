@@ -134,6 +134,7 @@ def test_both_layouts_are_read(version: str, tet: list[int], tmp_path: Path) -> 
 VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
 
 
+@pytest.mark.thorough(cases=("data4-vtk .* crashed on it",))
 @pytest.mark.parametrize(
     ("data", "words"),
     [

@@ -97,6 +97,7 @@ def test_files_of_a_size_that_is_not_sane(tmp_path: Path, kind: str) -> None:
         READERS[kind](path)
 
 
+@pytest.mark.thorough(cases=("yaml-text8",))
 @pytest.mark.parametrize(
     ("kind", "text"),
     [

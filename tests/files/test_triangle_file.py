@@ -41,6 +41,7 @@ def test_faces_become_triangles_and_equal_points_one(tmp_path: Path) -> None:
     assert points.dtype == np.float64
 
 
+@pytest.mark.thorough(cases=("<lambda>-crashed", "<lambda>-vtk 9\\\\S* crashed on it"))
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -25,6 +25,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome
     return found
 
 
+@pytest.mark.thorough(cases=("profile",))
 @pytest.mark.parametrize("reader", READERS)
 def test_a_damaged_file_is_read_or_refused_in_a_sentence(
     reader: str, outcomes: dict[str, list[Outcome]]

@@ -29,6 +29,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome]]:
     return _outcomes(names, tmp_path_factory.mktemp("watch"), campaign.LIMIT_S)
 
 
+@pytest.mark.thorough(cases=("raises",))
 @pytest.mark.parametrize("name", [name for name in FAULTS if name != "hangs"])
 def test_a_bad_reader_is_noticed(name: str, found: dict[str, list[Outcome]]) -> None:
     assert sorted(outcome.seed for outcome in found[name]) == list(_SEEDS)

@@ -104,6 +104,7 @@ FAST = ("quadratic under an edge", "three environments", "on a mount that moves"
 own comes in with a modulus and the ways of the tools."""
 
 
+@pytest.mark.thorough(cases=("quadratic under an edge-poisson_ratio",))
 @pytest.mark.parametrize(
     ("which", "name"),
     variants(
@@ -150,6 +151,7 @@ def test_size(which: str) -> None:
     assert (compare(case, lambda g: g.scale[:, 0], changed, 2e-6) < 1e-5).all()
 
 
+@pytest.mark.thorough(cases=("quadratic under an edge", "three environments"))
 @pytest.mark.parametrize("which", variants([*FAST, "box on its edge"], CASES))
 def test_ways_of_the_tools(which: str) -> None:
     """Along random shifts and turns of all tools at the start and in all steps at once."""
@@ -181,6 +183,7 @@ GELS = Case(
 )
 
 
+@pytest.mark.thorough
 def test_a_gel_pressed_onto_another() -> None:
     """The slopes of a pair of gels, of which one is held by the tool that moves."""
     motion, record = GELS.run()

@@ -74,6 +74,7 @@ def test_an_end_that_is_no_stable_equilibrium_has_no_slope() -> None:
         assert np.isnan(given(found, 0)).all()
 
 
+@pytest.mark.thorough
 def test_moduli_that_tie_for_the_contact_have_no_slope_alone() -> None:
     """The contact stiffness is the larger modulus: at equal ones it has a kink, and they alone."""
     shifted = PRESS + [1.3e-5, 1.7e-5, -3e-3, 0, 0, 0, 0]
@@ -116,6 +117,7 @@ def test_bad_arrays_are_refused() -> None:
     assert np.isnan(pull_back(motion, record).friction).all()
 
 
+@pytest.mark.thorough
 def test_parameters_of_a_record_are_its_own() -> None:
     """What is set after a motion, even by tet, is not in its gradients, and is there after them."""
     for friction in (0.0, 0.3):

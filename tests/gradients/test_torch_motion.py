@@ -115,6 +115,7 @@ def slope(poses: torch.Tensor, values: dict[str, float], name: str, step: float)
     return (at(step) - at(-step)) / (2 * step)
 
 
+@pytest.mark.thorough
 def test_two_calls_before_one_way_back() -> None:
     """Of other moduli, other friction and other numbers of steps, the model's own ones first."""
     moving = TorchMotion(CASE.model(), TIGHT)

@@ -137,6 +137,7 @@ def test_a_tasks_gels_have_those_of_the_stock_sensor() -> None:
     assert (seen["rgb"].int() - first["rgb"].int()).abs().max() > 3
 
 
+@pytest.mark.thorough
 def test_a_calibrated_sensor_has_its_own_and_its_cameras_pixels() -> None:
     pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
     sensor = stock_sensor("gelsight_mini")

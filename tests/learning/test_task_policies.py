@@ -52,6 +52,7 @@ def baseline(seeds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     return success, depth
 
 
+@pytest.mark.thorough
 def test_the_baseline_goes_in_and_jams_as_in_the_task() -> None:
     jammed, seeds = 1, [0, 8, 2]
     trials = run_task(named("peg-insertion"), seeds, "cpu").trials
@@ -120,6 +121,7 @@ def test_the_gripper_begins_where_the_task_has_it(name: str) -> None:
     assert names == [body.name for body in episode.model.scene.kinematic_bodies]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", variants(["grasp-lift"], ["grasp-lift", "grasp-lift-hand"]))
 def test_the_baseline_lifts_as_in_the_task(name: str) -> None:
     """Close until all gels push with 4 N, rise, stay: success as soon as it was high for 1 s."""
@@ -181,6 +183,7 @@ runpy.run_path({path!r}, run_name="__main__")
 """
 
 
+@pytest.mark.thorough
 def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]

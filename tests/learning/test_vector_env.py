@@ -91,6 +91,7 @@ def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     assert not torch.equal(seen["proprioception"], first["proprioception"])
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*infinity.*")
 @pytest.mark.parametrize(
     ("name", "actions", "options"),
@@ -138,6 +139,7 @@ def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray
     return ends
 
 
+@pytest.mark.thorough
 def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
     """Of single environments with the seeds 5, 6, 7; two end at other moments than the third."""
     ours, theirs = both(AutoresetMode.NEXT_STEP, 3, 5, True)
@@ -147,6 +149,7 @@ def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
     assert ends[0, 0] > ends[0, 2]
 
 
+@pytest.mark.thorough
 def test_disabled_is_that_of_gymnasiums_own_vector_environment() -> None:
     ours, theirs = both(AutoresetMode.DISABLED, 2, 1, False)
     actions = np.array([DOWN, [0.0] * 4], dtype=np.float32)
@@ -217,6 +220,7 @@ def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_seeds() -> None:
     """Environment i of seed s does what environment 0 of seed s + i does, in every episode."""
 

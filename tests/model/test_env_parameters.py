@@ -240,6 +240,7 @@ def test_lumped_masses_of_quadratic_tets_follow_bitwise() -> None:
         np.testing.assert_array_equal(model.masses.numpy()[env], built.masses.numpy()[0])
 
 
+@pytest.mark.thorough(cases=("False",))
 @pytest.mark.parametrize("by_mass", [False, True])
 def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
     """To rounding: mass and moments of the solid are those of the scene times a factor."""
@@ -339,6 +340,7 @@ def test_a_mask_a_later_change_and_what_is_left_out() -> None:
         assert_same(found, env, result(*press(pressed_pad(1, material).finalize())))
 
 
+@pytest.mark.thorough(cases=("True",))
 @pytest.mark.parametrize("capture", [False, True])
 def test_captured_steps_notice(capture: bool) -> None:
     """Widened arrays move, and what is written later is read by the same graph."""
@@ -362,6 +364,7 @@ GPU = [
 ]
 
 
+@pytest.mark.thorough(cases=("cpu",))
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=GPU)])
 def test_a_loop_in_torch_is_that_of_built_models_on_every_device(device: str) -> None:
     """Values, masks and targets of the device; set again once steps are captured."""

@@ -20,6 +20,7 @@ def test_every_fault_can_be_planted() -> None:
         assert all((ROOT / tests).exists() for tests in fault.tests), fault.id
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("claim", "noticed"), [("two() == 2", True), ("two() < 5", False)])
 def test_a_planted_fault_is_noticed_or_not(tmp_path: Path, claim: str, noticed: bool) -> None:
     (tmp_path / "product.py").write_text("def two():\n    return 2\n")

@@ -85,6 +85,7 @@ def colored_profile() -> SensorProfile:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("own", [False, True], ids=["linear gel", "the profile's gel"])
 def test_a_gel_of_a_profile_has_images(own: bool) -> None:
     """Untouched it shows its background; where the cube presses, something else."""

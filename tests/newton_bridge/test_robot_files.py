@@ -118,6 +118,7 @@ def test_an_mjcf_file_of_several_parts_is_one_robot(folder: Path) -> None:
     assert [len(link.shapes) for link in robot.links] == [0, 2, 2]
 
 
+@pytest.mark.thorough(cases=("text19-more than 500,000 elements",))
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -28,6 +28,7 @@ from tests.newton_bridge.squeezed_cube import (
 GELS = [BodyGel(side, PAD, name=f"{side} pad") for side in ("left", "right")]
 
 
+@pytest.mark.thorough
 def test_a_cube_inside_moves_as_in_our_own_solve() -> None:
     ours, theirs = monolithic(1e-3), coupled(1e-3, Coupling.INSIDE)
     grip = ours.grip_impulse() / 20
@@ -41,6 +42,7 @@ def test_a_cube_inside_moves_as_in_our_own_solve() -> None:
         np.testing.assert_allclose(run.forces + run.on_gels.sum(axis=1), 0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_lagged_cube_comes_to_our_own_solve_with_the_step() -> None:
     """The wrench that acts is that of the step before: shorter steps come closer."""
     errors = []
@@ -198,6 +200,7 @@ def squeeze(
     return solver, states[0], np.array(wrenches)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("coupling", "steps", "dt", "spacing_m"),
     # Lagged worlds stand in one place: at 0.125 m single precision moves the cube by 1e-8 m, which
@@ -233,6 +236,7 @@ def test_worlds_do_what_they_do_alone(
         SensorTactile(solver, "left pad", world=2)
 
 
+@pytest.mark.thorough
 def test_one_world_is_reset_alone() -> None:
     model = worlds(2)
     solver, state, wrenches = squeeze(model, (0.0, 0.0), Coupling.INSIDE, 6, 1e-3)

@@ -131,6 +131,7 @@ def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh: TetMesh) -> None:
     assert change[above, 2].mean() > change[below, 2].mean()
 
 
+@pytest.mark.thorough
 def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
     size = (200, 150)
     model = OpticalModel(DESIGN, mesh, size_px=size, markers=MarkerGrid(1, 1, 3.0, 3.0, 0.8))

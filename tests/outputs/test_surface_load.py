@@ -48,6 +48,7 @@ def test_a_uniform_load_on_quadratic_faces_is_uniform() -> None:
     np.testing.assert_allclose(load.pressures.numpy()[0, inner], 2e3, rtol=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", variants([2], [2, 3]))
 def test_hertz_peak_and_the_whole_force(cells: int) -> None:
     radius, depth = 1e-2, 2.5e-5
@@ -83,6 +84,7 @@ def test_hertz_peak_and_the_whole_force(cells: int) -> None:
     assert np.sqrt((error**2).mean()) < 0.4 / cells**2 + 0.01
 
 
+@pytest.mark.thorough
 def test_pressure_on_a_bonded_pad_is_that_of_a_fine_mesh() -> None:
     at_mm, depth_mm = (1.0, -0.5), 0.4
 

@@ -60,6 +60,7 @@ def test_a_gentle_press_has_nothing_of_it() -> None:
     assert env.guard_share()[0] == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_it_is_what_the_force_loses_without_a_guard(
     friction: float, monkeypatch: pytest.MonkeyPatch
@@ -90,6 +91,7 @@ def test_it_is_what_the_force_loses_without_a_guard(
     assert told == pytest.approx(abs(after / before - 1), rel=0.4)
 
 
+@pytest.mark.thorough
 def test_a_batch_tells_what_each_press_does_alone() -> None:
     fast = PHYSICS[Accuracy.FAST]
     alone = at_rest(TOOL, DEPTH_MM, physics=fast)

@@ -40,6 +40,7 @@ def press_env(
     )
 
 
+@pytest.mark.thorough(cases=("sphere:2.0",))
 @pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
 def test_force_grows_with_depth(indenter: str) -> None:
     env = press_env(indenter, physics=DEFAULT if indenter == "sphere:2.0" else LINEAR)
@@ -94,6 +95,7 @@ def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("direction", [(1, 0), (0, -1)])
 def test_shear_is_resisted(direction: tuple[int, int]) -> None:
     env = press_env(friction=0.5, physics=DEFAULT)
@@ -133,6 +135,7 @@ def test_twist_is_resisted(twist: float) -> None:
     assert env.poses[0, 0, 3:] == pytest.approx([0, 0, math.sin(half), math.cos(half)])
 
 
+@pytest.mark.thorough
 def test_only_what_failed_is_halved() -> None:
     """The deep press of two, where it may take fewer iterations than it needs in one piece."""
     at, tool = np.zeros((2, 2)), parse_indenter("sphere:2.0")
@@ -186,6 +189,7 @@ def test_reset() -> None:
     assert np.array_equal(env.wrench, first)
 
 
+@pytest.mark.thorough
 def test_batch_equals_single_presses() -> None:
     places = [(0.0, 0.0), (2.0, -1.0), (-3.0, 1.5)]
     depths = np.array([0.2, 0.35, 0.1])

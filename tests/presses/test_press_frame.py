@@ -89,6 +89,7 @@ def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: n
     return env
 
 
+@pytest.mark.thorough(cases=("edge:90x3",))
 @pytest.mark.parametrize("indenter", ["sphere:2", "edge:90x3"])
 def test_a_press_turns_with_its_frame(indenter: str) -> None:
     straight = pressed(pad(), indenter, (0.4, -0.2))

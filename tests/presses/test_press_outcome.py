@@ -61,6 +61,7 @@ def outcome(pressed: tuple[PressOutcome, list]) -> PressOutcome:
     return pressed[0]
 
 
+@pytest.mark.thorough
 def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
     on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
     wrench = outcome.steps[-1].wrench
@@ -145,6 +146,7 @@ def test_figures_progress_and_pose(
     json.dumps(to_jsonable(figures), allow_nan=False)
 
 
+@pytest.mark.thorough
 def test_flat_indenter_leaves_a_flat_floor() -> None:
     outcome, _ = press("cylinder:1.0", friction=0.0, options=COARSE)
     x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
@@ -157,6 +159,7 @@ def test_flat_indenter_leaves_a_flat_floor() -> None:
     assert not outcome.contact_mask[away > 1.2e-3].any()
 
 
+@pytest.mark.thorough
 def test_a_flange_far_above_the_gel_does_not_show() -> None:
     """A stamp on a plate, 10 mm above its face, is the stamp alone."""
     corners = 0.5e-3 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
@@ -189,6 +192,7 @@ def test_a_flange_far_above_the_gel_does_not_show() -> None:
     assert apart.max() < 5e-6 and (apart > 1e-6).sum() <= 4
 
 
+@pytest.mark.thorough
 def test_heights_of_a_dome_reach_its_border() -> None:
     """The mesh of a press has few nodes along it: height maps ended in a polygon."""
     profile = catalogue_profile("rtac", {"width_px": 160, "height_px": 120})

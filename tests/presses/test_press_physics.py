@@ -49,6 +49,7 @@ def pressed(
     return env
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("depth_mm", [0.2, 1.0])
 def test_the_default_is_within_three_per_cent_and_says_so(depth_mm: float) -> None:
     env = pressed(depth_mm)
@@ -73,6 +74,7 @@ def rim_pressed(
 FLAT, DOME = ("flat_pad", Material(0.15e6, 0.4)), ("rtac", Material(0.055e6, 0.46))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("gel", "indenter", "converged_n"),
     # Meshes like the default's with 30,000 and 80,000 nodes, on the dome with 43,693.
@@ -94,6 +96,7 @@ def test_tools_with_rims_are_too(
     assert abs(env.press_force[0, 2] - converged_n) <= env.error_estimate().force_n[0]
 
 
+@pytest.mark.thorough
 def test_a_sharp_edge_goes_deep() -> None:
     """Without guards between corners tets below the ends of the blade turn inside out."""
     env, _ = rim_pressed(FLAT, "edge:90x6", 0.6)
@@ -113,6 +116,7 @@ def test_no_tet_turns_inside_out_under_a_flat_pin() -> None:
     assert 0 < smallest_ratios(env.solver.elastic, env.state.positions)[0] < 0.1
 
 
+@pytest.mark.thorough
 def test_friction_under_a_sharp_edge_settles() -> None:
     """Took 584 iterations in four parts while the way to the edge counted as sliding; 60 now."""
     env, report = rim_pressed(FLAT, "edge:90x6", 0.1, friction=0.5)
@@ -127,6 +131,7 @@ def test_linear_tets_were_far_off_and_would_be_told() -> None:
     assert env.error_estimate().force_n[0] > 0.2 * force
 
 
+@pytest.mark.thorough
 def test_force_and_surface_hardly_depend_on_the_contact_range() -> None:
     near, far = pressed(0.15), pressed(0.15, replace(DEFAULT, dhat_m=2e-5))
     assert far.press_force[0, 2] == pytest.approx(near.press_force[0, 2], rel=0.01)
@@ -135,6 +140,7 @@ def test_force_and_surface_hardly_depend_on_the_contact_range() -> None:
     assert 1.5 * far.setback_m[0] / 0.15e-3 > 0.12
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("indenter", variants(["cylinder:2"], ["cylinder:2", "edge:90x6x0.3"]))
 def test_other_tools_do_not_depend_on_it_either(indenter: str) -> None:
     near = pressed(0.3, replace(DEFAULT, dhat_m=5e-6), indenter)
@@ -143,6 +149,7 @@ def test_other_tools_do_not_depend_on_it_either(indenter: str) -> None:
     assert far.press_force[0, 2] == pytest.approx(near.press_force[0, 2], rel=0.02)
 
 
+@pytest.mark.thorough
 def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone() -> None:
     env = pressed(0.2)
     assert env.setback_m[0] < 0.95 * DEFAULT.dhat_m
@@ -196,6 +203,7 @@ def test_forces_of_a_sheared_press_do_not_depend_on_dhat() -> None:
     assert (np.linalg.norm(long - short, axis=1) < 0.01 * size).all()
 
 
+@pytest.mark.thorough
 def test_friction_sees_one_step_to_the_corrected_place() -> None:
     """As a step from where the first one ended, the gel would slide by the correction alone, and
     friction would let go a little."""
@@ -211,6 +219,7 @@ def test_friction_sees_one_step_to_the_corrected_place() -> None:
     assert env.wrench[0] == pytest.approx(found, abs=3e-4 * np.linalg.norm(found[:3]))
 
 
+@pytest.mark.thorough
 def test_environments_that_stay_keep_their_friction() -> None:
     env = press_env(0.5, env_count=2)
     env.move_to(0.3, (0.1, 0.0))
@@ -222,6 +231,7 @@ def test_environments_that_stay_keep_their_friction() -> None:
     assert env.depth_m == pytest.approx([0.5e-3, 0.3e-3])
 
 
+@pytest.mark.thorough
 def test_a_correction_that_fails_leaves_the_environment_where_it_was(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -270,6 +280,7 @@ def plain_force() -> float:
     return force(pad(), GEL)
 
 
+@pytest.mark.thorough
 def test_equal_layers_press_like_one() -> None:
     mesh = layered_pad()
     field = layered_material([GEL, GEL], mesh)
@@ -277,6 +288,7 @@ def test_equal_layers_press_like_one() -> None:
     assert force(mesh, field) == pytest.approx(plain_force(), rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_stiffer_skin_is_felt() -> None:
     mesh = layered_pad()
     soft, stiff = (layered_material([GEL, Material(e, 0.46)], mesh) for e in (5e4, 5e5))

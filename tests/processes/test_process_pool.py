@@ -109,6 +109,7 @@ for place in (lambda: require_device("cpu") and wp.config.kernel_cache_dir, cach
 NO_HOME = "there is no home folder to keep .*; set TACCEL_LAB_CACHE to a folder"
 
 
+@pytest.mark.thorough(cases=("variables3-h/.cache/warp/-h/.cache/taccel_lab",))
 @pytest.mark.parametrize(
     ("variables", "kernels", "results"),
     [
@@ -144,6 +145,7 @@ def test_kernels_and_results_lie_where_the_environment_says(
     assert {path.name for path in tmp_path.iterdir()} <= allowed
 
 
+@pytest.mark.thorough
 def test_a_command_without_a_home_folder_says_nothing_of_fonts(tmp_path: Path) -> None:
     """Matplotlib's list of fonts lies in the cache folder; drawing made it anew, and said so."""
     variables = {"TACCEL_LAB_CACHE": str(tmp_path / "ours"), "HOME": "/proc/nowhere"}
@@ -177,6 +179,7 @@ BEGUN_WITH = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("script", BEGUN_WITH.values(), ids=BEGUN_WITH)
 def test_a_script_sees_no_lines_of_warp(script: str) -> None:
     words = [sys.executable, "-c", f"import taccel_lab as tl\n{script}"]

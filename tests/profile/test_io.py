@@ -86,6 +86,7 @@ provenances = st.builds(
 )
 
 
+@pytest.mark.thorough
 @settings(reuse_fixtures, max_examples=30)
 @given(data=st.data())
 def test_round_trip_of_random_values(

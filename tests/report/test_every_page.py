@@ -104,6 +104,7 @@ def _cut(figure: Figure) -> Iterator[str]:
             yield text.get_text()
 
 
+@pytest.mark.thorough
 def test_no_page_runs_over_on_screens_nor_on_paper(pages: list[Path]) -> None:
     assert len(pages) >= len(MAKERS)
     found: list[str] = []

@@ -235,6 +235,7 @@ def test_what_a_foreign_page_sends_is_not_done(port: int) -> None:
             client.connect(path, origin=origin, **options)
 
 
+@pytest.mark.thorough
 def test_a_page_of_another_origin_is_refused_by_the_browsers_own_socket(port: int) -> None:
     script = """address => new Promise(done => {
         const socket = new WebSocket(address);

@@ -176,6 +176,7 @@ def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> No
         page.wait_for_selector(".mesh-view .hint", state="hidden")
 
 
+@pytest.mark.thorough
 def test_fingers_scroll_the_page_turn_and_zoom(address: str) -> None:
     with chromium_page(address, (400, 700), has_touch=True) as page:
         canvas = canvas_of(page)

@@ -177,6 +177,7 @@ GEL = SoftBody(PAD, Material(1e5, 0.45), friction_coefficient=0.8)
 SIDES = ("left", "right")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "element", [Element.LINEAR, pytest.param(Element.QUADRATIC, marks=pytest.mark.slow)]
 )

@@ -262,6 +262,7 @@ def test_what_is_wrong_of_tensors_is_said_as_of_arrays() -> None:
             hand.targets(wrong)
 
 
+@pytest.mark.thorough
 def test_robots_move_without_torch() -> None:
     code = (
         "import sys; from taccel_lab.robots import named; r = named('three_finger_hand'); "

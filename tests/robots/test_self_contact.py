@@ -116,6 +116,7 @@ def test_a_gel_is_squeezed_between_fingers() -> None:
     assert 64e-6 * 1e5 * 0.2 < pushes[True] < 5 * 64e-6 * 1e5 * 0.2
 
 
+@pytest.mark.thorough
 def test_driven_fingers_stop_at_one_another() -> None:
     robot = named("three_finger_hand").placed([0, 0, 0.2, 0, 0, 0, 1])
     for itself in (False, True):

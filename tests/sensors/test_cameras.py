@@ -146,6 +146,7 @@ def test_a_profile_keeps_its_cameras_and_is_a_sensor_by_them(stereo: SensorProfi
     assert profile_sensor(right).parameters().grid() == right.grid()
 
 
+@pytest.mark.thorough
 def test_cad_and_figures_have_all_cameras() -> None:
     parameters = sensor_family("flat_pad").parameters(
         {**PAIR, "camera_tilt_x_deg": [10, -10], "camera_x_mm": [-6, 6]}
@@ -166,6 +167,7 @@ def pressed(stereo: SensorProfile) -> Press:
     return press(stereo, "sphere:4", depth_mm=0.3, accuracy="fast", element="linear")
 
 
+@pytest.mark.thorough
 def test_dots_in_both_images_of_a_press_give_the_place_of_each(
     stereo: SensorProfile, pressed: Press
 ) -> None:
@@ -191,6 +193,7 @@ def _keys(dots: PressMarkers) -> np.ndarray:
     return 100_000 * row + column
 
 
+@pytest.mark.thorough
 def test_each_camera_has_its_picture_and_heights(
     pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +211,7 @@ def test_each_camera_has_its_picture_and_heights(
         np.testing.assert_array_equal(arrays["height_m"], 1e-3 * right.height_mm)
 
 
+@pytest.mark.thorough
 def test_a_preview_draws_what_each_camera_sees(tmp_path: Path) -> None:
     preview = preview_design(sensor_family("flat_pad"), PAIR, presses=(), size_px=64)
     files = write_preview(preview, tmp_path)

@@ -136,6 +136,7 @@ def test_a_guide_is_an_led_with_a_length_or_an_arc() -> None:
         assert np.dot(piece.position_mm[:2], piece.direction[:2]) == pytest.approx(-14)
 
 
+@pytest.mark.thorough
 def test_cad_makes_room_for_a_bent_guide() -> None:
     """The exit's section turned about the axis: its volume is that of Pappus."""
     parameters = sensor_family("flat_pad").parameters({
@@ -152,6 +153,7 @@ def test_cad_makes_room_for_a_bent_guide() -> None:
     require_no_overlap(assembly.clearances())
 
 
+@pytest.mark.thorough
 def test_a_housing_follows_what_it_holds_unless_it_is_stated() -> None:
     family = sensor_family("digit_360")
     parameters = family.parameters({"dome_radius_mm": 11})

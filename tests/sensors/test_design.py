@@ -30,6 +30,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> DesignResult:
     return design_sensor(FAMILY, {"thickness_mm": 4.5}, out, edge_mm=1.5)
 
 
+@pytest.mark.thorough
 def test_every_file_is_there(result: DesignResult) -> None:
     assert set(result.files) == {
         "mesh", "quality", "parameters", "preview", "profile",
@@ -90,6 +91,7 @@ def test_reports_of_assembly_and_mould_hold_their_checks(result: DesignResult) -
     assert mould["gates"][0]["kind"] == "pour"
 
 
+@pytest.mark.thorough
 def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
     found = design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
     assert set(found.files) == {"mesh", "quality", "parameters", "preview", "profile"}
@@ -98,6 +100,7 @@ def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_built_says_how_to_leave_it_out(tmp_path: Path) -> None:
     overrides = {"housing_x_mm": 24.2}
     with pytest.raises(
@@ -142,6 +145,7 @@ def test_bad_input_leaves_an_earlier_result_untouched(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.rglob("*")] == ["out", "old"]
 
 
+@pytest.mark.thorough
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     words = ["--set", "rim=chamfer", "rim_mm=0.4", "--edge-mm", 2, "--parts", "pad"]
@@ -161,6 +165,7 @@ def test_command_line_refuses_unknown_sensor(
     assert not out.exists()
 
 
+@pytest.mark.thorough
 def test_a_bad_mesh_is_refused_with_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

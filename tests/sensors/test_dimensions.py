@@ -94,6 +94,7 @@ def test_pad_has_the_stated_size(name: str) -> None:
     assert pad.top_mm(np.zeros(2)) == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.thorough(cases=("digit",))
 @pytest.mark.parametrize("name", [n for n, s in STATED.items() if s.volume is not None])
 def test_gel_has_the_stated_volume(name: str) -> None:
     stated, pad = STATED[name], nominal(name).pad()

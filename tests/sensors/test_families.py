@@ -167,6 +167,7 @@ def test_figures_of_a_sensor_are_not_those_of_another() -> None:
 # Formulas -------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(cases=("digit",))
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.parametrize("name", FAMILIES)
@@ -194,6 +195,7 @@ def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: 
     assert all(np.isfinite(v) for v, _ in derived_figures(found).values() if isinstance(v, float))
 
 
+@pytest.mark.thorough(cases=("digit", "gelsight", "gelsight_r15", "gelsight_wedge"))
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_bounds_leave_room_for_one_another(family: SensorFamily) -> None:
     rng = np.random.default_rng(11)
@@ -218,6 +220,7 @@ def test_one_step_out_of_bounds_is_refused_by_name(family: SensorFamily) -> None
 # Meshes and presses ---------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(cases=("9dtact", "digit", "digit_360", "gelsight_40", "gelsight_wedge"))
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     """By the usual edge; profiles of this process take the same mesh."""
@@ -231,6 +234,7 @@ def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", variants(["digit", "digit_360", "rtac"], FAMILIES))
 def test_nominal_sensor_is_pressed(name: str) -> None:
     assert_pressed(FAMILIES[name].parameters())
@@ -295,6 +299,7 @@ def test_designed_profiles_come_back(name: str, tmp_path) -> None:
     assert dataclasses.replace(loaded).grid() == parameters.grid()
 
 
+@pytest.mark.thorough
 def test_published_blocks_hold_published_figures_alone() -> None:
     for name in sensor_families():
         for block in catalogue_profile(name).blocks().values():

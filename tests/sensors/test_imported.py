@@ -37,6 +37,7 @@ def step(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_an_imported_block_is_meshed_and_all_files_are_written(
     step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,6 +81,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> ImportResult:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_an_imported_gel_has_a_profile(imported: ImportResult) -> None:
     profile = load_profile(imported.files["profile"])
     assert profile.sensor.family == "imported" and profile.gel.thickness_mm == pytest.approx(4.0)
@@ -94,6 +96,7 @@ def test_an_imported_gel_has_a_profile(imported: ImportResult) -> None:
     assert list(profile.sensor.provenance.inputs) == ["my gel.step"]
 
 
+@pytest.mark.thorough
 def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResult) -> None:
     """The catalogue's flat pad of the same size, edges sharp: a ball of 2 mm, 0.4 mm deep."""
     values = {"length_x_mm": 14, "length_y_mm": 12, "thickness_mm": 4, "corner_radius_mm": 0.3}
@@ -113,6 +116,7 @@ def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResu
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
 
 
+@pytest.mark.thorough(cases=("edge:90x6x0.1-0.1915-60000",))
 @pytest.mark.parametrize(
     ("tool", "radius_mm", "most"),
     [("sphere:2", 0.76, 10_000), ("cylinder:2", 2.0, 10_000), ("edge:90x6x0.1", 0.1915, 60_000)],

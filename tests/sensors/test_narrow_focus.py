@@ -19,6 +19,7 @@ def test_a_narrower_focus_is_taken_where_the_usual_one_folds_and_told() -> None:
     assert (beside.tets == usual.tets).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*as finely as elsewhere")
 @pytest.mark.parametrize("lowest", [0.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_every_place_in_the_image_meshes(lowest: float) -> None:

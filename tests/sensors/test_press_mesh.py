@@ -37,6 +37,7 @@ def contact_edges(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     return ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
 
 
+@pytest.mark.thorough
 @settings(max_examples=8)
 @given(x=st.floats(-7.5, 7.5), y=st.floats(-5.5, 5.5), radius=st.floats(0.5, 1.6))
 def test_shape_is_that_of_the_pad_and_arrays_are_shared(x: float, y: float, radius: float) -> None:
@@ -122,6 +123,7 @@ def test_edges_of_the_mesh_lie_on_the_outline_and_are_short_across_it(outline: n
     assert beside.min() < 1.05 * step
 
 
+@pytest.mark.thorough
 @settings(max_examples=4)
 @given(
     name=st.sampled_from(["flat_pad", "gelsight_mini", "digit", "9dtact", "rtac", "digit_360"]),

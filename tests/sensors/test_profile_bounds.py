@@ -131,6 +131,7 @@ def with_responses(profile: SensorProfile) -> SensorProfile:
     return profile
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["digit_360", "gelsight_mini", "9dtact", "networks"])
 def test_every_number_of_a_profile_has_bounds(name: str, tmp_path: Path) -> None:
     if name == "networks":

@@ -160,6 +160,7 @@ values = [0.1, 0.2]
 """
 
 
+@pytest.mark.thorough
 def test_a_study_takes_the_folder_beside_its_file(folder: Path) -> None:
     path = folder.parent / "study.toml"
     path.write_text(STUDY)
@@ -190,6 +191,7 @@ def test_a_study_of_another_gel_has_other_designs(folder: Path, tmp_path: Path) 
     assert not ids[0] & ids[1]
 
 
+@pytest.mark.thorough
 def test_a_preview_of_it(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["preview", str(folder), "--out", str(out), "--size-px", "96", "--presses", "--json"]

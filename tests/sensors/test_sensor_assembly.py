@@ -24,6 +24,7 @@ from tests.support.variants import variants
 FAMILIES = sorted(sensor_families())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", variants(["digit", "digit_360", "rtac"], FAMILIES))
 def test_parts_fit(name: str) -> None:
     parameters = sensor_family(name).parameters()
@@ -69,6 +70,7 @@ def test_gels_can_be_cast(name: str) -> None:
         assert report.undercut_mm2 < 0.05 and report.overlap_mm3 < 1e-3
 
 
+@pytest.mark.thorough
 def test_two_layers_are_two_parts_that_fill_the_gel() -> None:
     parameters = sensor_family("9dtact").parameters()
     pad = parameters.pad()

@@ -25,6 +25,7 @@ def test_which_there_are() -> None:
     assert sorted(read_toml(ABOUT)) == NAMES and set(NAMES) < set(sensor_families())
 
 
+@pytest.mark.thorough(cases=("9dtact",))
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_small_marked_and_licensed(name: str) -> None:
     assert sum(path.stat().st_size for path in (STARTERS / name).iterdir()) < MOST_BYTES
@@ -79,6 +80,7 @@ def test_a_calibration_does_not_begin_with_blocks_of_another_unit(tmp_path: Path
     assert not is_starter(base) and base.color is None and base.background is None
 
 
+@pytest.mark.thorough
 def test_a_press_says_so() -> None:
     pressed = tl.press(tl.load_sensor("gelsight_mini"), "sphere:4", depth_mm=0.2, accuracy="fast")
     assert pressed.plan.notes()[0] == NOT_YOUR_UNIT

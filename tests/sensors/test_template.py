@@ -40,6 +40,7 @@ def template(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     importlib.invalidate_caches()
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("template")
 def test_template_is_in_the_catalogue_and_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -59,6 +60,7 @@ def test_template_is_in_the_catalogue_and_shown(
     assert len(shown["optics"]["lights"]) == 4
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("template")
 def test_template_is_built_and_meshed() -> None:
     family = sensor_family("my_sensor")

@@ -17,6 +17,7 @@ from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.sensors.registry import sensor_family
 
 
+@pytest.mark.thorough(cases=("9dtact-0.8",))
 @pytest.mark.parametrize("thickness_mm", [0.8, 1.0, 2.0])
 @pytest.mark.parametrize("name", ["digit", "9dtact", "flat_pad"])
 def test_thin_gels_mesh_well(name: str, thickness_mm: float) -> None:
@@ -39,6 +40,7 @@ def test_a_thin_digit_is_flatter_and_the_usual_one_as_ever() -> None:
     assert float(flat.top_mm(np.array([4.0, 4.0]))) == pytest.approx(0.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("tool", "poisson"),
     [

@@ -62,6 +62,7 @@ def test_forward_pass_by_hand() -> None:
     assert np.count_nonzero(change) == 3
 
 
+@pytest.mark.thorough
 @settings(max_examples=20)
 @given(seed=st.integers(0, 999))
 def test_undeformed_pixels_do_not_change(seed: int) -> None:

@@ -47,6 +47,7 @@ def of(env: PressEnv, **options: object) -> SignalTactile:
     return signal
 
 
+@pytest.mark.thorough
 def test_integrals_are_the_wrench() -> None:
     """Force and torque, from the pixels alone: traction by area of the surface, at its points."""
     env = dragged()
@@ -99,6 +100,7 @@ def test_a_gel_that_is_not_touched_feels_nothing() -> None:
         assert not array.numpy().any()
 
 
+@pytest.mark.thorough
 def test_partial_slip_of_cattaneo_and_mindlin() -> None:
     """A ball pressed without and moved with friction; ``tests/verification/test_mindlin.py`` says
     where the closed form is from, and checks nodes where this looks at pixels."""

@@ -159,6 +159,7 @@ def _simulate(
     )
 
 
+@pytest.mark.thorough
 def test_outside_the_contact_it_is_the_surface_through_the_nodes(press):
     """Of the same nodes, interpolated over their places at rest and over their places now."""
     for i in range(len(press.depths_mm)):
@@ -256,6 +257,7 @@ def test_contact_radius_is_that_of_the_nodes(press):
     assert (np.diff(press.fine.contact_radius_m) > 0).all()
 
 
+@pytest.mark.thorough
 def test_contact_radius_follows_small_changes_of_depth():
     """The depth search takes secants of it: no steps from node to node."""
     env = _coarse_press((0.3, 0.2), 0.9, 2e-5, PressMeshOptions(3.0, core=6, rings=10))
@@ -297,6 +299,7 @@ def _radius_at(dhat_m: float, options: PressMeshOptions) -> tuple[float, float]:
     return float(env.wrench[0, 2]), _radius(env)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("size", "dhat_m"), variants([(3.0, 2e-5)], [3.0, 5.0], [2e-5, 2e-6]))
 def test_contact_radius_depends_on_neither_dhat_nor_mesh(dhat_m, size):
     """At the same force: the barrier's layer presses a little deeper."""

@@ -61,6 +61,7 @@ def shown(env: PressEnv, texture: Texture | None = None, **options: int) -> Sign
     return signal
 
 
+@pytest.mark.thorough
 def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
     env = pressed(False)
     signal = shown(env)
@@ -88,6 +89,7 @@ def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
     np.testing.assert_allclose(height[2], 0.0, atol=1e-8)
 
 
+@pytest.mark.thorough
 def test_the_texture_shows_where_it_touches_and_nowhere_else() -> None:
     env = pressed(True)
     height, contact = (a.numpy() for a in shown(env, WAVES).read("height_m", "contact"))

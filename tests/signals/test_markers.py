@@ -198,6 +198,7 @@ def test_faults_are_told() -> None:
         DotPainter(dots, MarkerLayout.from_points(DOTTED, PLACES_MM), DOTTED, VIEW)
 
 
+@pytest.mark.thorough
 def test_a_real_gel_that_was_sheared() -> None:
     """A finger shears a GelSight Mini. Dots of its resting image go where tracking sees them later,
     and hide where they were; judged on pixels of either place, in the light of those between."""

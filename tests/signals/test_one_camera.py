@@ -57,6 +57,7 @@ def radius_px(profile: SensorProfile) -> float:
     return profile.markers.radius_mm / profile.camera.mm_per_px_x
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", variants(["gelsight_mini", "digit"], DOTS))
 def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) -> None:
@@ -127,6 +128,7 @@ def test_camera_that_a_profile_has() -> None:
     assert lifted[0] > 0.5 and lifted[1] < -0.2, "a press moves what it shows outwards"
 
 
+@pytest.mark.thorough(cases=("rtac",))
 @pytest.mark.parametrize("name", DOTS)
 def test_cameras_are_kept_as_json_and_scaled(name: str) -> None:
     profile = catalogue_profile(name, DOTS[name])

@@ -30,6 +30,7 @@ from taccel_lab.signals.rest_surface import rest_surface
 DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 
 
+@pytest.mark.thorough
 def test_a_roller_touches_all_between_its_ends() -> None:
     """Its ends press many times as hard as its middle, which touches as well."""
     tool, physics = parse_indenter("roller:1.5x4"), PHYSICS[Accuracy.FAST]
@@ -78,6 +79,7 @@ def test_the_wall_beside_a_punch_is_even() -> None:
         assert tilt.std(axis=0).max() < 1.5
 
 
+@pytest.mark.thorough
 def test_a_side_that_is_not_along_the_pixels_is_straight() -> None:
     """A punch turned by 17 degrees: where its floor is half of a pixel, on a line to a fifth."""
     grid = PixelGrid(120, 120, 0.08, 0.08)
@@ -117,6 +119,7 @@ def test_facets_of_a_ball_do_not_show() -> None:
     assert facets.contact_radius_m == pytest.approx(ball.contact_radius_m, rel=0.06)
 
 
+@pytest.mark.thorough
 def test_a_file_lands_where_its_coordinates_say(tmp_path: Path) -> None:
     """A peg that stands off the origin of its file on the side of +z, pressed off the middle."""
     box = box_mesh((3e-3, 1e-3, 2e-3))
@@ -250,6 +253,7 @@ def test_environments_do_not_know_each_other() -> None:
     assert not together[1][1].any() and not together[0][1].any()
 
 
+@pytest.mark.thorough
 def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
     profile = catalogue_profile("gelsight_mini")
     family, grid = sensor_family("gelsight_mini"), profile.grid()

@@ -158,6 +158,7 @@ def disorder(patch: pytest.MonkeyPatch, seed: int) -> None:
             patch.setattr(owner, name, shuffling(getattr(owner, name), arrays_of))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("deterministic", "name"), variants([(True, "grasp"), (False, "grasp")], [True, False], SCENES)
 )

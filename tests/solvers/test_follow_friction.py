@@ -54,6 +54,7 @@ class Pressed:
         return state, np.array(taken)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("cells", "side_m", "turned_deg", "most"),
     # 63 and 56; 111 and 81 with frozen friction alone.
@@ -73,6 +74,7 @@ def test_batches_of_a_gpu_freeze_longer(on_gpu: bool, env_count: int, freezings:
     assert follow_after(cast(Model, model)) == freezings
 
 
+@pytest.mark.thorough
 def test_environments_follow_friction_each_for_itself() -> None:
     together, taken = Pressed(4, 2e-3, 0.0, (1.0, 0.6)).run()
     uncaptured, _ = Pressed(4, 2e-3, 0.0, (1.0, 0.6)).run(capture=False)

@@ -90,6 +90,7 @@ def seen() -> dict[str, Any]:
     return {"profile": profile, "camera": camera, "picture": picture, "signal": signal}
 
 
+@pytest.mark.thorough(cases=("press", "seen", "step"))
 @pytest.mark.parametrize("make", [linear_system, step, press, seen])
 def test_all_of_it_is_freed_by_counting_references(make: Callable[[], dict[str, Any]]) -> None:
     make()  # What is made once, such as kernels, stays.

@@ -81,6 +81,7 @@ class Grasp:
         return -Outputs(self.solver).update(self.state).soft_wrenches().numpy()[..., 2]
 
 
+@pytest.mark.thorough
 def test_drives_press_with_their_largest_force_and_lift() -> None:
     """Both grip with what the drives give, the fingers' inertia and joints taking nothing of it at
     rest; then the box goes up with the base, and hangs in the gels with its weight."""
@@ -104,6 +105,7 @@ def test_drives_press_with_their_largest_force_and_lift() -> None:
     np.testing.assert_allclose(np.abs(held), weight, rtol=1e-2)
 
 
+@pytest.mark.thorough
 def test_a_finger_converges_to_a_part_of_what_presses_on_its_gel() -> None:
     """It touches nothing itself, and yet ``absolute_tolerance_n`` does not decide."""
 
@@ -116,6 +118,7 @@ def test_a_finger_converges_to_a_part_of_what_presses_on_its_gel() -> None:
     assert iterations(1e-9) == iterations(1e-5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("element", variants([Element.LINEAR], Element))
 def test_it_is_the_gel_on_a_frame_that_goes_where_the_finger_went(element: Element) -> None:
     """Nothing gives way between finger and gel: the error is the strain of the finger, an affine
@@ -184,6 +187,7 @@ def test_newton_takes_as_many_iterations_as_without_gels() -> None:
     assert iterations([gel]) <= iterations([]) + 8
 
 
+@pytest.mark.thorough
 def test_environments_are_as_if_alone_and_a_reset_starts_anew() -> None:
     """Two that do different things, the third reset on the way; bit by bit."""
     together = Grasp(driven_grasp(3))
@@ -271,6 +275,7 @@ def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None
     assert np.abs(x[1] - x[0]).max() > 1e-6
 
 
+@pytest.mark.thorough
 def test_a_glued_face_collides_and_rubs_as_its_body_does() -> None:
     """A block slides on the glued face of the gel below it: the floor bears the weight of both, and
     Coulomb's friction stops both alike."""

@@ -111,6 +111,7 @@ ON_A_GPU = [
 ]
 
 
+@pytest.mark.thorough(cases=("20-cpu",))
 @pytest.mark.parametrize(
     ("env_count", "device"),
     [

@@ -121,6 +121,7 @@ def motion(scene: Scene, targets: np.ndarray, part: slice) -> list[tuple[StepRep
     return found
 
 
+@pytest.mark.thorough(cases=("pressed-press_at",))
 @pytest.mark.parametrize(("make", "at"), [(pressed, press_at), (mounted, mount_at)])
 def test_parts_give_the_bits_of_the_whole(make, at) -> None:
     targets = np.array([at(step) for step in range(4)])

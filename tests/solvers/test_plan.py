@@ -120,6 +120,7 @@ print("LOADED", *sorted(loaded))
 """
 
 
+@pytest.mark.thorough
 def test_modules_that_nobody_launches_are_not_compiled() -> None:
     """A frictionless quasi-static press by a ball, in a fresh process."""
     run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)

@@ -44,6 +44,7 @@ def test_it_converges_quadratically_under_prestress(model: MaterialModel, elemen
     assert newton_of_a_press(1e-9, model, element) <= rough + 3
 
 
+@pytest.mark.thorough
 def test_it_gets_away_from_a_saddle_by_longer_and_longer_steps() -> None:
     """A peg whose grip slips on the rim: 22, 16 and 20 iterations in three of its steps by those
     that all have the length of Newton's, 17, 16 and 15 by these."""
@@ -67,6 +68,7 @@ def bar() -> tuple[SolverIPC, np.ndarray]:
     return SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-9)), top
 
 
+@pytest.mark.thorough
 def test_a_bar_that_is_pressed_too_hard_bends() -> None:
     """Straight it is in balance too, but that is a saddle, which projected matrices alone do not
     leave in 1,800 iterations, and where the exact one is indefinite."""

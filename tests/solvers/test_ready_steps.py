@@ -191,6 +191,7 @@ def found(solver: SolverIPC, state: State) -> dict[str, np.ndarray]:
     return {name: array.numpy().copy() for name, array in arrays.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "iterations", "short"),
     variants(

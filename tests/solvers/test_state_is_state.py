@@ -92,6 +92,7 @@ def interrupted_at(count: int) -> Iterator[None]:
             signal.signal(signal.SIGINT, earlier)
 
 
+@pytest.mark.thorough(cases=("mechanism-0",))
 @pytest.mark.parametrize("seed", variants([0], range(6)))
 def test_an_interrupted_step_leaves_no_trace(case: Any, seed: int) -> None:
     """Wherever: while kernels are loaded, the graph is recorded or replayed, states are copied."""
@@ -127,6 +128,7 @@ def test_an_interrupted_call_gives_up_all_steps_underway(case: Any) -> None:
     assert_same(everything(solver, state), expected[1])
 
 
+@pytest.mark.thorough(cases=("mechanism",))
 def test_a_copy_is_a_checkpoint_for_any_solver(case: Any) -> None:
     """Two solvers take the steps of two states in turn."""
     build, ask, expected = case
@@ -256,6 +258,7 @@ def press(build: Callable[[], Made], ask: Any) -> list[list[np.ndarray]]:
     return [*found, everything(solver, state)[:1]]
 
 
+@pytest.mark.thorough(cases=("mechanism",))
 def test_threads_with_solvers_of_their_own_do_not_disturb_one_another(case: Any) -> None:
     build, ask, _ = case
     expected = press(build, ask)

@@ -95,6 +95,7 @@ def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> Non
     np.testing.assert_array_equal(*ends)
 
 
+@pytest.mark.thorough
 def test_lists_that_were_too_short_grow_and_the_step_is_taken_again(eager: np.ndarray) -> None:
     solver, state = make()
     for part in solver.lists:

@@ -49,6 +49,7 @@ def files_of(folder: StudyFolder, output: StudyOutput, **parameters: float) -> t
     return write_design_files(folder, DesignFigures(point), output, "as it is")
 
 
+@pytest.mark.thorough
 def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
     folder, output = StudyFolder(tmp_path), StudyOutput(step=True)
     soft, causes = files_of(folder, output, young_modulus_mpa=0.1)
@@ -108,6 +109,7 @@ def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
 # Previews -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> None:
     found = preview_design(sensor_family("flat_pad"), {"thickness_mm": 3.5}, presses=(), size_px=96)
     assert found.pressed is None and found.result.simulations == 0
@@ -124,6 +126,7 @@ def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> No
     assert 0 < image[found.rest.mask].mean() < 255
 
 
+@pytest.mark.thorough
 def test_a_press_shows_in_picture_and_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

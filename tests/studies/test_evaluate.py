@@ -39,6 +39,7 @@ def gelsight(name: str, **parameters: object) -> DesignPoint:
     return DesignPoint(name, "gelsight", dict(parameters))
 
 
+@pytest.mark.thorough
 def test_designs_share_what_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluate, "_recent", {})
     told: list[tuple[str, int, int]] = []
@@ -76,6 +77,7 @@ def test_designs_share_what_is_the_same(tmp_path: Path, monkeypatch: pytest.Monk
     assert later.simulations == 0 and later.figures == b.figures
 
 
+@pytest.mark.thorough
 def test_a_design_that_cannot_be_built_leaves_the_others_alone() -> None:
     good, bad, unknown = evaluate_designs(
         [gelsight("good"), gelsight("bad", thickness_mm=0.5), DesignPoint("x", "gelsite", {})],
@@ -90,6 +92,7 @@ def test_a_design_that_cannot_be_built_leaves_the_others_alone() -> None:
         assert lost.simulations == 0
 
 
+@pytest.mark.thorough
 def test_a_press_that_cannot_be_set_up_leaves_the_others_alone() -> None:
     away = coarse("sphere", name="away", steps=2, places=((1.0, 1.0),))
     narrow = gelsight("narrow", length_x_mm=12, length_y_mm=12)
@@ -99,6 +102,7 @@ def test_a_press_that_cannot_be_set_up_leaves_the_others_alone() -> None:
     assert list(result.curves) == ["sphere"]
 
 
+@pytest.mark.thorough
 def test_a_press_that_does_not_converge_leaves_its_batch_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -271,6 +275,7 @@ def test_lists_name_no_size() -> None:
         assert "{" not in text and "3 mm radius" not in text
 
 
+@pytest.mark.thorough
 def test_figures_of_two_balls_differ_and_lie_in_their_intervals() -> None:
     names = ["depth_at_load", "contact_diameter", "stiffness_a"]
     study = wanted(names, TWO, load_n=0.1)
@@ -292,6 +297,7 @@ def test_figures_of_two_balls_differ_and_lie_in_their_intervals() -> None:
     assert high / result.figures["stiffness_a[sphere:4]"] > 1.3  # type: ignore[operator]
 
 
+@pytest.mark.thorough
 def test_the_low_end_of_a_gel_whose_friction_is_not_given_is_that_without_friction() -> None:
     study = wanted(["force_range"], {"sphere": {"indenters": ["sphere:2"]}})
     thin, _ = study.points()

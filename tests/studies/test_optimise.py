@@ -131,6 +131,7 @@ def test_neighbours_are_evaluated_together_and_counted() -> None:
     assert state.stopped == "the count of designs was used up"
 
 
+@pytest.mark.thorough(cases=("GP-700-12",))
 @pytest.mark.parametrize(
     ("method", "least", "most"), [("GP", 700, 12), ("TPE", 1000, 12), ("NSGA2", 2000, 11)]
 )
@@ -143,6 +144,7 @@ def test_every_method_of_optuna_spreads_along_the_front(
     assert state.stopped == "the count of designs was used up"
 
 
+@pytest.mark.thorough
 def test_gp_keeps_constraints_and_goes_on_from_rows_without_its_journal(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     goals = (Objective(minimize="m"), Objective(minimize="sum"))
@@ -160,6 +162,7 @@ def test_gp_keeps_constraints_and_goes_on_from_rows_without_its_journal(tmp_path
     assert best_kept(whole) == pytest.approx(788.53, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_designs_without_a_figure_are_no_end(tmp_path: Path) -> None:
     def holed(values: dict[str, Any]) -> dict[str, float | None]:
         return {"m": None, "sum": None} if values["x"] > 2.5 else bowl(values)
@@ -251,6 +254,7 @@ OPTIMISE = {
 }
 
 
+@pytest.mark.thorough
 def test_an_optimised_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
     whole = run_study(study(**OPTIMISE), tmp_path / "whole", processes=0)
     assert whole.complete and len(whole.rows) == whole.total

@@ -144,6 +144,7 @@ DEFAULT = PHYSICS[Accuracy.DEFAULT].mesh
 E_STAR = REFERENCE_PA / (1 - NU**2)
 
 
+@pytest.mark.thorough
 def test_a_ball_on_a_thick_pad_follows_hertz() -> None:
     # Twenty times as thick as the contact is wide, it takes more layers than any sensor's.
     mesh = replace(DEFAULT, layers=5)
@@ -157,6 +158,7 @@ def test_a_ball_on_a_thick_pad_follows_hertz() -> None:
     assert (low < force).all() and (force < 1.04 * high).all()
 
 
+@pytest.mark.thorough
 def test_a_flat_punch_on_a_thick_pad() -> None:
     press = coarse(
         "punch", indenters=("cylinder:1",), depth_fraction=0.0, depth_mm=0.1, steps=2, mesh=DEFAULT
@@ -167,6 +169,7 @@ def test_a_flat_punch_on_a_thick_pad() -> None:
     assert 1.0 < slope / (2 * E_STAR * 1e-3) < 1.12
 
 
+@pytest.mark.thorough
 def test_positions_do_not_depend_on_the_modulus() -> None:
     """What lets designs of other stiffness take over simulations: forces scale, shapes stay; with
     friction as well."""
@@ -192,6 +195,7 @@ def test_positions_do_not_depend_on_the_modulus() -> None:
     assert np.abs(x - y).max() < 2e-3 * np.abs(x - env.mesh.nodes_m).max()
 
 
+@pytest.mark.thorough
 def test_records_scale() -> None:
     record = sphere_on_gelsight()
     twice = record.scaled(2.0)
@@ -200,6 +204,7 @@ def test_records_scale() -> None:
     assert twice.moved_m is record.moved_m and np.array_equal(twice.depth_mm, record.depth_mm)
 
 
+@pytest.mark.thorough
 def test_a_batch_gives_what_its_designs_give_alone() -> None:
     press = coarse("sphere", steps=1, depth_fraction=0.15)
     made = [jobs(press, thickness_mm=t)[0] for t in (5.0, 3.0)]
@@ -213,6 +218,7 @@ def test_a_batch_gives_what_its_designs_give_alone() -> None:
     assert together[1].depth_mm[-1] == pytest.approx(0.45, rel=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("gap", "low", "high"),
     [(3.0, 0.8, 1.0), pytest.param(0.06, -1.0, 0.45, marks=pytest.mark.slow)],
@@ -230,6 +236,7 @@ def test_far_pins_are_told_apart_and_near_ones_less(gap: float, low: float, high
     assert low < contrast(x, -change, 0.3 + gap / 2) <= high
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("friction", variants([0.1], [0.1, 1.0]))
 def test_friction_alone_makes_loops_that_lose_work(friction: float) -> None:
     """A ball that slips loses work, one that sticks gives it back; both resist the twist."""

@@ -119,6 +119,7 @@ def test_parameters_that_contradict_each_other_are_a_row_too(tmp_path: Path) -> 
     assert "thickness_mm" in outcome.rows[0].cause
 
 
+@pytest.mark.thorough
 def test_one_fault_and_one_dead_process_cost_one_row_each(tmp_path: Path) -> None:
     planned = study(evaluate_and_crash, study={**table()["study"], "metrics": ["stiffness"]})
     outcome = run_study(planned, tmp_path, processes=2)

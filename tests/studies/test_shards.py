@@ -38,6 +38,7 @@ def children_of(pid: int) -> list[int]:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("processes", variants([2], [0, 2]))
 def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
     folder = StudyFolder(tmp_path)
@@ -183,6 +184,7 @@ def test_one_objective_has_no_shards(tmp_path: Path) -> None:
         run_study(planned, tmp_path, processes=0, shard=Shard(1, 2))
 
 
+@pytest.mark.thorough
 def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
     runs = [start(tmp_path, f"{number}/2", "optuna") for number in (1, 2)]
     assert [run.wait(120) for run in runs] == [0, 0]
@@ -243,6 +245,7 @@ def own_signals() -> Iterator[None]:
     signal.signal(signal.SIGTERM, earlier)
 
 
+@pytest.mark.thorough
 def test_jobs_of_submitit_do_their_shards(file: Path, tmp_path: Path) -> None:
     (tmp_path / "out" / JOBS).mkdir(parents=True)
     (tmp_path / "out" / STUDY_MARKER).touch()

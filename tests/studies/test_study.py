@@ -126,6 +126,7 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
     assert constraint.text() == "blur from 1 to 2"
 
 
+@pytest.mark.thorough(cases=("digit_curvature",))
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path) -> None:
     study = make_study(load_spec(path), default_kit())
@@ -269,6 +270,7 @@ def test_whole_numbers_stay_whole(low: int, span: int, unit: float) -> None:
     assert axis.at(axis.unit_of(value)) == value
 
 
+@pytest.mark.thorough
 def test_designs_that_share_simulations_go_together() -> None:
     planned = study(
         parameters={

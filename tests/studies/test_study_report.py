@@ -96,6 +96,7 @@ def drawn(root: Path) -> set[str]:
     return names
 
 
+@pytest.mark.thorough
 def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
     outcome, _ = report(tmp_path, parameters=SQUARE)
     first, second = outcome.folder.ids()[:2]
@@ -105,6 +106,7 @@ def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
         outcome.folder.read(first)
 
 
+@pytest.mark.thorough
 @pytest.mark.rasterised
 def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
     outcome, values = report(tmp_path, parameters=SQUARE)
@@ -138,6 +140,7 @@ def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
         assert name in text
 
 
+@pytest.mark.thorough
 def test_failures_and_gaps_are_told_with_causes(tmp_path: Path) -> None:
     rims = {
         "rim": {"values": ["none", "chamfer", "fillet"]},
@@ -151,6 +154,7 @@ def test_failures_and_gaps_are_told_with_causes(tmp_path: Path) -> None:
     assert "the fillet does not fit" in text and "no edge was found" in text
 
 
+@pytest.mark.thorough
 def test_means_over_holes_of_a_grid_are_not_taken(tmp_path: Path) -> None:
     outcome = run_study(study(evaluate_and_tear, parameters=SQUARE), tmp_path, processes=0)
     values = write_study_report(outcome)
@@ -175,6 +179,7 @@ def modulus_free_share(outcome: StudyOutcome) -> float:
     return float(y.mean(axis=1).var() / y.var())
 
 
+@pytest.mark.thorough
 def test_designs_are_called_by_their_values(tmp_path: Path) -> None:
     outcome, values = report(tmp_path, parameters=SQUARE)
     best = values["names"][values["best"][0]]
@@ -187,6 +192,7 @@ def test_designs_are_called_by_their_values(tmp_path: Path) -> None:
         assert text.count(row.id) == 1 and f"{row.id}</td></tr>" in text
 
 
+@pytest.mark.thorough
 def test_constraints_that_no_design_keeps_name_the_nearest(tmp_path: Path) -> None:
     _, values = report(
         tmp_path, parameters=SQUARE, constraints=[{"metric": "stiffness", "max": 0.1}]
@@ -201,6 +207,7 @@ def test_constraints_that_no_design_keeps_name_the_nearest(tmp_path: Path) -> No
     assert escape(values["names"][nearest["design"]]) in text
 
 
+@pytest.mark.thorough
 def test_an_unfinished_study_says_so(tmp_path: Path) -> None:
     outcome = run_study(study(parameters=SQUARE), tmp_path, processes=0, limit=5)
     verdict = write_study_report(outcome)["verdict"]
@@ -208,6 +215,7 @@ def test_an_unfinished_study_says_so(tmp_path: Path) -> None:
     page_of(tmp_path)
 
 
+@pytest.mark.thorough
 def test_random_sweeps_and_single_designs_have_reports(tmp_path: Path) -> None:
     ranges = {"thickness_mm": {"min": 3, "max": 6}, "width_px": {"min": 300, "max": 700}}
     _, values = report(tmp_path / "random", parameters=ranges, sweep={"kind": "random", "count": 6})
@@ -227,6 +235,7 @@ def test_no_figures_at_all(tmp_path: Path) -> None:
     page_of(tmp_path)
 
 
+@pytest.mark.thorough
 def test_texts_of_the_study_are_escaped(tmp_path: Path) -> None:
     named = {**table()["study"], "name": "<b>bold</b> & more"}
     report(tmp_path, study=named, parameters={"thickness_mm": {"values": [4, 5]}})
@@ -234,6 +243,7 @@ def test_texts_of_the_study_are_escaped(tmp_path: Path) -> None:
     assert "&lt;b&gt;bold&lt;/b&gt; &amp; more" in text and "<b>bold" not in text
 
 
+@pytest.mark.thorough
 def test_figures_of_an_earlier_report_go(tmp_path: Path) -> None:
     report(tmp_path, parameters=SQUARE)
     report(tmp_path, parameters={"thickness_mm": {"values": [4]}})

@@ -64,6 +64,7 @@ def blobs(count: int) -> tuple[np.ndarray, np.ndarray]:
     return maps, truth
 
 
+@pytest.mark.thorough
 def test_a_network_tells_grasps_that_it_has_not_seen() -> None:
     maps, truth = blobs(64)
     fold = folds(len(truth), 4)
@@ -85,6 +86,7 @@ def test_the_nearest_grasp_is_looked_for_in_other_folds() -> None:
     np.testing.assert_array_equal(nearest(maps, truth, np.arange(12) // 6), truth)
 
 
+@pytest.mark.thorough
 def test_each_gel_closes_until_its_own_map_is_deep_enough() -> None:
     task = named("object-classification")
     parameters = task.parameters

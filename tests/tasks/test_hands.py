@@ -156,6 +156,7 @@ def test_every_hand_begins_free_of_everything(hand: str) -> None:
         assert trial.cause.startswith("never gripped: 0 of")
 
 
+@pytest.mark.thorough
 def test_three_fingers_lift_a_ball_and_stop_when_it_is_held() -> None:
     task, parameters = matrix()
     (trial,) = run_task(task, [seed_of("three_finger_hand", "ball")], "cpu").trials
@@ -167,6 +168,7 @@ def test_three_fingers_lift_a_ball_and_stop_when_it_is_held() -> None:
     assert trial.figures["strongest_grip_n"] < parameters.policy.most_n
 
 
+@pytest.mark.thorough
 def test_an_object_too_heavy_for_its_grip_slips() -> None:
     task, parameters = matrix()
     heavy = parameters.replace(body=parameters.body.replace(mass_kg=0.4))

@@ -110,6 +110,7 @@ def by_touch(part: str, **changes: object) -> Task:
     return replace(task, parameters=task.parameters.replace(**{part: changed}))
 
 
+@pytest.mark.thorough
 def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
     """Without noise, from seeds that begin off the hole by more than its clearance."""
     task = by_touch("markers", noise_mm=0.0)

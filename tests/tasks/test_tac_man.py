@@ -39,6 +39,7 @@ def test_a_fit_is_the_nearest() -> None:
         assert miss(best) < miss(best @ matrix_of(small))
 
 
+@pytest.mark.thorough
 def test_a_door_opens_and_needs_recovery() -> None:
     """By 5 degrees: the hand has turned with the handle, and markers are back where they were."""
     task = named("tac-man-revolute")
@@ -76,6 +77,7 @@ def even(**changes: float) -> Task:
     return replace(task, parameters=task.parameters.replace(start=start))
 
 
+@pytest.mark.thorough
 def test_a_throw_as_meant_is_caught() -> None:
     (trial,) = run_task(even(), [0], "cpu").trials
     assert trial.success, trial.cause
@@ -101,6 +103,7 @@ def test_the_ball_flies_as_thrown_bodies_do() -> None:
     assert way == pytest.approx(speed**2 / (2 * 9.81), rel=0.1)
 
 
+@pytest.mark.thorough
 def test_gels_that_close_too_late_miss() -> None:
     task = named("throw-catch")
     assert isinstance(task.parameters, ThrowCatchParameters)

@@ -23,6 +23,18 @@ def kind_of(name: str) -> str:
     return type(named(name).parameters).__name__
 
 
+@pytest.mark.thorough(
+    cases=(
+        "ball-rolling",
+        "grasp-lift-driven",
+        "nut-m16",
+        "object-classification",
+        "peg-tacex",
+        "soft-bear",
+        "tac-man-helical",
+        "twist",
+    )
+)
 @pytest.mark.parametrize(
     "name", variants({kind_of(name): name for name in reversed(names())}.values(), names())
 )
@@ -140,6 +152,7 @@ def test_the_peg_takes_the_step_of_its_file() -> None:
     np.testing.assert_allclose(*poses, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_a_ball_rolls_half_as_far_as_the_gel() -> None:
     """Without slip on the plane."""
     (trial,) = run_task(named("ball-rolling"), [0], "cpu", steps=25).trials

@@ -80,6 +80,7 @@ def test_every_set_imports(name: str, imported: Imported) -> None:
     assert all(sum(folder.contents().values()) > 0 for folder in imported(name))
 
 
+@pytest.mark.thorough
 def test_background_that_is_a_crop_of_the_presses(imported: Imported) -> None:
     folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
     check = check_captures(folder, fit_ball=False)
@@ -87,6 +88,7 @@ def test_background_that_is_a_crop_of_the_presses(imported: Imported) -> None:
     assert "--background median" in finding.message and not check.usable
 
 
+@pytest.mark.thorough
 def test_automatic_white_balance(imported: Imported) -> None:
     folder = some_presses(imported("fots_calib")[0], 6)
     found = codes(check_captures(folder, fit_ball=False))
@@ -95,6 +97,7 @@ def test_automatic_white_balance(imported: Imported) -> None:
     assert not {"mixed_sensors", "channels_swapped", "lamps_reversed", "labels_off"} & set(found)
 
 
+@pytest.mark.thorough
 def test_good_captures_are_usable(imported: Imported) -> None:
     folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 5)
     check = check_captures(folder)
@@ -103,6 +106,7 @@ def test_good_captures_are_usable(imported: Imported) -> None:
     assert "wrong_ball_radius" not in codes(check)
 
 
+@pytest.mark.thorough
 def test_a_label_that_was_moved_is_rejected_and_no_other(imported: Imported) -> None:
     folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 6)
     assert not check_captures(folder, fit_ball=False).rejected_labels
@@ -115,6 +119,7 @@ def test_a_label_that_was_moved_is_rejected_and_no_other(imported: Imported) -> 
     assert check_captures(spoilt, fit_ball=False).rejected_labels == {first.name}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["gelsight_rvsathu_sim2real", "gelslim_mcubelab"])
 def test_scales_of_sensors_outside_the_catalogue(name: str, imported: Imported) -> None:
     """As stated nothing is said; a quarter is unusual, and eightfold is more than any pad."""
@@ -127,6 +132,7 @@ def test_scales_of_sensors_outside_the_catalogue(name: str, imported: Imported) 
         assert found & {"scale_unusual", "scale_past_pad"} == ({told} if told else set())
 
 
+@pytest.mark.thorough
 def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None:
     folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
     foreign = replace(imported("gsmini_gs_sdk")[0].presses[0], name="foreign")
@@ -141,6 +147,7 @@ def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None
         assert finding.frames == (odd.name,)
 
 
+@pytest.mark.thorough
 def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
     folder = some_presses(load_capture_folder(taxim_presses("gelsight_mini")), 6)
     assert folder.sensor == "gelsight_mini" and folder.ball_radius_mm is None
@@ -152,6 +159,7 @@ def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
         folder.ball_presses()
 
 
+@pytest.mark.thorough
 def test_boards_edges_and_dots(imported: Imported) -> None:
     unit = imported("9dtact_official")[0]
     check = check_captures(unit)

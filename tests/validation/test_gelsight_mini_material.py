@@ -76,6 +76,7 @@ def require_closed_loop(
     assert low < pressed_n(feats, depth, *options) < high
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("physics", "depths"), variants([(COARSER, 3)], [COARSER, PHYSICS[Accuracy.FAST]], [3, 4])
 )

@@ -240,6 +240,7 @@ def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     return cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("read", "cosine", "contrast", "correlation"),
     [
@@ -276,6 +277,7 @@ def test_the_score_would_notice_lights_on_the_wrong_side() -> None:
     assert pale.contrast == pytest.approx(0.5 * right.contrast, rel=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("read", [classic_gelsight, gelsight_mini])
 def test_backgrounds_beat_one_colour(read: Callable[[], RealSensor]) -> None:
     background = compared_backgrounds(read())

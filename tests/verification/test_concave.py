@@ -64,6 +64,7 @@ def screw_body(made: Thread, friction: float) -> AffineBody:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("source", variants(["published"], ["generated", "published"]))
 def test_a_turning_nut_lowers_a_screw(source: str) -> None:
     """A twelfth of a turn, in steps of 7.5 degrees."""

@@ -100,6 +100,7 @@ def block(
     return free
 
 
+@pytest.mark.thorough(cases=("euler-1-32",))
 @pytest.mark.parametrize(
     ("scheme", "order", "fewest"), [(TimeScheme.EULER, 1, 32), (TimeScheme.BDF2, 2, 16)]
 )
@@ -309,6 +310,7 @@ def test_no_step_of_an_impact_gives_energy(kind: str, tilt: float, dt: float) ->
     assert energies[-1] < energies[0]
 
 
+@pytest.mark.thorough(cases=("200000.0-0.0002-0.0",))
 @pytest.mark.parametrize(("young_pa", "dt", "rise"), [(2e4, 1e-3, 0.0), (2e5, 2e-4, 0.0)])
 def test_nor_does_one_of_a_long_contact(young_pa: float, dt: float, rise: float) -> None:
     """A soft cube of ten-node tets, whose force changes little from step to step, gained 0.8 and

@@ -152,6 +152,7 @@ def test_a_block_slides_over_a_seam(soft: bool) -> None:
 # Mat on knives ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "cells", [pytest.param(8, id="coarse"), pytest.param(20, id="fine", marks=pytest.mark.slow)]
 )
@@ -195,6 +196,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
 # Roller ball ------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "cells", [pytest.param(4, id="coarse"), pytest.param(8, id="fine", marks=pytest.mark.slow)]
 )

@@ -126,6 +126,7 @@ def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
         assert found < (0.85 if poisson == 0.3 else 0.5) * beam
 
 
+@pytest.mark.thorough
 def test_smooth_fields_converge_with_the_order_of_the_element() -> None:
     """Displacement in L2: second order for linear tets, third for quadratic ones, near nu = 0.5
     too: 0.2 and 2.7 there."""
@@ -138,6 +139,7 @@ def test_smooth_fields_converge_with_the_order_of_the_element() -> None:
     assert swirl_error(Element.LINEAR, 8, 0.499)[1] > 0.9
 
 
+@pytest.mark.thorough
 def test_cooks_membrane() -> None:
     """With some 240 nodes quadratic tets are within 2 %; linear ones of 2,200 nodes lock."""
     for poisson, close in ((0.3, 0.01), (0.49, 0.02), (0.499, 0.02)):

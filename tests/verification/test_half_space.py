@@ -117,6 +117,7 @@ def check_linear(cells: int) -> None:
         assert np.sqrt((found.peak_error**2).mean()) < 0.07
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("cells", "within"), [((2, 3, 4), 0.08), pytest.param((3, 4, 5), 0.05, marks=pytest.mark.slow)]
 )
@@ -246,6 +247,7 @@ def check(punch: Punched, tolerance: float) -> None:
     assert punch.spread == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_force_stiffness_and_pressure_are_the_formulas() -> None:
     check(punched(3, 0.45), tolerance=0.025)
 

@@ -255,11 +255,13 @@ def check_loop(loop: Loop, force: float, loss: float) -> None:
     assert np.abs(loop.ratios - loop.of_first(first)).max() < 0.008
 
 
+@pytest.mark.thorough
 def test_loop_of_partial_slip() -> None:
     """Two elements along the contact radius; the loss is a small difference of large numbers."""
     check_loop(looped(2, 8), force=0.055, loss=0.26)
 
 
+@pytest.mark.thorough
 def test_loops_do_not_depend_on_the_number_of_steps() -> None:
     """What sticks creeps a part of the way, not of each step."""
     fine, coarse = looped(2, 8), looped(2, 2)

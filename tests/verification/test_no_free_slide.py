@@ -47,6 +47,7 @@ def leaning(plate_cells: int, gel_cells: int, seed: int, gap: float) -> float:
     return float(np.linalg.norm(force[:2]) / -force[2])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("gap", variants([0.5], [0.41, 0.5, 0.9]))
 def test_a_flat_patch_does_not_lean(gap: float) -> None:
     cases = [(12, 10), (24, 10), (10, 20), (31, 20)]

@@ -89,6 +89,7 @@ class Insertion:
         return float(self.state.positions.numpy()[0, nodes, 2].min())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hole_is_affine", variants([True], [False, True]))
 def test_friction_carries_the_peg_into_the_hole(hole_is_affine: bool) -> None:
     run = Insertion(generated_parts(), CENTRED, hole_is_affine, friction_speed_m_s=2e-6 / DT_S)

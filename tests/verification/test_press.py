@@ -187,6 +187,7 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
     return 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("element", "presses"),
     [
@@ -243,6 +244,7 @@ def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: fl
     return float(env.wrench[0, 2])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("dhat_m", "size"),
     [

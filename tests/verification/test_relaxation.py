@@ -140,6 +140,7 @@ def harmonic(steps: int, omega: float, branches: tuple[MaxwellBranch, ...] = ONE
     return complex(np.dot(forces[-steps:], turn) / (SWING_M * (np.sin(phase[-steps:]) @ turn)))
 
 
+@pytest.mark.thorough(cases=("4.0",))
 @pytest.mark.parametrize("omega", [0.5, 4.0])
 def test_a_harmonic_strain_has_the_loss_angle(omega: float) -> None:
     """E* = E (1 + g i w tau / (1 + i w tau)); a step half as long has a quarter of the error."""
@@ -272,6 +273,7 @@ def steps(solver: SolverIPC, state: State, depths: list[float]) -> None:
 PATH = [1e-4, 2e-4, 3e-4, 3e-4, 3e-4]
 
 
+@pytest.mark.thorough
 def test_a_step_that_fails_leaves_what_was_there() -> None:
     """And an environment that is not stepped does not relax."""
     model = pressed(2)
@@ -290,6 +292,7 @@ def test_a_step_that_fails_leaves_what_was_there() -> None:
     assert np.abs(after[0] - before[0]).max() > 1e-3
 
 
+@pytest.mark.thorough
 def test_a_step_in_halves_relaxes_for_its_whole_time() -> None:
     """As two steps of half the way and half the time."""
     model = pressed(friction=0.0)
@@ -307,6 +310,7 @@ def test_a_step_in_halves_relaxes_for_its_whole_time() -> None:
     assert np.abs(halved - np.eye(3)).max() > 1e-2
 
 
+@pytest.mark.thorough
 def test_environments_have_their_own_past_and_moduli() -> None:
     """One that is reset is as new, and stiffer when it is pressed faster; one twice as stiff has
     twice the force."""

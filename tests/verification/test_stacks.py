@@ -56,6 +56,7 @@ def test_mass_ratio_of_a_thousand(densities: list[float]) -> None:
     np.testing.assert_allclose(plane_force(run)[2], -weight(run), rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_stiffness_ratio_of_ten_thousand() -> None:
     """A soft cube between stiff ones is squeezed, by the weight on it over E A."""
     soft, edge = 1e5, 0.1
@@ -150,6 +151,7 @@ def arch(thickness: float, radius: float = 1.0, count: int = 27, friction: float
     return Run(scene, SolverConfig(friction_speed_m_s=1e-5))
 
 
+@pytest.mark.thorough
 def test_a_masonry_arch_stands() -> None:
     """Thickness over radius 0.2; a half circle needs 0.1075 [Heyman 1969, The safety of masonry
     arches]."""
@@ -168,6 +170,7 @@ def test_a_masonry_arch_stands() -> None:
     np.testing.assert_allclose(plane_force(run)[2], -weight(run), rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_thin_masonry_arch_falls() -> None:
     """Thickness over radius 0.05: the crown drops between hinges."""
     run = arch(0.05)

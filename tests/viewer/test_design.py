@@ -75,6 +75,7 @@ def pieces_until(
     return pieces, found[-1]
 
 
+@pytest.mark.thorough
 def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() -> None:
     default = sensor_family("flat_pad").parameters()
     stiff = default.values()["young_modulus_mpa"]
@@ -94,6 +95,7 @@ def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() 
     assert first.quality is not None and first.quality.min_dihedral_deg > 5
 
 
+@pytest.mark.thorough
 def test_the_press_of_the_catalogue_is_kept_between_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,6 +122,7 @@ def test_the_press_of_the_catalogue_is_kept_between_runs(
     assert softer.exact.force_n == pytest.approx(kept.force_n * 0.05 / _modulus(found))
 
 
+@pytest.mark.thorough
 def test_a_kept_press_knows_all_code_that_makes_it() -> None:
     from taccel_lab.viewer.ball_press import SOURCES
 
@@ -147,6 +150,7 @@ def test_a_newer_wish_ends_the_work_between_steps() -> None:
     assert len(asked) == 2
 
 
+@pytest.mark.thorough
 def test_a_design_without_light_or_a_drawing_has_all_other_pieces(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -390,6 +394,7 @@ def is_alive(process: int) -> bool:
     return True
 
 
+@pytest.mark.thorough
 def test_the_newest_press_is_the_one_of_this_process_to_the_bit_and_a_dead_process_is_told() -> (
     None
 ):

@@ -328,6 +328,7 @@ def assert_inert(page: Any, asked: list[str]) -> None:
     assert [one for one in asked if one.startswith(ELSEWHERE)] == []
 
 
+@pytest.mark.thorough(cases=("hostile_profile", "hostile_study"))
 @pytest.mark.usefixtures("shared_browser")
 @pytest.mark.parametrize(
     "write",
@@ -385,6 +386,7 @@ def test_texts_of_sessions_and_designs_are_shown_as_they_are_written(tmp_path: P
         assert_inert(page, asked)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("shared_browser")
 def test_the_browser_itself_refuses_scripts_and_what_lies_elsewhere() -> None:
     """The second line, where markup would get into a page after all."""

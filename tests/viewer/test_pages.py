@@ -120,6 +120,7 @@ def formulas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DesignAnswers, "answer", begun)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("formulas_alone")
 def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
     with design_page(tmp_path / "out") as (server, page_of):
@@ -264,6 +265,7 @@ def test_ctrl_c_closes_a_page_with_exit_code_130(tmp_path: Path, words: str) -> 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough
 def test_values_of_each_led_and_camera_are_written_with_commas() -> None:
     given = {"led_tilt_deg": (40.0, 80.0), "thickness_mm": 5.0}
     with live_page("Design", HERE) as server:

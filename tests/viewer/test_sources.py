@@ -127,6 +127,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "press"
 
 
+@pytest.mark.thorough
 def test_every_step_is_there_and_the_last_is_the_end(folder: Path) -> None:
     states = read_press(folder)
     assert states.count == 3 and len(states.captions) == 3

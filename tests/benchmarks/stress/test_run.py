@@ -23,6 +23,7 @@ BUDGET_S = 0.4
 """Of a case here: enough for most."""
 
 
+@pytest.mark.thorough(cases=("jump-1",))
 @pytest.mark.parametrize(
     ("family", "seed"), variants(((name, 1) for name in FAMILIES), sorted(FAMILIES), [1, 2])
 )
@@ -33,6 +34,7 @@ def test_no_silent_failure(family: str, seed: int) -> None:
     assert result["parameters"]
 
 
+@pytest.mark.thorough
 def test_scenes_are_valid_and_the_same_in_every_run() -> None:
     for family in FAMILIES:
         for seed in range(20, 24):
@@ -78,6 +80,7 @@ def test_the_budget_is_kept() -> None:
     assert run_case("pile", 2, seconds=0.05)["outcome"] == "budget"
 
 
+@pytest.mark.thorough
 def test_a_case_that_dies_takes_nothing_along() -> None:
     cases = [("a", seed) for seed in range(4)]
     results = {r["seed"]: r for r in run_all(cases, "cpu", 2, 5.0, rigged_case)}

@@ -87,6 +87,7 @@ def test_chessboard_is_found_to_a_tenth_of_a_pixel() -> None:
     assert off.max() < 0.35 and np.sqrt(np.mean(off**2)) < 0.12
 
 
+@pytest.mark.thorough
 def test_part_of_a_chessboard_is_enough_and_too_little_is_counted() -> None:
     pose = pose_of(7, 5)
     image = picture(chess_pattern(7, 5), pose)
@@ -160,6 +161,7 @@ def test_dots_that_are_not_there_or_too_many() -> None:
         detect_dots(noise, 9, 7, reference=noise[:100])
 
 
+@pytest.mark.thorough
 def test_dents_of_pins_show_against_the_untouched_gel() -> None:
     """Faint dents under uneven light; without the reference nothing could be told."""
     rng = np.random.default_rng(1)
@@ -207,6 +209,7 @@ def test_projection_is_that_of_the_renderer(name: str) -> None:
     np.testing.assert_allclose(camera.pixels_from_directions(points), fitted, atol=1e-8)
 
 
+@pytest.mark.thorough(cases=("rational",))
 @pytest.mark.parametrize("name", list(LENSES))
 def test_exact_points_give_the_lens_back(name: str) -> None:
     found = calibrate_intrinsics(views_of(name, 7), models=[name], folds=2)
@@ -219,6 +222,7 @@ def test_exact_points_give_the_lens_back(name: str) -> None:
     assert found.chosen.heldout_px < 1e-4
 
 
+@pytest.mark.thorough
 def test_noise_stays_within_the_predicted_uncertainty() -> None:
     """Standardised errors over many calibrations have the spread of a normal distribution."""
     scores = []
@@ -230,6 +234,7 @@ def test_noise_stays_within_the_predicted_uncertainty() -> None:
     assert np.mean(np.abs(scores) < 1.96) > 0.87
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("true", "allowed"),
     [("k1", {"k1"}), pytest.param("fisheye", {"fisheye"}, marks=pytest.mark.slow)],
@@ -318,6 +323,7 @@ def test_the_pose_of_a_board_is_found_from_any_side(
     np.testing.assert_allclose(found[3:], pose[3:], atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_real_fisheye_camera_is_predicted_to_half_a_pixel() -> None:
     """Every second board of a home-made sensor; plain OpenCV leaves 0.68 px held out."""
     folder = real_data("gelsight_osaka_photon26/fisheye/cam2")
@@ -333,6 +339,7 @@ def test_real_fisheye_camera_is_predicted_to_half_a_pixel() -> None:
 FOLDS = 3
 
 
+@pytest.mark.thorough
 def test_views_that_no_fit_takes_count_in_the_headline() -> None:
     views = views_of("k1", 9, 0.1, seed=2)
     clean = calibrate_intrinsics(views, models=["k1"], folds=FOLDS)
@@ -351,6 +358,7 @@ def test_views_that_no_fit_takes_count_in_the_headline() -> None:
     assert "heldout_error" not in {remark.code for remark in found.remarks}
 
 
+@pytest.mark.thorough
 def test_spoilt_held_out_views_leave_the_fit_bit_for_bit_as_it_is() -> None:
     views = views_of("k1", 9, 0.2, seed=4)
     clean = calibrate_intrinsics(views, models=["k1"], folds=FOLDS).chosen

@@ -50,6 +50,7 @@ def part_of(view: BoardView, chosen: np.ndarray) -> BoardView:
     return replace(view, index=view.index[chosen], uv_px=view.uv_px[chosen])
 
 
+@pytest.mark.thorough
 @settings(max_examples=8, deadline=None)
 @given(sx=st.floats(0.02, 0.08), ratio=st.floats(0.9, 1.1), turn=st.floats(-40, 40))
 def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) -> None:
@@ -65,6 +66,7 @@ def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) 
     np.testing.assert_allclose(ahead[2] - ahead[0], (0, 1 / (sx * ratio)), atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_noise_stays_within_the_predicted_uncertainty() -> None:
     scores = []
     for seed in range(10):
@@ -110,6 +112,7 @@ def board_through(intrinsics, media: FlatMedia | None) -> tuple[BoardView, np.nd
     return view, position, gel_from_camera.as_matrix()
 
 
+@pytest.mark.thorough
 def test_pose_of_the_gel_with_and_without_refraction() -> None:
     intrinsics = lens_of("pinhole")
     for media in (None, MEDIA):
@@ -146,6 +149,7 @@ def test_a_pose_parallel_to_the_gel_is_where_the_search_starts() -> None:
         np.testing.assert_allclose(start[3:6], pose[3:], atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_rectified_pictures_have_one_scale() -> None:
     """Dots drawn through the lens lie on a square lattice after rectification."""
     intrinsics = lens_of("k1")
@@ -175,6 +179,7 @@ def test_maps_are_saved_whole(tmp_path: Path) -> None:
     assert RectificationMaps.load(tmp_path / "maps.npz").raw_size_px == SIZE
 
 
+@pytest.mark.thorough
 def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
     view = flat_view((0.05, 0.05), noise_px=0.05)
     middle = np.array([322.0, 236.0])
@@ -201,6 +206,7 @@ def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told
     assert "off_center" in {remark.code for remark in fit_on_gel([beside]).remarks}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("unit", "removed"), [(1, 0), pytest.param(2, 21, marks=pytest.mark.slow)])
 def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     """Within 1 % of the scale that the authors stored; also when a third of the dots is gone."""
@@ -222,6 +228,7 @@ def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     assert any(remark.code == "distorted" for remark in found.remarks)
 
 
+@pytest.mark.thorough
 def test_a_pressed_board_is_seen_through_several_filters() -> None:
     """A dent whose shading is one-sided has its centre elsewhere in every filter."""
     v, u = np.mgrid[0:240, 0:320].astype(np.float64)

@@ -162,6 +162,7 @@ def test_what_does_not_open_or_has_no_such_size_is_told() -> None:
     assert capture.released
 
 
+@pytest.mark.thorough
 def test_files_are_replayed(tmp_path: Path) -> None:
     write_video(tmp_path / "a.avi")
     (tmp_path / "images").mkdir()

@@ -49,6 +49,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> CaptureCheck:
     return check(CaptureMaker(), tmp_path_factory.mktemp("sound"))
 
 
+@pytest.mark.thorough
 def test_sound_captures_get_no_remark(sound: CaptureCheck) -> None:
     assert set(by_code(sound)) <= HARMLESS
     assert sound.usable
@@ -143,6 +144,18 @@ FAULTS: list[Row] = [
 ]  # fmt: skip
 
 
+@pytest.mark.thorough(
+    cases=(
+        "blue for red",
+        "blue for red in the background",
+        "channels turned",
+        "empty parts",
+        "mixed sensors",
+        "one spot",
+        "unknown sensor",
+        "wrong ratio of two balls",
+    )
+)
 @pytest.mark.parametrize(
     ("maker", "code", "severity", "words", "frames"),
     [row[1:] for row in FAULTS],
@@ -164,6 +177,7 @@ def test_a_fault_is_found_by_its_name(
     assert code != "light_drifts" or "color" in finding.blocks
 
 
+@pytest.mark.thorough(cases=("<lambda>-channels_swapped",))
 @pytest.mark.parametrize(
     ("maker", "code"),
     [
@@ -192,6 +206,7 @@ def test_duplicates(tmp_path: Path) -> None:
     assert set(codes["duplicates"].blocks) == {"color", "normals", "depth"}
 
 
+@pytest.mark.thorough
 def test_labels_that_disagree(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=list(SOME))
     maker.labels = [
@@ -206,6 +221,7 @@ def test_labels_that_disagree(tmp_path: Path) -> None:
     assert many.severity == Severity.ERROR and "--circles detected" in many.message
 
 
+@pytest.mark.thorough
 def test_images_reject_single_labels_and_no_shift_that_all_share(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=list(SOME))
     maker.labels = [replace(c, u_px=c.u_px + 9) for c in maker.circles]
@@ -245,6 +261,7 @@ def test_a_black_background_is_called_black(tmp_path: Path) -> None:
     assert all(frame.contact is not None for frame in found.frames)
 
 
+@pytest.mark.thorough
 def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_path: Path) -> None:
     circles = [ContactCircle(WIDTH - 6.0, 60.0, 15.0), *spread_circles(3)]
     maker = CaptureMaker(circles=circles)
@@ -259,6 +276,7 @@ def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_pat
     assert "reaches into the image" in impossible.message
 
 
+@pytest.mark.thorough
 def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     def grey(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
@@ -269,6 +287,7 @@ def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     assert color.missing == "coloured lamps: this sensor, or these images, are grey"
 
 
+@pytest.mark.thorough
 def test_colours_of_the_pictures_speak_where_contacts_have_none(tmp_path: Path) -> None:
     """As a DIGIT's that is pressed so that all three lamps lose alike."""
     maker = CaptureMaker(circles=spread_circles(3), sensor="gelsight_mini")
@@ -281,6 +300,7 @@ def test_colours_of_the_pictures_speak_where_contacts_have_none(tmp_path: Path) 
     assert "coloured" not in color.missing
 
 
+@pytest.mark.thorough
 def test_pictures_without_a_contact_do_not_tell_the_lamps(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=spread_circles(4), labelled=False, sensor="gelsight_mini")
     bar = np.zeros((HEIGHT, WIDTH, 1))
@@ -299,6 +319,7 @@ def test_a_background_of_another_size_needs_a_scale(tmp_path: Path) -> None:
     assert block.missing.startswith(f"the scale (these images are {WIDTH}x{HEIGHT} px")
 
 
+@pytest.mark.thorough
 def test_frame_without_contact(tmp_path: Path) -> None:
     maker = CaptureMaker(labelled=False, circles=spread_circles(11))
     maker.images[8] = gel()
@@ -316,6 +337,7 @@ def crop_and_enlarge(image: np.ndarray, left: int, top: int, wide: int, high: in
     return cv2.resize(part, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
 
 
+@pytest.mark.thorough
 def test_a_background_of_another_framing_gives_way_to_the_median(tmp_path: Path) -> None:
     background = crop_and_enlarge(gel(), 20, 15, 120, 90)
     found = check(CaptureMaker(circles=spread_circles(8), background=background), tmp_path)
@@ -367,6 +389,7 @@ def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool, doubled
         assert f"stated is {stated:g} mm" in message and ("diameter" in message) == doubled
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stated", [2.0, 1.55])
 def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
     maker = CaptureMaker(circles=spread_circles(6), radius_mm=stated, labelled=False)
@@ -376,6 +399,7 @@ def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
     assert ("ball_from_below" in by_code(found)) == (stated == 2.0)
 
 
+@pytest.mark.thorough
 def test_a_larger_ball_is_asked_about_where_no_travel_tells(tmp_path: Path) -> None:
     """A diameter that is typed for the radius: colours fit it as well, and are said to."""
     maker = CaptureMaker(circles=spread_circles(6), radius_mm=4.0, labelled=False)
@@ -425,6 +449,7 @@ def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:
     assert color.missing == "the ball's radius, the scale" and color.readiness == "blocked"
 
 
+@pytest.mark.thorough
 def test_a_pressed_frame_as_background(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=spread_circles(8))
     maker.background = press(ContactCircle(100.0, 70.0, 16.0))

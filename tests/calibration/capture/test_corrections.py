@@ -42,6 +42,7 @@ def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "captures", quantise(gel()), images, labels, BALL_MM, GRID)
 
 
+@pytest.mark.thorough
 def test_check_then_correct(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "page"
     with pytest.raises(SystemExit) as stopped:

@@ -49,6 +49,7 @@ def univtac(path: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_a_camera_of_univtac_is_named_by_its_end(tmp_path: Path) -> None:
     path = univtac(tmp_path / "0.bin")  # Told by its content.
     for wanted in ("left_tactile/rgb", "tactile/left_tactile/rgb"):

@@ -96,6 +96,7 @@ def test_the_split_is_that_of_all_pairs(seed: int, count: int, spread: int) -> N
     assert set(split.heldout) == heldout_by_all_pairs(centers, 20.0, 4)
 
 
+@pytest.mark.thorough
 def test_memory_goes_with_the_number_of_presses() -> None:
     some = presses(np.random.default_rng(0).uniform(30, 2000, (4000, 2)))
     tracemalloc.start()

@@ -112,6 +112,7 @@ def grid_of(step: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
+@pytest.mark.thorough
 def test_a_ball_in_a_thick_layer_is_hertz() -> None:
     x, y = grid_of(0.02, 128)
     ball = 5.0 - np.sqrt(25.0 - np.minimum(x**2 + y**2, 24.0))

@@ -58,6 +58,7 @@ def in_sigmas(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.n
     return offsets(captures, contacts) / np.array(sigmas)
 
 
+@pytest.mark.thorough
 def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
     circles = scattered(12)
     captures = press_set(circles, [pressed(c) for c in circles])
@@ -84,6 +85,7 @@ def faulty(
     return quantise(add_noise(image, 2.0, rng))
 
 
+@pytest.mark.thorough
 def test_faulty_presses_within_their_own_sigma() -> None:
     rng = np.random.default_rng(1)
     circles = scattered(9, seed=5)
@@ -97,6 +99,7 @@ def test_faulty_presses_within_their_own_sigma() -> None:
     assert 0.3 < 1.4826 * np.median(np.abs(radii)) < 2.5
 
 
+@pytest.mark.thorough
 def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
     """Gels that sink over shorter and longer ways than the law says: radii are off together."""
     scores = []
@@ -139,6 +142,7 @@ def test_grey_dark_and_small() -> None:
     assert found.confidence < 0.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("share", "left_px"), [pytest.param(0.25, 1.5, marks=pytest.mark.slow), (1 / 3, 3.0)]
 )
@@ -179,6 +183,7 @@ def test_dots_that_move_with_the_gel() -> None:
     assert abs(found.circle.radius_px - 22) < 3.5
 
 
+@pytest.mark.thorough
 def test_poisoned_pixels_have_no_effect() -> None:
     rng = np.random.default_rng(2)
     circles = scattered(3, seed=8)
@@ -261,6 +266,7 @@ def test_a_straight_edge_is_not_a_ball() -> None:
         detect_contact(image, flat_background(), PLAIN_GRID, name="edge.png")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_real_presses(taxim_captures: CaptureSet, every: int) -> None:
     some = taxim_captures.only(range(0, 48, every))
@@ -314,6 +320,7 @@ def traced(call: Callable[[], Any]) -> tuple[Any, int]:
         tracemalloc.stop()
 
 
+@pytest.mark.thorough
 def test_large_pictures_show_the_same_contacts() -> None:
     circles, captures = scattered(2), large_set(2)
     found, peak = traced(lambda: contact_finder.find_contacts(captures))
@@ -328,6 +335,7 @@ def test_large_pictures_show_the_same_contacts() -> None:
     assert peak < 350 << 20
 
 
+@pytest.mark.thorough
 def test_figures_of_a_large_picture_are_those_of_a_small_one() -> None:
     circles, captures = scattered(1), large_set(1)
     small = press_set(circles, [pressed(c).round().clip(0, 255).astype(np.uint8) for c in circles])
@@ -357,6 +365,7 @@ def test_pictures_that_are_not_kept_are_read_again(monkeypatch: pytest.MonkeyPat
     assert len(reads) == once + len(circles) * (1 + len(contact_finder.ROUNDS) + 1)
 
 
+@pytest.mark.thorough
 def test_the_median_holds_no_more_than_a_band_of_large_pictures() -> None:
     captures = large_set(9)
     median, peak = traced(lambda: median_background(captures.presses))

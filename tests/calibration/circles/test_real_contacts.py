@@ -100,6 +100,7 @@ def test_three_measurements_tell_whose_scatter_it_is() -> None:
     assert true.max() < 0.3 and scatter.found.max() < 0.7
 
 
+@pytest.mark.thorough
 def test_gelsight_like_sensor() -> None:
     centers, radii, scatter = measured(
         labelled_presses(

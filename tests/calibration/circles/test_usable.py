@@ -63,6 +63,7 @@ def test_one_empty_frame_in_ten_is_left_out() -> None:
     assert "no contact found" in remark.message and kept.provenance["left_out"] == "p4"
 
 
+@pytest.mark.thorough
 def test_presses_without_a_contact_are_left_out_while_six_remain() -> None:
     captures, _ = synthetic_captures(10)
     kept, _, (remark,) = usable_presses(with_empty_frames(captures, {2, 7, 8, 9}))

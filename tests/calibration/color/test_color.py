@@ -59,6 +59,7 @@ def frames_of(captures: CaptureSet, surfaces: list[BallSurface]) -> list[PressFr
     ]
 
 
+@pytest.mark.thorough
 def test_round_trip_recovers_the_colour_law() -> None:
     captures, surfaces = synthetic_captures(12, noise=1.0)
     result = calibrated(captures, surfaces, options=QUICK)
@@ -79,6 +80,7 @@ def test_round_trip_recovers_the_colour_law() -> None:
     assert psnr == sorted(psnr)
 
 
+@pytest.mark.thorough
 def test_poisoned_masked_pixels_have_no_effect() -> None:
     captures, surfaces = synthetic_captures(4)
     frames = frames_of(captures, surfaces)
@@ -140,6 +142,7 @@ def test_bad_fits_are_refused() -> None:
         fit_color_model(frames_of(captures, surfaces), masked, QUICK)
 
 
+@pytest.mark.thorough
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(12)
     options = dataclasses.replace(QUICK, steps=60)
@@ -163,6 +166,7 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     assert result.split.sha256[:16] in loaded.color.provenance.method
 
 
+@pytest.mark.thorough
 def test_a_profile_gets_the_fit_to_all_presses_with_the_scores_of_the_first() -> None:
     captures, surfaces = synthetic_captures(12)
     result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=60))
@@ -183,6 +187,7 @@ def test_a_profile_gets_the_fit_to_all_presses_with_the_scores_of_the_first() ->
     assert calibrated(captures, surfaces, options=QUICK, holdout_every=0).final is None
 
 
+@pytest.mark.thorough
 def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
     captures, surfaces = synthetic_captures(12)
     empty = captures.split(4).heldout[0]
@@ -194,6 +199,7 @@ def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
     assert set(result.final.inputs) == names - {captures.presses[empty].name}
 
 
+@pytest.mark.thorough
 def test_later_blocks_build_on_the_model_that_was_scored(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(12)
     result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=20))
@@ -209,6 +215,7 @@ def test_later_blocks_build_on_the_model_that_was_scored(tmp_path: Path) -> None
         assert set(found.final.color.provenance.inputs) > seen
 
 
+@pytest.mark.thorough
 def test_light_that_changes_within_the_image_asks_for_bands() -> None:
     """Lamps in stripes of a fifth of the image: the plain network smooths them away."""
     captures, surfaces = synthetic_captures(20, noise=1.0, seed=3)

@@ -58,6 +58,7 @@ Sound = tuple[CaptureSet, list[BallSurface]]
 """Captures and the true surface of each press."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("labelled", variants([False], [True, False]))
 def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, labelled: bool
@@ -107,6 +108,7 @@ def sound() -> Sound:
     return synthetic_captures(12, noise=1.0)
 
 
+@pytest.mark.thorough
 def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
@@ -125,6 +127,7 @@ def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
 
 
+@pytest.mark.thorough
 def test_a_label_that_its_image_rejects_stands_beside_the_figures(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
@@ -145,6 +148,7 @@ def test_a_label_that_its_image_rejects_stands_beside_the_figures(sound: Sound) 
     assert wrong in remark.message and f"{gone} (not found)" in remark.message
 
 
+@pytest.mark.thorough
 def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
@@ -169,6 +173,7 @@ def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
     assert {item.name for item in result.heldout} == set(split.heldout_names) - {bad}
 
 
+@pytest.mark.thorough
 def test_a_press_left_out_by_a_person_counts(sound: Sound) -> None:
     captures, surfaces = sound
     stated = (*captures.split(4).heldout_names, "p99")
@@ -247,6 +252,7 @@ def in_drifting_light(captures: CaptureSet) -> CaptureSet:
     return with_images(captures, images)
 
 
+@pytest.mark.thorough
 def test_more_noise_is_seen_in_the_figures_and_nothing_else(
     sound: Sound, steady: ColorCalibration
 ) -> None:
@@ -262,6 +268,7 @@ def test_more_noise_is_seen_in_the_figures_and_nothing_else(
     assert not codes(steady) and judge(steady.remarks) is Verdict.GOOD
 
 
+@pytest.mark.thorough
 def test_blur_and_vignetting_of_camera_and_lamps_are_learned(sound: Sound) -> None:
     captures, surfaces = sound
 
@@ -278,6 +285,7 @@ def test_blur_and_vignetting_of_camera_and_lamps_are_learned(sound: Sound) -> No
     assert "heldout_error" not in codes(result)
 
 
+@pytest.mark.thorough
 def test_drifting_light_is_taken_off(sound: Sound, steady: ColorCalibration) -> None:
     captures, surfaces = sound
     result = calibrate(in_drifting_light(captures), surfaces)
@@ -285,6 +293,7 @@ def test_drifting_light_is_taken_off(sound: Sound, steady: ColorCalibration) -> 
     assert heldout_l1(result) < heldout_l1(steady) + 0.7
 
 
+@pytest.mark.thorough
 def test_drift_is_taken_off_where_contacts_have_a_third_of_the_height() -> None:
     """No pixel of such a picture lies beyond 2.5 radii of most contacts."""
     captures, surfaces = synthetic_captures(12, noise=1.0, radii_px=(34.0, 40.0), ball_mm=5.0)
@@ -293,6 +302,7 @@ def test_drift_is_taken_off_where_contacts_have_a_third_of_the_height() -> None:
     assert heldout_l1(result) < heldout_l1(calibrate(captures, surfaces)) + 1.5
 
 
+@pytest.mark.thorough
 def test_an_outlier_is_named(sound: Sound) -> None:
     captures, surfaces = sound
     images = [press.image() for press in captures.presses]
@@ -311,6 +321,7 @@ def test_an_outlier_is_named(sound: Sound) -> None:
     assert provenance.verdict == "usable" and any(name in text for text in provenance.remarks)
 
 
+@pytest.mark.thorough
 def test_a_model_that_explains_little_is_weak(sound: Sound) -> None:
     captures, surfaces = sound
     shuffled = [surfaces[(i + 5) % len(surfaces)] for i in range(len(surfaces))]

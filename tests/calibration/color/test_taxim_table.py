@@ -88,6 +88,7 @@ def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
     assert np.abs(error)[disc].mean() < 1.5
 
 
+@pytest.mark.thorough
 def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     truth = true_table(np.random.default_rng(3))
     drift = LightDrift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))

@@ -54,6 +54,7 @@ def test_perfect_dots_are_found_to_a_hundredth_of_a_pixel(radius: float, blur_px
     assert (dots.flags == 0).all()
 
 
+@pytest.mark.thorough(cases=("1.0-True", "3.0-False"))
 @pytest.mark.parametrize(("noise", "dark"), [(1.0, True), (4.0, True), (3.0, False)])
 def test_noisy_dots_lie_within_their_own_sigma(noise: float, dark: bool) -> None:
     true = jittered()
@@ -137,6 +138,7 @@ def test_missing_dots_are_listed() -> None:
     assert {r * 9 + c for r, c in found.layout_px.missing} == set(gone)
 
 
+@pytest.mark.thorough
 def test_dots_in_no_lattice_are_refused() -> None:
     rng = np.random.default_rng(5)
     points: list[np.ndarray] = []
@@ -148,6 +150,7 @@ def test_dots_in_no_lattice_are_refused() -> None:
         find_markers(picture(np.array(points), 5.0, noise=1.0))
 
 
+@pytest.mark.thorough
 def test_pictures_without_dots_and_bad_ones_are_refused() -> None:
     rng = np.random.default_rng(0)
     smooth = vignette(np.full((HEIGHT, WIDTH), 150.0), 0.5)
@@ -176,6 +179,7 @@ def test_pitch_is_that_of_the_drawing_within_its_sigma() -> None:
     assert abs(y - 29.0) < 4 * sigma
 
 
+@pytest.mark.thorough
 def test_large_pictures_with_large_dots_are_no_harder() -> None:
     true = grid_points(5, 6, (200.0, 190.0), turn_rad=0.04, centre=(640.0, 480.0))
     image = draw_dots(1281, 963, true, 45.0) + np.random.default_rng(0).normal(0, 3, (963, 1281))

@@ -105,6 +105,7 @@ def test_hexagonal_lattices_are_numbered(
     assert np.abs(miss).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_scattered_points_are_no_lattice() -> None:
     """Chance lines up half of a few points now and then: in 15 of 4,000 sets, so 2 of 25 are
     already many."""

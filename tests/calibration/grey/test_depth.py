@@ -83,6 +83,7 @@ def test_perfect_presses_give_the_curve() -> None:
     assert result.response.depth_mm[0] == 0.0
 
 
+@pytest.mark.thorough
 def test_noisy_presses_lie_within_their_spread() -> None:
     inside = slice(8, 55)
     errors = []
@@ -122,6 +123,7 @@ def codes(result: DepthCalibration) -> dict[str, str]:
     return {remark.code: str(remark.severity) for remark in result.remarks}
 
 
+@pytest.mark.thorough
 def test_a_dark_patch_that_the_border_cuts_is_read_where_its_label_puts_it() -> None:
     cut = ContactCircle(GRID.width_px - 12.0, 70.0, 28.0)
     captures = captures_of([*CIRCLES, cut])
@@ -140,6 +142,7 @@ def test_a_dark_patch_that_the_border_cuts_is_read_where_its_label_puts_it() -> 
         fit_depth(captures_of([cut]), DepthOptions(circles="detected"))
 
 
+@pytest.mark.thorough
 def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
     assert not {"labels_off", "too_few", "heldout_error"} & codes(fit_depth(captures)).keys()
@@ -161,6 +164,7 @@ def test_presses_at_one_spot_or_that_answer_differently_are_told() -> None:
     assert codes(result)["heldout_error"] in ("warning", "error")
 
 
+@pytest.mark.thorough
 def test_poisoned_masked_pixels_have_no_effect() -> None:
     captures = captures_of(CIRCLES, noise=1.0, labelled=False)
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
@@ -176,6 +180,7 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     assert one.presses == two.presses
 
 
+@pytest.mark.thorough
 def test_profile_and_report(tmp_path: Path) -> None:
     captures = captures_of(CIRCLES, noise=1.0)
     captures = replace(captures, background=captures.background.astype(np.uint8))
@@ -251,6 +256,7 @@ def test_the_authors_tables_of_two_units(unit: int, mm_per_px: float) -> None:
     assert sigma is not None and (np.abs(off) <= sigma).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("unit", "mm_per_px"), [(1, 0.0510151), (2, 0.0499950)])
 def test_the_reading_of_an_eighth_is_held_by_the_other_seven(unit: int, mm_per_px: float) -> None:
     """And both zeros that the image shows by the whole."""
@@ -271,6 +277,7 @@ def test_the_reading_of_an_eighth_is_held_by_the_other_seven(unit: int, mm_per_p
     assert sigma is not None and (np.abs(apart) <= sigma).all()
 
 
+@pytest.mark.thorough
 def test_depths_of_another_units_press_lie_within_two_deviations() -> None:
     one, two = real_press(1, 0.0510151), real_press(2, 0.0499950)
     for a, b in ((one, two), (two, one)):

@@ -51,6 +51,7 @@ def capture_folder(
     )
 
 
+@pytest.mark.thorough
 def test_average_is_quieter_and_keeps_no_stain() -> None:
     rng = np.random.default_rng(3)
     light = lambda: (1 + rng.normal(0, 0.03, 3), rng.normal(0, 3, 3))  # noqa: E731
@@ -73,6 +74,7 @@ def test_average_is_quieter_and_keeps_no_stain() -> None:
     assert block is not None and block.provenance.verdict == "usable"
 
 
+@pytest.mark.thorough
 def test_background_from_presses_alone() -> None:
     rng = np.random.default_rng(5)
     presses = [quantise(add_noise(pressed(c), 1.0, rng)) for c in scattered(14, seed=1)]
@@ -99,6 +101,7 @@ def test_masked_pixels_have_no_effect() -> None:
     assert first.figures()["drift"] == second.figures()["drift"]
 
 
+@pytest.mark.thorough
 def test_a_background_with_a_contact_in_it_is_weak() -> None:
     rng = np.random.default_rng(8)
     touched = ContactCircle(150.0, 50.0, 20.0)

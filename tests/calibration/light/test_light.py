@@ -28,6 +28,7 @@ def textured(rng: np.random.Generator) -> np.ndarray:
     return gel() + 15 * shades / shades.std()
 
 
+@pytest.mark.thorough
 @settings(max_examples=5, deadline=None)
 @given(
     gain=st.tuples(*[st.floats(0.7, 1.3)] * 3), offset=st.tuples(*[st.floats(-20, 20)] * 3),

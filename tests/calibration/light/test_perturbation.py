@@ -56,6 +56,7 @@ def drawn_frames(count: int, noise: float, background: np.ndarray, seed: int = 0
     return quantise(add_noise(frames, noise, rng))
 
 
+@pytest.mark.thorough
 def test_the_spread_of_many_frames_is_recovered() -> None:
     count = 200
     # A quarter of the picture: how many frames there are limits what is found, not their pixels.
@@ -70,6 +71,7 @@ def test_the_spread_of_many_frames_is_recovered() -> None:
     assert found.noise_levels == 1.0
 
 
+@pytest.mark.thorough
 def test_the_block_draws_images_like_the_measured_ones() -> None:
     background = textured_background()[:60, :80]
     frames = drawn_frames(100, 0.5, background)

@@ -110,6 +110,7 @@ def refit(
     return refit_profile(profile, frames, source="test", surface_provider="made up", mask=mask)
 
 
+@pytest.mark.thorough
 def test_perfect_degradation_is_recovered() -> None:
     profile = old_profile()
     result = refit(profile, new_frames(profile))
@@ -132,6 +133,7 @@ def test_perfect_degradation_is_recovered() -> None:
     assert refitted.color is not None and "refitted" in refitted.color.provenance.method
 
 
+@pytest.mark.thorough
 def test_noise_within_its_own_sigma() -> None:
     profile = old_profile()
     off = []
@@ -163,6 +165,7 @@ def test_a_spoilt_frame_leaves_the_fit_without_it_bit_for_bit_as_it_is() -> None
     assert all(same(2)) and not any(same(1))
 
 
+@pytest.mark.thorough
 def test_masked_pixels_have_no_effect() -> None:
     profile = old_profile()
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
@@ -173,6 +176,7 @@ def test_masked_pixels_have_no_effect() -> None:
     assert refit(profile, spoilt, mask).figures() == refit(profile, frames, mask).figures()
 
 
+@pytest.mark.thorough
 def test_untouched_frames_help_the_background() -> None:
     profile = old_profile()
     rng = np.random.default_rng(2)
@@ -189,6 +193,7 @@ def test_untouched_frames_help_the_background() -> None:
     assert np.abs(result.background - truth).mean() < 0.6
 
 
+@pytest.mark.thorough
 def test_what_five_frames_cannot_tell_is_refused() -> None:
     profile = old_profile()
     same = new_frames(profile, gain=np.ones(3), offset=np.zeros(3), noise=1.0)
@@ -212,6 +217,7 @@ def test_what_five_frames_cannot_tell_is_refused() -> None:
         refit(profile.without("background"), same)
 
 
+@pytest.mark.thorough
 def test_held_out_presses_are_scored_and_change_nothing() -> None:
     profile = old_profile()
     frames = new_frames(profile, 7, noise=1.0)
@@ -274,6 +280,7 @@ def test_what_the_manifest_holds_out_is_held_out(
     assert names(refit_frames(profile, folder_of(few))) == ({"p0", "p1", "p2"}, set())
 
 
+@pytest.mark.thorough
 def test_held_out_images_place_no_other_press(captures: CaptureSet, profile: SensorProfile) -> None:
     folder = folder_of(captures)
     heldout = folder.split().heldout
@@ -296,6 +303,7 @@ def test_held_out_images_place_no_other_press(captures: CaptureSet, profile: Sen
         assert not np.array_equal(before.image, after.image)
 
 
+@pytest.mark.thorough
 def test_a_held_out_press_without_a_label_is_found_in_its_own_image(
     captures: CaptureSet, profile: SensorProfile
 ) -> None:

@@ -72,6 +72,7 @@ def with_travel(captures: CaptureSet, travel_mm: list[float]) -> CaptureSet:
     return replace(captures, presses=tuple(replace(p, depth_mm=d) for p, d in presses))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("thickness_mm", variants([4.0], [2.0, 4.0, 8.0, 12.0]))
 def test_a_thickness_that_nobody_measured_is_fitted_with_its_interval(thickness_mm: float) -> None:
     captures, _ = drawn(thickness_mm)
@@ -92,6 +93,7 @@ def test_a_thickness_that_nobody_measured_is_fitted_with_its_interval(thickness_
     assert gel_thickness(captures, CIRCLES, [0.3] * 8, profile) is None
 
 
+@pytest.mark.thorough
 def test_a_stated_thickness_that_is_wrong_by_three_times_blocks_or_is_fitted() -> None:
     captures, _ = drawn(4.0)
     sigmas = [0.3] * len(CIRCLES)
@@ -108,6 +110,7 @@ def test_a_stated_thickness_that_is_wrong_by_three_times_blocks_or_is_fitted() -
         gel_thickness(thick, CIRCLES, sigmas, profile_of(thick), stated=True)
 
 
+@pytest.mark.thorough
 def test_travel_of_presses_settles_a_thickness_that_images_leave_open() -> None:
     """Three presses are too few for rings; how deep they are says it."""
     few = CIRCLES[:3]
@@ -122,6 +125,7 @@ def test_travel_of_presses_settles_a_thickness_that_images_leave_open() -> None:
         assert found.fitted and high / low < 0.6 * silent.interval_mm[1] / silent.interval_mm[0]
 
 
+@pytest.mark.thorough
 def test_circles_that_are_off_keep_the_gel_in_the_interval() -> None:
     captures, _ = drawn(3.0)
     rng = np.random.default_rng(5)
@@ -133,6 +137,7 @@ def test_circles_that_are_off_keep_the_gel_in_the_interval() -> None:
     assert low <= 3.0 <= high
 
 
+@pytest.mark.thorough(cases=("noise",))
 @pytest.mark.parametrize("what", ["noise", "no layer"])
 def test_pictures_that_no_layer_explains_tell_no_thickness(what: str) -> None:
     """What is left open is as few as gels are, and a stated thickness is not contradicted."""
@@ -154,6 +159,7 @@ def test_pictures_that_no_layer_explains_tell_no_thickness(what: str) -> None:
         gel_thickness(spoilt, CIRCLES, [0.3] * 8, stated, "fit")
 
 
+@pytest.mark.thorough
 def test_the_taxim_gelsight_is_no_half_space(taxim_captures: CaptureSet) -> None:
     """Real presses, as on a flat gel: light around the dent turns once over about three radii, as
     over 4 to 6 mm."""

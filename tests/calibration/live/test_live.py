@@ -81,6 +81,7 @@ def session(
     return run_together([session])[0]
 
 
+@pytest.mark.thorough
 def test_a_press_is_read_and_timed(grey: tuple[CaptureSet, SensorProfile], tmp_path: Path) -> None:
     watching = Watching()
     result = session(tmp_path / "frames", *grey, watching)
@@ -115,6 +116,7 @@ def test_photos_without_a_rest_say_what_was_waited_for(
     assert result.unseen.startswith("It waited for the untouched gel: 1.5 s (12 frames and more")
 
 
+@pytest.mark.thorough
 def test_a_session_ends_at_a_number_of_frames_or_by_a_watcher(
     grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
 ) -> None:
@@ -227,6 +229,7 @@ def test_frames_that_change_their_size_are_refused(
         session(tmp_path / "frames", *grey, Watching(), background=rest.astype(np.float32))
 
 
+@pytest.mark.thorough
 def test_an_untouched_gel_unlike_the_profiles_is_said(
     grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
 ) -> None:
@@ -242,6 +245,7 @@ def test_an_untouched_gel_unlike_the_profiles_is_said(
     assert found.remarks and watching.told[-1] == found.remarks[0]
 
 
+@pytest.mark.thorough
 def test_markers_of_a_real_video_are_followed() -> None:
     camera = open_camera(str(real_data("gsmini_markers_video")))
     profile = catalogue_profile("gelsight_mini")
@@ -268,6 +272,7 @@ def yellow_share(page: Any) -> float:
     return float(((seen[..., :2].min(axis=-1) > 170) & (seen[..., 2] < 110)).mean())
 
 
+@pytest.mark.thorough
 def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(
     grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
 ) -> None:

@@ -67,6 +67,7 @@ def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
     assert not list(tmp_path.glob(".out.readings*"))
 
 
+@pytest.mark.thorough
 def test_a_gel_that_relaxes_is_followed_and_an_interrupt_changes_nothing(tmp_path: Path) -> None:
     """At two frames a second a branch of 0.5 s has relaxed by exp(-1) of an even rise."""
     branches = (BranchEntry(relative_modulus=0.5, time_s=0.5),)
@@ -94,6 +95,7 @@ def test_a_gel_that_relaxes_is_followed_and_an_interrupt_changes_nothing(tmp_pat
     assert [row.get("force_n") for row in again] == [row.get("force_n") for row in timed]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stamps", "video"])
 def test_the_times_of_a_recording_relax_the_gel(kind: str, tmp_path: Path) -> None:
     """Pressed within half a second, held for two: the branch of half a second has gone by exp(-4);
@@ -137,6 +139,7 @@ def test_the_times_of_a_recording_relax_the_gel(kind: str, tmp_path: Path) -> No
     assert rows[2]["force_n"] > (1 + 0.9 * grown * np.exp(-3.0)) * plain.force_n
 
 
+@pytest.mark.thorough
 def test_episodes_begin_anew_whatever_their_clocks_say(tmp_path: Path) -> None:
     """The first frames of an episode are torn, and its clock goes on after the other's: nothing is
     known of how long the gel was held, though the times rise."""
@@ -173,6 +176,7 @@ def test_what_holds_no_frames_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_a_stream_of_another_size_ends_at_its_first_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -125,6 +125,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> Ros:
     return rclpy
 
 
+@pytest.mark.thorough
 def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path) -> None:
     captures, profile = grey_unit()
     rest = np.asarray(captures.background)

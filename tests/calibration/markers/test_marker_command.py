@@ -32,6 +32,13 @@ def real(name: str) -> np.ndarray:
     return read_image(real_data(name))
 
 
+@pytest.mark.thorough(
+    cases=(
+        "9dtact_official/shape_reconstruction/calibration/sensor_1/camera_calibration/sample.png-7-9-63",
+        "backgrounds_misc/difftactile_init.png-14-10-134",
+        "gelslim_mcubelab/reconstruction/images/reconstruct_0.jpg-14-19-250",
+    )
+)
 @pytest.mark.parametrize(
     ("name", "rows", "columns", "least"),
     [
@@ -101,6 +108,7 @@ def test_a_real_video_is_followed_to_the_end() -> None:
     assert tracks.seen[:, inner].all()
 
 
+@pytest.mark.thorough
 def test_part_of_a_real_video_is_followed() -> None:
     frames = [real(f"gsmini_markers_video/{n:04d}.png") for n in (0, *range(56, 90, 2))]
     tracks = track_markers(frames, find_markers(frames[0]))
@@ -153,6 +161,7 @@ def calibrate(*words: object) -> int:
     return run("calibrate", "markers", *words)
 
 
+@pytest.mark.thorough
 def test_captures_become_a_block_a_report_and_tracks(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,6 +210,7 @@ def test_the_radius_is_known_better_than_the_dots_differ(
     assert found["sigma"] == pytest.approx(expected, rel=0.3)
 
 
+@pytest.mark.thorough
 def test_tracks_are_written_as_tables(tmp_path: Path, base: Path) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
     tracks = tmp_path / "tracks.csv"
@@ -227,6 +237,7 @@ def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(
     assert len(block.grid().points_mm()) == 61
 
 
+@pytest.mark.thorough
 def test_an_assumed_scale_and_a_contradiction_are_told(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -240,6 +251,7 @@ def test_an_assumed_scale_and_a_contradiction_are_told(
     assert "+20.0 and +20.0 %" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_used_is_refused(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,6 +277,7 @@ def test_what_cannot_be_used_is_refused(
     assert "frame 3 is 60x50 px" in refused(small)
 
 
+@pytest.mark.thorough
 def test_a_video_that_rests_is_enough(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

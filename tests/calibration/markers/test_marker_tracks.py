@@ -96,6 +96,7 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return np.linalg.norm(tracks.uv_px - x, axis=2), inside
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("motion", "frames"),
     [
@@ -116,6 +117,7 @@ def test_dots_keep_their_identity_over_one_and_a_half_pitches(motion, frames: in
     assert error[-1][tracks.seen[-1]].max() < 0.05 * PITCH
 
 
+@pytest.mark.thorough
 def test_of_a_real_motion_every_twelfth_frame_is_enough() -> None:
     """Up to 0.6 pitches between frames, with contact: matched by distance alone 46 dots are lost
     or taken for their neighbours."""
@@ -127,6 +129,7 @@ def test_of_a_real_motion_every_twelfth_frame_is_enough() -> None:
     assert np.linalg.norm(often.uv_px[::2] - seldom.uv_px, axis=2)[both].max() < 0.1
 
 
+@pytest.mark.thorough
 def test_hidden_and_dropped_dots_are_predicted_and_found_again() -> None:
     true = there_and_back(shear, 16)
     tracks = follow(true, drop=0.15, cover=(slice(70, 115), slice(120, 190)))
@@ -142,6 +145,7 @@ def test_hidden_and_dropped_dots_are_predicted_and_found_again() -> None:
     assert tracks.seen[-1].mean() > 0.75
 
 
+@pytest.mark.thorough
 def test_seen_dots_lie_within_their_sigma_during_motion() -> None:
     true = there_and_back(shear, 8, 1.0)
     tracks = follow(true, noise=4.0)
@@ -151,6 +155,7 @@ def test_seen_dots_lie_within_their_sigma_during_motion() -> None:
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.thorough
 def test_figures_of_a_video_say_what_happened() -> None:
     rest = np.repeat(REST[None], 8, axis=0)
     true = np.concatenate([rest, there_and_back(shear, 9, 0.8)])
@@ -169,6 +174,7 @@ def test_figures_of_a_video_say_what_happened() -> None:
     assert still.quiet_frames == 8
 
 
+@pytest.mark.thorough
 def test_what_tracks_cannot_tell_is_said() -> None:
     true = np.repeat(REST[None], 6, axis=0)
     true[3:] += (0.48 * PITCH, 0.0)
@@ -198,6 +204,7 @@ def test_unseen_markers_do_not_slow_the_common_motion() -> None:
     assert codes["fast_motion"] is Severity.ERROR
 
 
+@pytest.mark.thorough
 def test_a_marker_that_leaves_for_long_is_lost() -> None:
     away = REST + (0.0, 22.0)
     steps = [REST + (0.0, 22.0 * t / 4) for t in range(5)]

@@ -54,6 +54,7 @@ def press(start: float, end: float, count: int) -> list[np.ndarray]:
     return [pressed(depth) for depth in np.linspace(start, end, count + 2)[1:-1]]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("points", "first", "last"),
     [
@@ -75,6 +76,7 @@ def slow_press() -> list[np.ndarray]:
     return [pressed(0.06 * n) for n in range(60)]
 
 
+@pytest.mark.thorough(cases=("held", "moving", "slowly"))
 @pytest.mark.parametrize(
     ("points", "reason"),
     [
@@ -92,6 +94,7 @@ def test_no_rest_is_refused(points: list[np.ndarray], reason: str) -> None:
     assert "markers.rest" in str(fault.value)
 
 
+@pytest.mark.thorough
 def test_a_turning_point_is_no_rest_at_a_known_frame_rate() -> None:
     """Six frames of a fast camera last no fifth of a second."""
     points = [*press(8, 0, 8), *hold(REST, 6), *press(0, 8, 8)]
@@ -100,6 +103,7 @@ def test_a_turning_point_is_no_rest_at_a_known_frame_rate() -> None:
         find_rest(captures(drawn(points), fps=120.0))
 
 
+@pytest.mark.thorough
 def test_two_layouts_that_stand_still_are_told() -> None:
     """Dragged as a whole, dots lie as evenly as at rest."""
     away = REST + (6.0, 2.0)
@@ -109,6 +113,7 @@ def test_two_layouts_that_stand_still_are_told() -> None:
     assert remark.code == "rest_ambiguous" and "6.3" in remark.message
 
 
+@pytest.mark.thorough
 def test_a_stated_picture_is_taken_and_a_contradiction_told() -> None:
     frames = drawn([*press(8, 0, 8), *hold(REST, 12)])
     good, bad = (picture(p, 5.0, noise=1.5, seed=99) for p in (REST, REST + (4.0, 0.0)))
@@ -143,6 +148,7 @@ PITCH_AT_REST = (30.94, 31.87)
 """Of the frames 0 to 55, which the set's description calls rest: their mean [px]."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "choose",
     [

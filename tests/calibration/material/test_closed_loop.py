@@ -85,6 +85,7 @@ def calibrated(
     return found, load_profile(folder / "profile")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "indenter", ["sphere:6", pytest.param("cylinder:3", marks=pytest.mark.slow)]
 )

@@ -165,6 +165,7 @@ def fitted(
     return fit, late_mm
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("count", "stated"),
     [
@@ -192,6 +193,7 @@ def test_noise_alone(tool: CurveTool, exact: ForceTable, count: int, stated: boo
     assert ALLOWED[0] <= held[1], held
 
 
+@pytest.mark.thorough
 def test_an_error_of_the_table_widens_the_interval(tool: CurveTool) -> None:
     """Of a table that is off by one factor, drawn from the error that it states."""
     table = layer_table("sphere", 7.5)
@@ -288,6 +290,7 @@ def test_intervals_hold_what_the_points_do_not_tell(
     assert (hits >= 34).all(), hits
 
 
+@pytest.mark.thorough
 def test_held_out_points_lie_in_their_intervals(ball: CurveTool, table: ForceTable) -> None:
     rng = np.random.default_rng(7)
     hits = []
@@ -312,6 +315,7 @@ def test_few_points_that_fit_are_not_called_good(ball: CurveTool, table: ForceTa
     assert "too_few" not in {remark.code for remark in many.remarks}
 
 
+@pytest.mark.thorough
 def test_points_choose_the_friction_that_explains_them(ball: CurveTool, table: ForceTable) -> None:
     tables = {0.0: table, 0.8: rubbed(table)}
     rng = np.random.default_rng(1)

@@ -18,6 +18,7 @@ from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captur
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.mark.thorough
 def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None:
     captures, surfaces = synthetic_captures(8)
     split = captures.split(4)
@@ -56,6 +57,7 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
     assert "heldout_failed" in {remark.code for remark in lost.remarks}
 
 
+@pytest.mark.thorough
 def test_a_profile_gets_the_fit_to_all_presses_with_scores_and_bands_of_the_first(
     clean: Clean,
 ) -> None:
@@ -105,6 +107,7 @@ def test_a_last_fit_leaves_out_what_its_networks_left_out() -> None:
         assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
 
 
+@pytest.mark.thorough
 def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
     captures, surfaces = synthetic_captures(12)
     empty = captures.split(4).heldout_names[0]

@@ -67,6 +67,7 @@ from tests.support.synthetic_presses import calibrated as fit_colors
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.mark.thorough
 def test_a_label_that_its_image_rejects_widens_nothing(clean: Clean) -> None:
     captures, _, result = clean
     split = captures.split(4)
@@ -104,6 +105,7 @@ def test_perfect_captures_are_read_to_the_networks_precision(clean: Clean) -> No
     assert 0.5 * left_out < result.fit.curve[-1][2] < 2 * left_out  # The curve is of degrees, too.
 
 
+@pytest.mark.thorough
 def test_noisy_captures_err_as_expected() -> None:
     captures, surfaces = synthetic_captures(16, noise=6.0)
     result = calibrated(captures, surfaces)
@@ -125,6 +127,7 @@ def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) ->
     assert judge(r for r in result.remarks if r.code == "too_few") is verdict
 
 
+@pytest.mark.thorough
 def test_a_wrong_circle_stands_out_where_its_press_was_left_out() -> None:
     captures, surfaces = synthetic_captures(12, noise=1.0)
     circles = circles_of(captures)
@@ -137,6 +140,7 @@ def test_a_wrong_circle_stands_out_where_its_press_was_left_out() -> None:
     assert any(remark.code == "nothing_held_out" for remark in result.remarks)
 
 
+@pytest.mark.thorough
 def test_poisoned_masked_pixels_have_no_effect() -> None:
     captures, surfaces = synthetic_captures(8)
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
@@ -157,6 +161,7 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     assert [i.used for i in one.heldout] == [i.used for i in two.heldout]
 
 
+@pytest.mark.thorough
 def test_drifting_light_is_taken_off() -> None:
     captures, surfaces = synthetic_captures(10, noise=0.5)
     rng = np.random.default_rng(3)
@@ -222,6 +227,7 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -> None:
     captures, surfaces, result = clean
     save_profile(result.scored.apply_to(flat_profile(GRID)), tmp_path / "profile")
@@ -277,6 +283,7 @@ def test_ball_on_a_tilted_face_stands_off_along_its_normal() -> None:
     assert normal[:2] * 2.0 == pytest.approx([(u - 40) * 0.05, 0.0])
 
 
+@pytest.mark.thorough
 def test_curved_gel_is_read_relative_to_its_rest() -> None:
     """Colours that tell the tilt from rest, on a face of 12 mm radius: a DIGIT's kind of gel."""
     u, v = np.meshgrid(GRID.x_mm(), GRID.y_mm())
@@ -302,6 +309,7 @@ def test_curved_gel_is_read_relative_to_its_rest() -> None:
         assert angle_between_deg(flat, wanted)[sink_in].mean() > 6
 
 
+@pytest.mark.thorough
 def test_grey_captures_are_called_so() -> None:
     captures, surfaces = synthetic_captures(8)
 
@@ -332,6 +340,7 @@ def test_bad_fits_are_refused() -> None:
         SurfaceReader(tiny_profile(GRID))
 
 
+@pytest.mark.thorough
 def test_edges_and_punches_are_read_by_a_network_trained_on_other_tools(
     synthetic: NormalCalibration, tmp_path: Path
 ) -> None:
@@ -388,6 +397,7 @@ def test_an_untouched_image_is_not_touched(synthetic: NormalCalibration, tmp_pat
     assert found.figures(reader.profile.grid())["touched_mm2"] == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seen", [True, False])
 def test_synthetic_presses_do_not_take_colours_that_have_seen_held_out_ones(
     seen: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -135,6 +135,7 @@ def noted(label_px: float, stated_px: float) -> NormalModelConfig:
     return model.config
 
 
+@pytest.mark.thorough
 def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
     exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
     assert denied.radius95_sigmas > 1.4 * exact.radius95_sigmas
@@ -170,6 +171,7 @@ def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -
     assert widened(model, all_errors(model, off[:3], SCENE)).config == before
 
 
+@pytest.mark.thorough
 def test_figures_of_held_out_presses_are_of_the_bands_that_are_passed_on(
     synthetic: NormalCalibration,
 ) -> None:
@@ -300,6 +302,7 @@ def known() -> Known:
     return sunk_captures()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("radius_px", "scale_share"),
     [

@@ -58,6 +58,7 @@ def mini_image(name: str) -> np.ndarray:
     return np.asarray(cv2.resize(read_image(real_data(name)), size, interpolation=cv2.INTER_AREA))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", MINIS)
 def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
     image = mini_image(name)
@@ -77,6 +78,7 @@ def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
             assert low == 0.0 and 0.0 < high <= most, (what, interval)
 
 
+@pytest.mark.thorough
 def test_a_marked_mini_rests_until_it_is_touched() -> None:
     """Dots are masked: 57 frames at rest, then a finger."""
     frames = [

@@ -90,6 +90,7 @@ def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressu
     return found
 
 
+@pytest.mark.thorough
 def test_frames_with_times_read_the_force_of_a_hold(gel: SensorProfile, held: Press) -> None:
     """Down, while it rests and on the way back; the rest is the layer's own error."""
     true = np.array([step.wrench[2] for step in held.outcome.steps])

@@ -103,6 +103,7 @@ def lamp(page: Any, name: str) -> tuple[str, str]:
     return state, row.inner_text()
 
 
+@pytest.mark.thorough
 def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path) -> None:
     pytest.importorskip("viser", reason="the extra view is not installed")
     # A press that is there for a long while, and is not steady for long enough to be taken.
@@ -202,6 +203,7 @@ def watched(path: Path, how: CameraReplay) -> tuple[list[tuple[float, Seen]], Tr
     return seen, trigger
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.0, 4.0])
 def test_every_press_is_taken_once_when_it_stands_still(tmp_path: Path, noise: float) -> None:
     how = CameraReplay(noise_levels=noise, hold_s=0.9)
@@ -215,6 +217,7 @@ def test_every_press_is_taken_once_when_it_stands_still(tmp_path: Path, noise: f
         assert arrived + HOLD_S < time < arrived + how.hold_s + 0.05
 
 
+@pytest.mark.thorough
 def test_limits_follow_the_cameras_own_noise() -> None:
     rng = np.random.default_rng(3)
 
@@ -229,6 +232,7 @@ def test_limits_follow_the_cameras_own_noise() -> None:
     assert rest_at(4.0).change_levels > 3 * rest_at(0.5).change_levels
 
 
+@pytest.mark.thorough
 def test_a_moving_contact_is_not_taken() -> None:
     rng, trigger = np.random.default_rng(0), Trigger()
 
@@ -244,6 +248,7 @@ def test_a_moving_contact_is_not_taken() -> None:
     assert Phase.TAKEN not in phases and Phase.APPROACHING in phases[3:]
 
 
+@pytest.mark.thorough
 def test_what_moves_at_the_start_is_not_taken_for_rest() -> None:
     trigger = Trigger()
     rng = np.random.default_rng(1)
@@ -257,6 +262,7 @@ def test_what_moves_at_the_start_is_not_taken_for_rest() -> None:
     assert np.abs(trigger.rest.image.mean() - gel().mean()) < 1.0
 
 
+@pytest.mark.thorough
 def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
     rng, trigger = np.random.default_rng(2), Trigger()
     contact = press(ContactCircle(80.0, 60.0, 16.0))
@@ -285,6 +291,7 @@ def test_real_presses_are_taken(
     assert sum(frame.take for _, frame in seen) == count
 
 
+@pytest.mark.thorough
 def test_a_finger_that_never_rests_is_not_taken() -> None:
     """A real video: a finger presses, shears and leaves, without ever standing still."""
     seen, trigger = watched(real_data("gsmini_markers_video"), CameraReplay(fps=25.0))
@@ -346,6 +353,7 @@ def noisy(count: int = FRAMES, gains: tuple[float, ...] = (1.0,)) -> list[np.nda
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("level", "said"), [(0, "black"), (255, "white")])
 def test_the_untouched_gel_waits_until_one_is_seen(tmp_path: Path, level: int, said: str) -> None:
     blank = [np.full(gel().shape, level, np.uint8)] * FRAMES
@@ -359,6 +367,7 @@ def test_the_untouched_gel_waits_until_one_is_seen(tmp_path: Path, level: int, s
     assert np.abs(background.image().astype(float) - gel()).mean() < 2.0
 
 
+@pytest.mark.thorough
 def test_light_that_flickers_lights_its_lamp(tmp_path: Path) -> None:
     def state(name: str, gains: tuple[float, ...]) -> tuple[str, str]:
         seen = shown(tmp_path / name, noisy(gains=gains), tmp_path / f"out_{name}")
@@ -370,6 +379,7 @@ def test_light_that_flickers_lights_its_lamp(tmp_path: Path) -> None:
     assert flickers == "bad" and "10 ms" in told
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("replayed", [False, True])
 def test_a_camera_that_hangs_is_told_a_replay_is_not(tmp_path: Path, replayed: bool) -> None:
     with open_record(tmp_path / "out", FACTS) as folder:

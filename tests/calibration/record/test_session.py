@@ -33,6 +33,7 @@ def recorded(path: Path, out: Path, wanted: int = 3, facts: RecordFacts = FACTS)
         return run_session(Recorder(folder, facts, wanted), replaying(path), [])
 
 
+@pytest.mark.thorough
 def test_the_folder_is_one_that_checks_and_calibrations_read(tmp_path: Path) -> None:
     original = source(tmp_path / "set", 5)
     status = recorded(original, tmp_path / "out", 5)
@@ -47,6 +48,7 @@ def test_the_folder_is_one_that_checks_and_calibrations_read(tmp_path: Path) -> 
     assert all(frame.contact is not None for frame in check.frames)
 
 
+@pytest.mark.thorough
 def test_the_same_command_goes_on(tmp_path: Path) -> None:
     path, out = source(tmp_path / "set", 3), tmp_path / "out"
     with open_record(out, FACTS) as folder:
@@ -60,6 +62,7 @@ def test_the_same_command_goes_on(tmp_path: Path) -> None:
     assert len(after.untouched) >= 1  # The gel at the start of the second session.
 
 
+@pytest.mark.thorough
 def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
     path, out = source(tmp_path / "set", 3), tmp_path / "out"
     command = (
@@ -79,6 +82,7 @@ def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert names == ["background.png", "captures.toml", *(f"press_{k:03d}.png" for k in range(3))]
 
 
+@pytest.mark.thorough
 def test_a_camera_may_go_and_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("taccel_lab.calibration.capture.camera.camera.AGAIN_S", 0.0)
     camera = UnpluggedCamera(source(tmp_path / "set", 3), lost_at=(30, 75, 120), drop_every=7)
@@ -92,6 +96,7 @@ def test_a_camera_may_go_and_come_back(tmp_path: Path, monkeypatch: pytest.Monke
     assert len(load_capture_folder(tmp_path / "out").presses) >= 2
 
 
+@pytest.mark.thorough
 def test_take_undo_and_finish(tmp_path: Path) -> None:
     path = source(tmp_path / "set", 2)
     watching = Watching({47: "take", 55: "undo", 58: "finish"})  # Before it stands still.
@@ -112,6 +117,7 @@ def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     imported = source(tmp_path / "set", 2)
     with pytest.raises(InputError, match="did not write"), open_record(imported, FACTS):
@@ -129,6 +135,7 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
             pass
 
 
+@pytest.mark.thorough
 def test_a_scale_of_the_catalogue_is_noted_as_assumed(tmp_path: Path) -> None:
     facts = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
     recorded(source(tmp_path / "set", 1), tmp_path / "out", 1, facts)
@@ -156,6 +163,7 @@ def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Pa
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.thorough
 def test_lamps_say_what_is_wrong(tmp_path: Path) -> None:
     path = source(tmp_path / "set", 2)
     image = load_capture_folder(path).presses[0].image().astype(float)
@@ -170,6 +178,7 @@ def test_lamps_say_what_is_wrong(tmp_path: Path) -> None:
     assert first["saturation"] == "ok" and first["drift"] == "ok" and first["blur"] == "ok"
 
 
+@pytest.mark.thorough
 def test_other_sizes_are_refused(tmp_path: Path) -> None:
     recorded(source(tmp_path / "set", 1), tmp_path / "out", 1)
     wide = tmp_path / "wide"

@@ -124,7 +124,7 @@ def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], sha
     circle = ContactCircle(0.45 * size[0], 0.52 * size[1], share * size[1])
     still = np.full((size[1], size[0], 3), 100.0)
     found = light_beside(still + 5.0, CaptureScene(still, grid, 1.0), circle)
-    assert found.apply(still) == pytest.approx(still + 5.0, abs=0.1)
+    np.testing.assert_allclose(found.apply(still), still + 5.0, atol=0.1)
 
 
 def test_no_crop_is_reached() -> None:

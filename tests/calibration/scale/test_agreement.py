@@ -57,6 +57,7 @@ def drawn_edge(
     return quantise(add_noise(image, noise, rng))
 
 
+@pytest.mark.thorough
 @settings(max_examples=15, deadline=None)
 @given(
     u=st.floats(120, 200),
@@ -254,6 +255,7 @@ def calibrated(folder: Path) -> ScaleCalibration:
     return calibrate_scale(load_capture_folder(folder), tiny_profile(GRID))
 
 
+@pytest.mark.thorough
 def test_kinds_of_captures_agree(tmp_path: Path) -> None:
     truth = (0.085, 0.082)
     result = calibrated(write_folder(tmp_path / "ok", truth, ball_mm=8.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import warp as wp
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -86,6 +87,7 @@ def edge_distances(model: Model, x: np.ndarray, pairs: set[tuple[int, int]]) -> 
     return {(a, b): ipctk.edge_edge_distance(*x[edges[a]], *x[edges[b]]) ** 0.5 for a, b in pairs}
 
 
+@pytest.mark.thorough
 @settings(max_examples=25)
 @example(
     seed=5753,
@@ -298,6 +300,7 @@ def make() -> Bench:
     return Bench(scene(MESH, KinematicBody(BODY, name="mesh"), env_count=ENVS).finalize())
 
 
+@pytest.mark.thorough
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1e-6, 3e-4), st.floats(0, 1))
 def test_no_pair_is_missing_on_any_way(seed: int, size: float, common: float) -> None:

@@ -54,6 +54,7 @@ def set_down(
     return Assembly(model, config, everywhere(1, placed)), x
 
 
+@pytest.mark.thorough
 @settings(max_examples=8)
 @given(
     seed=st.integers(0, 10_000),

@@ -145,6 +145,7 @@ def test_inverted_tets_are_found() -> None:
     assert kinds(second) == [IntersectionKind.INVERTED_TET]
 
 
+@pytest.mark.thorough
 @settings(max_examples=30)
 @given(
     seed=st.integers(0, 1000),

@@ -98,6 +98,7 @@ def test_what_many_need_goes_to_all() -> None:
     assert plan_rooms(rooms, peaks, 10_000, 40_000).sum() == 6 * 765 + 58 * 500
 
 
+@pytest.mark.thorough
 @given(bursts=st.lists(st.lists(st.integers(0, 30), min_size=4, max_size=4), max_size=6))
 def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
     """Whatever is asked for, round after round; rooms follow one another without a gap."""

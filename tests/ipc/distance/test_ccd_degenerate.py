@@ -189,6 +189,18 @@ FAMILIES: tuple[Callable[[np.random.Generator], Queries], ...] = (
 )
 
 
+@pytest.mark.thorough(
+    cases=(
+        "bullet",
+        "coplanar_edges",
+        "coplanar_point",
+        "crack",
+        "far_away",
+        "grazing",
+        "nearly_parallel",
+        "short_edges",
+    )
+)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_never_late_in_exact_arithmetic(family: Callable[[np.random.Generator], Queries]) -> None:
     kind, x, dx = family(np.random.default_rng(11))

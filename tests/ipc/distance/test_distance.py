@@ -62,6 +62,7 @@ def test_nearly_parallel_edges_keep_their_digits() -> None:
     assert np.sum(pairs.region == EdgeEdgeRegion.EA_EB) > 100
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "exact"),
     [(batch.POINT_TRIANGLE, exact_point_triangle_sq), (batch.EDGE_EDGE, exact_edge_edge_sq)],

@@ -159,6 +159,7 @@ def test_every_block_gives_forward_and_back_once() -> None:
     assert sorted(gave["forward"]) == sorted(gave["back"]) == expected
 
 
+@pytest.mark.thorough
 def test_the_smallest_memory_that_holds_a_factor_is_taken() -> None:
     """For every chip; where all of it is too long, its lists stay in global memory first."""
     patterns = [

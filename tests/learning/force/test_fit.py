@@ -31,6 +31,7 @@ from tests.learning.force.small_touches import TEST, planned, write_touches
 BRIEF = dataclasses.replace(QUICK, steps=3)
 
 
+@pytest.mark.thorough
 def test_it_tells_forces_of_balls_and_units_that_it_never_saw(trained: ForceCalibration) -> None:
     found = trained.overall
     assert found.fz_n < 0.25 * found.fz_spread_n
@@ -52,6 +53,7 @@ def test_what_is_not_of_this_sensor_is_noticed(trained: ForceCalibration) -> Non
     assert trained.false_alarms < 0.15
 
 
+@pytest.mark.thorough
 def test_touches_deeper_than_the_trainings_are_noticed(
     sensor: Path, trained: ForceCalibration, tmp_path: Path
 ) -> None:
@@ -116,6 +118,7 @@ def test_a_profile_keeps_it_and_scales_with_its_modulus(
     assert black.outside and black.figures()["inside_training"] is False
 
 
+@pytest.mark.thorough
 def test_markers_may_help_where_both_have_them(touches: Path, sensor: Path) -> None:
     from taccel_lab.profile import MarkersBlock
     from tests.support.small_data_sets import ASSUMED
@@ -142,6 +145,7 @@ def row(episode: int, label: str, unit: int = 0, *, split: str = "train", seed: 
     return {"split": split, "object": label, "unit": unit, "seed": seed, "episode": episode}
 
 
+@pytest.mark.thorough(cases=("True",))
 @pytest.mark.parametrize("held_out", [True, False])
 def test_no_touch_is_on_two_sides(sensor: Path, held_out: bool) -> None:
     whole = planned(sensor, held_out=held_out)
@@ -175,6 +179,7 @@ def test_small_data_sets_are_split_or_refused(count: int, seed: int, objects: in
     assert sorted(parts.tolist()) == list(range(count))
 
 
+@pytest.mark.thorough
 def test_unusable_data_sets_and_options_are_refused(
     touches: Path, sensor: Path, tmp_path: Path
 ) -> None:
@@ -206,6 +211,7 @@ def test_unusable_data_sets_and_options_are_refused(
             ForceOptions(**changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_data_of_two_sensors_are_refused(sensor: Path, touches: Path, tmp_path: Path) -> None:
     stiff = load_profile(sensor)
     save_profile(stiff.with_block(stiff.material.replace(young_modulus_pa=3e5)), tmp_path / "other")

@@ -103,6 +103,7 @@ def stopped(touches: Path, tmp_path: Path) -> Path:
     return file.path
 
 
+@pytest.mark.thorough
 def test_it_ends_with_the_same_bits(touches: Path, whole: TrainedForces, stopped: Path) -> None:
     said: list[str] = []
     file = TrainingFile(stopped, said.append, every_s=0.0)
@@ -157,6 +158,7 @@ def begun(touches: Path, path: Path, **changes: Any) -> str:
     return said[0]
 
 
+@pytest.mark.thorough
 def test_other_settings_other_data_and_spoilt_files_begin_anew(
     touches: Path, sensor: Path, stopped: Path, tmp_path: Path
 ) -> None:
