@@ -43,6 +43,8 @@ class Mutants:
     """Share that has to be noticed."""
     limit_s: float = 900.0
     """For the tests of one fault [s]."""
+    quick: bool = False
+    """Whether the tests of ``make test`` have to notice it, without those of ``make thorough``."""
     out: Path = Path("out/mutants")
     """Folder of mutants.json, which is written anew after every fault."""
 
@@ -75,15 +77,16 @@ def copy_of_the_tree(folder: Path) -> Path:
     return folder
 
 
-def run_tests(fault: Fault, root: Path, limit_s: float) -> Outcome:
+def run_tests(fault: Fault, root: Path, options: Mutants) -> Outcome:
     """Run the tests of a fault that is planted in ``root`` until one fails."""
     started = time.monotonic()
     by = ""
     for tests in fault.tests:
-        left = limit_s - (time.monotonic() - started)
+        left = options.limit_s - (time.monotonic() - started)
         if not (root / tests).exists() or left <= 0:
             continue
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", tests]
+        command += ["-m", "not slow and not thorough"] if options.quick else []
         environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
         try:
             run = subprocess.run(
@@ -100,13 +103,13 @@ def run_tests(fault: Fault, root: Path, limit_s: float) -> Outcome:
     return Outcome(fault.id, fault.kind, bool(by), by, round(time.monotonic() - started, 1))
 
 
-def plant(fault: Fault, root: Path, limit_s: float) -> Outcome:
+def plant(fault: Fault, root: Path, options: Mutants) -> Outcome:
     """Plant, run, restore."""
     path = root / fault.file
     sound, planted = path.read_text(encoding="utf-8"), fault.planted(root)
     path.write_text(planted, encoding="utf-8")
     try:
-        return run_tests(fault, root, limit_s)
+        return run_tests(fault, root, options)
     finally:
         path.write_text(sound, encoding="utf-8")
 
@@ -131,7 +134,7 @@ def main(options: Mutants) -> int:
         def turn(fault: Fault) -> Outcome:
             root = roots.get()
             try:
-                return plant(fault, root, options.limit_s)
+                return plant(fault, root, options)
             finally:
                 roots.put(root)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.__main__ import plant
+from tests.mutants.__main__ import Mutants, plant
 from tests.mutants.table import KINDS, ROOT, Fault, read_faults
 
 
@@ -27,6 +27,6 @@ def test_a_planted_fault_is_noticed_or_not(tmp_path: Path, claim: str, noticed: 
     test = f"from product import two\n\n\ndef test_two():\n    assert {claim}\n"
     (tmp_path / "test_product.py").write_text(test)
     fault = Fault("three", "formula", "product.py", "return 2", "return 3", ("test_product.py",))
-    outcome = plant(fault, tmp_path, 60.0)
+    outcome = plant(fault, tmp_path, Mutants(limit_s=60.0))
     assert (outcome.noticed, "test_two" in outcome.by) == (noticed, noticed)
     assert "return 2" in (tmp_path / "product.py").read_text()
