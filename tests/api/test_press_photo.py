@@ -168,6 +168,7 @@ def test_on_a_slope_the_place_is_less_certain_along_it() -> None:
     assert found.at_sigma_mm[1] == pytest.approx(level.at_sigma_mm[1], rel=0.02)
 
 
+@pytest.mark.thorough
 def test_what_the_simulation_cannot_show_is_said(photo: Path) -> None:
     """A rough press that leaves no trace in its image corrects nothing."""
     run = PressRun.plan(SENSOR, PressOptions(indenter="sphere:4", like=photo))

@@ -330,6 +330,7 @@ def test_records_become_a_profile_and_a_report(record_captures: Path, cli: Cli) 
     }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -345,6 +346,7 @@ def test_bad_options_are_refused(
     assert told in cli.refusal("calibrate material", *words(record_captures), *options)
 
 
+@pytest.mark.thorough
 def test_captures_without_forces_say_what_is_needed(record_captures: Path, cli: Cli) -> None:
     (record_captures / "captures.toml").write_text('schema_version = 2\nsensor = "gelsight_mini"\n')
     assert "[[records]]" in cli.refusal("calibrate material", *words(record_captures))

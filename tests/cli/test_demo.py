@@ -87,6 +87,7 @@ def test_after_a_kill_what_was_finished_is_kept(out: Path, kept: tuple[bytes, in
     assert (page.read_bytes(), page.stat().st_mtime_ns) == kept
 
 
+@pytest.mark.thorough
 def test_profile_report_and_press_are_there(out: Path) -> None:
     assert {path.name for path in out.iterdir()} == {OUTPUT_MARKER, "press", "profile", "report"}
     assert os.listdir(out.parent) == ["demo"]

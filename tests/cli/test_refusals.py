@@ -174,6 +174,7 @@ PRESSES = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("options", "words"), PRESSES)
 def test_bad_press(here: Path, capsys: Capsys, options: str, words: str) -> None:
     if "plane" in options:

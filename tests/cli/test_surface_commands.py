@@ -296,6 +296,7 @@ def test_an_interrupted_training_goes_on_with_the_same_command(
         assert np.array_equal(weights, found.force_weights[name]), name
 
 
+@pytest.mark.thorough
 def test_an_image_that_is_refused_stops_no_other(folder: Path, tmp_path: Path, cli: Cli) -> None:
     profile, press, out = str(folder / "p"), str(folder / "press.png"), tmp_path / "out"
     wide, broken = tmp_path / "wide.png", tmp_path / "broken.png"
@@ -319,6 +320,7 @@ def test_an_image_that_is_refused_stops_no_other(folder: Path, tmp_path: Path, c
     assert sorted(path.name for path in out.iterdir()) == kept
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_read_is_refused(folder: Path, tmp_path: Path, cli: Cli) -> None:
     profile, press, wide = folder / "p", folder / "press.png", tmp_path / "wide.png"
     assert "no force block" in cli.refusal("force", folder / "pad", press)
@@ -330,6 +332,7 @@ def test_what_cannot_be_read_is_refused(folder: Path, tmp_path: Path, cli: Cli) 
     assert "holds no data set" in told
 
 
+@pytest.mark.thorough
 def test_a_spoilt_block_is_refused_in_words(folder: Path, tmp_path: Path, cli: Cli) -> None:
     profile = load_profile(folder / "p")
     assert profile.force is not None and profile.force_weights is not None

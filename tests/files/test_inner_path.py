@@ -231,12 +231,7 @@ def test_results_come_back_from_a_process_that_stays() -> None:
     assert first == second != os.getpid()
 
 
-@pytest.mark.thorough(
-    cases=(
-        "crash-numpy 2.4.6 crashed on it (the process was ended by signal 6). The file",
-        "leave-numpy 2.4.6 crashed on it (the process ended with code 7). The file",
-    )
-)
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("read", "words"),
     [(readers.crash, f"{NUMPY} crashed on it (the process was ended by signal 6). The file"),

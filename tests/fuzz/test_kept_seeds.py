@@ -25,7 +25,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome
     return found
 
 
-@pytest.mark.thorough(cases=("profile",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("reader", READERS)
 def test_a_damaged_file_is_read_or_refused_in_a_sentence(
     reader: str, outcomes: dict[str, list[Outcome]]
@@ -37,6 +37,7 @@ def test_a_damaged_file_is_read_or_refused_in_a_sentence(
     assert any(outcome.kind == "accepted" for outcome in outcomes[reader])
 
 
+@pytest.mark.thorough
 def test_seeds_do_what_they_did_when_they_were_kept(outcomes: dict[str, list[Outcome]]) -> None:
     """A change of the mutations deals other damage to every seed: keep new ones then."""
     before = kept()

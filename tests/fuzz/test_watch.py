@@ -29,7 +29,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome]]:
     return _outcomes(names, tmp_path_factory.mktemp("watch"), campaign.LIMIT_S)
 
 
-@pytest.mark.thorough(cases=("raises",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [name for name in FAULTS if name != "hangs"])
 def test_a_bad_reader_is_noticed(name: str, found: dict[str, list[Outcome]]) -> None:
     assert sorted(outcome.seed for outcome in found[name]) == list(_SEEDS)
@@ -45,6 +45,7 @@ def test_a_reader_that_never_returns_is_noticed(tmp_path: Path) -> None:
     assert [outcome.kind for outcome in found] == ["hang"] * 2
 
 
+@pytest.mark.thorough
 def test_the_fault_of_a_crash_or_an_exception_has_a_place(found: dict[str, list[Outcome]]) -> None:
     for name, place in (("raises", "KeyError"), ("crashes", "crash")):
         assert {outcome.where for outcome in found[name] if outcome.fault} == {place}

@@ -120,5 +120,6 @@ def test_no_page_runs_over_on_screens_nor_on_paper(pages: list[Path]) -> None:
     assert not found
 
 
+@pytest.mark.thorough
 def test_texts_of_figures_are_whole(pages: list[Path], cut_texts: list[str]) -> None:
     assert pages and not cut_texts

@@ -175,6 +175,7 @@ def test_outside_the_contact_it_is_the_surface_through_the_nodes(press):
         assert np.sqrt(np.nanmean(angle**2)) < 0.3
 
 
+@pytest.mark.thorough
 def test_inside_it_is_the_ball_where_it_is_pressed_to(press):
     for i in range(len(press.depths_mm)):
         rim, _, element = press.rim(i)
@@ -188,6 +189,7 @@ def test_inside_it_is_the_ball_where_it_is_pressed_to(press):
         assert np.degrees(np.abs(np.arctan(steepness) - np.arctan(r / below)))[inside].max() < 0.05
 
 
+@pytest.mark.thorough
 def test_it_stays_near_the_nodes_and_below_the_ball(press):
     """No spikes, also at the silhouette."""
     for i in range(len(press.depths_mm)):
@@ -220,6 +222,7 @@ def test_gel_that_hangs_over_the_equator_does_not_break_it():
     assert press.fine.contact_radius_m[1] < 1.02 * BALL_M
 
 
+@pytest.mark.thorough
 def test_no_ring_around_the_contact(press):
     """Away from a central contact the skirt flattens, as the nodes do."""
     if np.abs(press.centers_m[0, :2]).max() > 0:
@@ -236,6 +239,7 @@ def test_no_ring_around_the_contact(press):
         assert np.diff(mean).max() < 0.2
 
 
+@pytest.mark.thorough
 def test_slope_is_the_derivative_of_the_height(press):
     for i, depth in enumerate(press.depths_mm):
         by_pixels = normals_from_height(press.fine.height_m[i], GRID)
@@ -245,6 +249,7 @@ def test_slope_is_the_derivative_of_the_height(press):
         assert np.quantile(error, 0.99) < (1.5 if depth < 2 else 6.0)
 
 
+@pytest.mark.thorough
 def test_contact_radius_is_that_of_the_nodes(press):
     """Between the nodes with half of the pressure and those with any: the barrier acts a little
     beyond the edge."""

@@ -109,6 +109,7 @@ def streams(path: Path, images: Sequence[np.ndarray | bytes]) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_a_stream_of_two_sizes_ends_at_the_second(tmp_path: Path) -> None:
     recording = Recording.of(streams(tmp_path / "0.hdf5", [RED, b"torn", RED[:20], RED]))
     frames = recording.frames()

@@ -171,6 +171,7 @@ def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: Sensor
     assert any("of its thickness" in text for text in deep)
 
 
+@pytest.mark.thorough
 def test_a_dome_is_refused() -> None:
     dome = catalogue_profile("digit_360", {})
     with pytest.raises(InputError, match="dome"):

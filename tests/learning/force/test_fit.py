@@ -46,6 +46,7 @@ def test_it_tells_forces_of_balls_and_units_that_it_never_saw(trained: ForceCali
     assert TEST in names and {row.name for row in trained.tables["motion"]} == {"shear"}
 
 
+@pytest.mark.thorough
 def test_what_is_not_of_this_sensor_is_noticed(trained: ForceCalibration) -> None:
     found = {row.name: row.outside for row in trained.imposters}
     for name in ("black frame", "white frame", "noise", "red and blue swapped", "turned by half"):
@@ -76,6 +77,7 @@ def test_touches_deeper_than_the_trainings_are_noticed(
         assert outside_rows(predicted, dataclasses.replace(config, **limits))[beyond].mean() > 0.7
 
 
+@pytest.mark.thorough
 def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCalibration) -> None:
     data = Dataset(touches)
     samples = read_samples(data, np.arange(len(data.episodes)), trained.config)
@@ -89,6 +91,7 @@ def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCali
     assert not samples.change[at_rest].any() and np.ptp(factor) > 0.3
 
 
+@pytest.mark.thorough
 def test_a_profile_keeps_it_and_scales_with_its_modulus(
     touches: Path, trained: ForceCalibration, tmp_path: Path
 ) -> None:
@@ -133,6 +136,7 @@ def test_markers_may_help_where_both_have_them(touches: Path, sensor: Path) -> N
     assert any(remark.code == "force_other_profile" for remark in found.remarks)
 
 
+@pytest.mark.thorough
 def test_the_page_says_it_all(trained: ForceCalibration, tmp_path: Path) -> None:
     write_page(force_page(trained), tmp_path / "page")
     text = (tmp_path / "page" / "report.html").read_text()
