@@ -35,7 +35,6 @@ def by_code(found: CaptureCheck) -> dict[str, Remark]:
 
 HARMLESS = {"too_few"}
 
-
 FEW, SOME = spread_circles(4), spread_circles(8)
 """Fewer presses where a fault changes all of them, or some; the first of the sound ones."""
 
@@ -137,25 +136,16 @@ FAULTS: list[Row] = [
     ("wrong ratio of two balls", lambda: of_balls(range(4), 4.0, 1.6),
      "ball_contradicted", ERROR, (), ()),
     # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
-    ("view up to the pad's edge",
-     lambda: few(sensor="gelsight_mini", mm_per_px=0.1585),
+    ("view up to the pad's edge", lambda: few(sensor="gelsight_mini", mm_per_px=0.1585),
      "pad_edge", WARNING, (), ()),
     ("unknown sensor", lambda: CaptureMaker(sensor="gelsite"), "sensor_unknown", ERROR, (), ()),
 ]  # fmt: skip
 
 
-@pytest.mark.thorough(
-    cases=(
-        "blue for red",
-        "blue for red in the background",
-        "channels turned",
-        "empty parts",
-        "mixed sensors",
-        "one spot",
-        "unknown sensor",
-        "wrong ratio of two balls",
-    )
-)
+@pytest.mark.thorough(cases=(
+    "blue for red", "blue for red in the background", "channels turned", "empty parts",
+    "mixed sensors", "one spot", "unknown sensor", "wrong ratio of two balls",
+))  # fmt: skip
 @pytest.mark.parametrize(
     ("maker", "code", "severity", "words", "frames"),
     [row[1:] for row in FAULTS],
@@ -177,15 +167,13 @@ def test_a_fault_is_found_by_its_name(
     assert code != "light_drifts" or "color" in finding.blocks
 
 
-@pytest.mark.thorough(cases=("<lambda>-channels_swapped",))
 @pytest.mark.parametrize(
     ("maker", "code"),
     [
         (lambda: spoilt([1, 5], lambda image: image[::-1, ::-1], circles=SOME), "channels_swapped"),
         (lambda: few(sensor="gelsight_mini"), "lamps_reversed"),
         (lambda: of_balls(range(4), 4.0, 4.0), "ball_contradicted"),
-        (lambda: few(sensor="gelsight_mini", mm_per_px=0.1585),
-         "scale_past_pad"),
+        (lambda: few(sensor="gelsight_mini", mm_per_px=0.1585), "scale_past_pad"),
     ],
 )  # fmt: skip
 def test_what_is_none_of_these_faults(
