@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import nearest
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile_family import ProfileFamily, like_name, profile_family
 
@@ -120,8 +121,9 @@ def sensor_family(name: str) -> SensorFamily:
         return _of_folder(folder, _changed_ns(str(folder / _PROFILE_FILE)))
     also = "; flat_pad stands for any flat gel" if "flat_pad" in known.families else ""
     raise InputError(
-        f"no sensor {name!r}; known: {', '.join(known.families)}{also}; the folder of a profile "
-        "(taccel-lab import-gel, taccel-lab design) is a sensor, too"
+        f"no sensor {name!r}{nearest(name, known.families)}; known: {', '.join(known.families)}"
+        f"{also}; the folder of a profile (taccel-lab import-gel, taccel-lab design) is a sensor, "
+        "too"
     )
 
 

@@ -58,9 +58,10 @@ def print_table(
 ) -> None:
     """Write a table to ``results()``, or ``to`` another console; its first column has the names,
     and long cells are folded."""
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=title or None, title_justify="left")
+    table = Table(title=title or None, title_justify="left", box=box.SIMPLE)
     for column in columns:
         table.add_column(column, overflow="fold")
     table.columns[0].style = "cyan"
