@@ -45,7 +45,9 @@ help:
 demo: $(VENV)/.installed-demo
 	$(VENV)/bin/taccel-lab demo --out $(OUT)
 
-test: $(if $(FOLDER),style,lint) check
+# The type checker runs beside the tests: one waits on what the other does not.
+test: style
+	$(MAKE) -j2 -Oline $(if $(FOLDER),,lint) check
 
 style: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
