@@ -47,7 +47,7 @@ demo: $(VENV)/.installed-demo
 
 # The type checker runs beside the tests: one waits on what the other does not.
 test: style
-	$(MAKE) -j2 -Oline $(if $(FOLDER),,lint) check
+	$(MAKE) -j2 $(if $(FOLDER),,lint) check
 
 style: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .

@@ -53,6 +53,7 @@ LIBRARY_WRITERS = re.compile(
 READS_HDF5 = "taccel_lab/files/hdf5_images.py"
 
 
+@pytest.mark.thorough
 def test_libraries_write_into_memory() -> None:
     """``write_by`` puts what they wrote into the file: of a full disk they tell as they like."""
     assert LIBRARY_WRITERS.search("    np.savez(path, a=a)") and LIBRARY_WRITERS.search(

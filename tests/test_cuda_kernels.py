@@ -149,6 +149,7 @@ def uses(cubin: bytes) -> dict[str, Use]:
     }
 
 
+@pytest.mark.thorough
 def test_every_kernel_is_covered() -> None:
     assert {name for name, _ in texts()} > CPU_ALONE
     on_demand = {name for name, text in texts() if "\n    @wp.kernel" in text}

@@ -64,6 +64,7 @@ LONG = (DOCS / "tutorials" / "curved_pad.md", DOCS / "gradients.md")
     cases=(
         "docs/cad.md",
         "docs/environments.md",
+        "docs/meshing.md",
         "docs/newton.md",
         "docs/optics.md",
         "docs/python.md",

@@ -121,6 +121,7 @@ def test_the_wheel_of_a_checkout_without_links_is_whole(
     assert names(found / "taccel_lab") == names(wheel / "taccel_lab")
 
 
+@pytest.mark.thorough
 def test_an_editable_installation_gives_one_name(tmp_path: Path) -> None:
     site = build(ROOT, tmp_path, "wheel:editable")
     assert not (site / "taccel_lab").exists(), "a copy would hide what is edited"

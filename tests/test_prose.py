@@ -78,6 +78,7 @@ def test_messages_are_plain() -> None:
     assert not found
 
 
+@pytest.mark.thorough
 def test_docstrings_of_public_names_are_plain() -> None:
     documented = list(public_docstrings(ROOT / "taccel_lab"))
     assert len(documented) > 100

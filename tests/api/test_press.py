@@ -24,6 +24,7 @@ from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.with_error import with_error
 
 
+@pytest.mark.thorough
 def test_a_catalogue_name_with_parameters() -> None:
     profile = tl.load_sensor("flat_pad", {"thickness_mm": 3})
     assert profile.gel.thickness_mm == pytest.approx(3)
@@ -109,6 +110,7 @@ def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
     } <= {"image.png"}
 
 
+@pytest.mark.thorough
 def test_the_deepest_place_is_that_of_the_contact(
     pressed: tl.Press, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +147,7 @@ def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "height_map.png").exists()
 
 
+@pytest.mark.thorough(cases=("sensors.profile",))
 @pytest.mark.parametrize("module", ["api.press_picture", "report.figures", "sensors.profile"])
 def test_what_draws_loads_no_solver(module: str) -> None:
     assert loaded_by(f"import taccel_lab.{module}", (*HEAVY, *DRAWING, "warp", "scipy")) == "set()"
@@ -168,6 +171,7 @@ def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> No
     )
 
 
+@pytest.mark.thorough
 def test_the_designed_mesh_is_kept_between_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

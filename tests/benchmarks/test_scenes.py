@@ -111,6 +111,7 @@ def test_rod_and_nut_are_closed_and_fit() -> None:
     assert gap > 0.3e-3
 
 
+@pytest.mark.thorough
 def test_the_hands_gels_keep_apart() -> None:
     bench = build_scene("hand", SceneOptions(source="generated"))
     assert len(bench.scene.soft_bodies) == 17

@@ -16,6 +16,7 @@ from tests.support.bench import bench
 # Readings -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_images_are_read_at_a_speed_and_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,6 +32,7 @@ def speed_result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.thorough
 def test_speed_rows(speed_result: Path) -> None:
     document = read_result(speed_result)
     assert document["complete"] is True

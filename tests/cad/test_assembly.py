@@ -46,6 +46,7 @@ def test_joints_put_every_part_in_its_place(sensor: Assembly) -> None:
     assert set(window.joints) == {"bond", "seat"}
 
 
+@pytest.mark.thorough
 def test_parts_touch_or_keep_clear_and_none_interpenetrates(sensor: Assembly) -> None:
     clearances = sensor.clearances()
     assert require_no_overlap(clearances) == []
@@ -67,6 +68,7 @@ def test_the_seat_carries_the_window_and_leaves_the_view_open(sensor: Assembly) 
     assert (inner.size.X, inner.size.Y) == pytest.approx((22, 18))
 
 
+@pytest.mark.thorough
 def test_a_planted_overlap_is_refused_and_named(sensor: Assembly) -> None:
     gel = gel_part(labelled_solid(PAD))
     sunk = gel_part(labelled_solid(PAD), "sunk")

@@ -80,7 +80,7 @@ def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
     assert part.area_mm2(Region.SIDE) == pytest.approx(4 * perimeter, rel=1e-9)
 
 
-@pytest.mark.thorough(cases=("values3-3e-05", "values4-0.0002"))
+@pytest.mark.thorough(cases=("values0-1e-05", "values2-1e-05", "values3-3e-05", "values4-0.0002"))
 @pytest.mark.parametrize(
     ("values", "tolerance"),
     [

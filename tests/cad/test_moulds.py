@@ -89,6 +89,7 @@ def test_contact_face_of_the_cavity_is_exact(crowned: tuple[LabelledSolid, Mould
     )
 
 
+@pytest.mark.thorough
 def test_pins_locate_the_lid_one_way_round(crowned: tuple[LabelledSolid, Mould]) -> None:
     _, mould = crowned
     lid = mould.lid.solid
@@ -191,6 +192,7 @@ def test_options_have_bounds(values: dict[str, float], words: str) -> None:
         MouldOptions(**values)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_pins_that_do_not_fit_are_refused() -> None:
     options = dataclasses.replace(MouldOptions(), pin_mm=8.0, wall_mm=6.0)
     with pytest.raises(InputError, match=r"pin_mm = 8 .* allowed: up to 4 mm"):

@@ -180,6 +180,7 @@ def check_same(mesh: TetMesh, other: TetMesh) -> None:
     assert mesh.nodes_m.shape == other.nodes_m.shape
 
 
+@pytest.mark.thorough
 def test_bevels_wider_than_the_margin_do_not_fold() -> None:
     pad = GelPad(
         length_x_mm=17, length_y_mm=24.6, corner_radius_mm=0.3, thickness_mm=5.7, rim="chamfer",
@@ -207,6 +208,7 @@ def test_tets_do_not_cross_from_gel_to_skin(focused: bool) -> None:
     assert skin == pytest.approx(solid, rel=0.05 if focused else 5e-3)
 
 
+@pytest.mark.thorough
 def test_glued_walls_are_bond_faces() -> None:
     for mesh in (
         gel_mesh(BEVELLED, 2.5),

@@ -89,6 +89,7 @@ def _with_sliver(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
     return replace(mesh, nodes_m=nodes), nodes[tet].mean(axis=0) * 1e3
 
 
+@pytest.mark.thorough
 def test_gate_names_place_and_figure() -> None:
     pad = GelPad()
     mesh = gel_mesh(pad, 2.0)
@@ -190,6 +191,7 @@ class _Halves(GelPad):
         return (points_mm[:, 2] > self.level_mm).astype(np.int32)
 
 
+@pytest.mark.thorough
 def test_layers_that_do_not_conform_are_found() -> None:
     pad = _Halves(thickness_mm=2)
     mesh = gel_mesh(GelPad(thickness_mm=2), 1.0)

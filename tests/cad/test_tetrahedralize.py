@@ -195,6 +195,7 @@ def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     assert (found == mesh.face_regions).mean() > 0.995
 
 
+@pytest.mark.thorough
 def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     pad = small_pad()
     mesh = gel_mesh(pad, 1.5)

@@ -74,6 +74,7 @@ def test_obj_and_3mf_give_the_same_gel(tmp_path: Path) -> None:
         assert gel.surface.volume_mm3() == pytest.approx(SIZE.prod())
 
 
+@pytest.mark.thorough
 def test_smooth_faces_end_at_creases_and_where_they_turn_far() -> None:
     """A crowned pad with a fillet, of triangles: no edge of it is sharp but those at the back."""
     pad = GelPad(thickness_mm=5, crown_radius_x_mm=60, crown_radius_y_mm=60, rim="fillet")
@@ -104,6 +105,7 @@ def test_a_dome_of_triangles_has_a_back_and_a_recess_to_look_through(tmp_path: P
     assert areas(gel.surface)["WINDOW"] == pytest.approx(lens.area_mm2)
 
 
+@pytest.mark.thorough
 def test_good_tets_of_a_file_are_kept_and_others_not(tmp_path: Path) -> None:
     pad = GelPad(
         length_x_mm=12, length_y_mm=10, thickness_mm=3, window_x_mm=8, window_y_mm=6, rim="none",

@@ -67,6 +67,7 @@ def test_assembly_step_keeps_names_colours_faces_and_places(
     assert set(products) == {"small", *bodies}
 
 
+@pytest.mark.thorough
 def test_parts_alone_are_written_in_their_own_frame(sensor: Assembly, tmp_path: Path) -> None:
     import pyvista as pv
 
@@ -164,6 +165,7 @@ def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> N
     assert np.median(picture) == 255 and picture.min() < 50
 
 
+@pytest.mark.thorough
 def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
     paths = [tmp_path / "dome.svg", tmp_path / "dome.png", tmp_path / "dome.pdf"]
     pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), title="dome").save(*paths)
@@ -174,6 +176,7 @@ def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> No
     assert paths[2].read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.thorough
 def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "assembly.svg"
     assembly_drawing(sensor, title="small sensor", notes=["glue the gel"]).save(path)

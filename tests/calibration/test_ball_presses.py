@@ -58,6 +58,7 @@ def test_one_wrong_label_and_one_untouched_frame_harm_no_other_press(tmp_path: P
     assert asked.circles[0] == maker.labels[wrong] and "labels_off" in codes(asked)
 
 
+@pytest.mark.thorough
 def test_a_held_out_press_keeps_its_place_without_its_label(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=spread_circles(12))
     split = maker.load(tmp_path / "sound").ball_presses().split(4)

@@ -104,6 +104,7 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     assert "Calibrated blocks" in html and "perturbation" in html
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_color")
 def test_a_block_that_refuses_leaves_the_others_alone(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -175,6 +176,7 @@ def test_captures_that_calibrate_nothing_leave_nothing(
     assert not (tmp_path / "kept").exists()
 
 
+@pytest.mark.thorough
 def test_a_block_is_fitted_with_its_options(
     captures: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,6 +194,7 @@ def test_a_block_is_fitted_with_its_options(
     assert given == [seeded, ColorOptions()]
 
 
+@pytest.mark.thorough
 def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
     example = re.search(r"```python\n(from .*?calibrate\(.*?)```", text, re.DOTALL)
@@ -223,6 +226,7 @@ def test_a_block_is_stopped_by_errors_and_not_by_warnings(captures: Path) -> Non
     assert "30 to 50" not in blocked.message, "five presses are a warning"
 
 
+@pytest.mark.thorough
 def test_a_measured_scale_of_the_base_serves_captures_that_state_none(
     captures: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +269,7 @@ def test_one_check_serves_all_blocks(
     assert len(made) == 1
 
 
+@pytest.mark.thorough
 def test_a_check_goes_with_its_captures_and_is_made_again_for_others(
     captures: Path, made: list[str]
 ) -> None:

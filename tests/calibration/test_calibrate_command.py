@@ -91,6 +91,7 @@ def test_a_sensor_of_ones_own_is_a_flat_pad_and_the_report_says_so(
     assert profile.color is not None and profile.color.provenance.verdict == "usable"
 
 
+@pytest.mark.thorough
 def test_what_is_missing_is_refused_with_the_other_faults(folder: Path) -> None:
     manifest = folder / "captures.toml"
     text = (
@@ -126,6 +127,7 @@ def test_a_measured_gel_is_what_the_presses_are_simulated_on(folder: Path) -> No
         manifest.write_text(text)
 
 
+@pytest.mark.thorough
 def test_the_base_may_be_a_sensor_of_the_catalogue(folder: Path) -> None:
     captures = load_capture_folder(with_design(folder, "thickness_mm = 3.5"))
     named = base_profile("gelsight", captures)

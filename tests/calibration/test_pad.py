@@ -103,6 +103,7 @@ def test_a_view_larger_than_any_pad_is_refused() -> None:
         fitted_design("flat_pad", wide, {"length_x_mm": 140.0, "length_y_mm": 100.0})
 
 
+@pytest.mark.thorough
 def test_dimensions_given_win_over_the_turn() -> None:
     grid = PixelGrid(240, 320, 0.0511, 0.0511)
     found = fitted_design("gelsight_mini", grid, {"length_x_mm": 21.5})
@@ -158,6 +159,7 @@ def test_cameras_of_the_catalogue_show_their_pads(name: str) -> None:
     assert [remark.blocks for remark in found] == [("color",)] * looks_past_pad(parameters)
 
 
+@pytest.mark.thorough(cases=("digit-size0", "flat_pad-size0"))
 @pytest.mark.parametrize("size", [(320, 240), (240, 320)])
 @pytest.mark.parametrize("sensor", ["gelsight_mini", "digit", "flat_pad"])
 def test_the_check_looks_at_the_pad_that_is_designed(sensor: str, size: tuple[int, int]) -> None:

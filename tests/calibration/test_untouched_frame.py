@@ -55,6 +55,7 @@ def touched_mm2(found: UntouchedFrame, image: np.ndarray) -> float:
     return reader.read(image).figures(reader.grid)["touched_mm2"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", [f"{SDK}/bead.png", "gsmini_normalflow/examples/data/background.png"]
 )

@@ -194,6 +194,7 @@ def test_help_of_every_command_and_its_switches(
         assert on == "False" or told, (name, words)
 
 
+@pytest.mark.thorough
 def test_every_option_is_explained_and_every_command_prints_json() -> None:
     found = dict(commands())
     assert len(found) > 40
@@ -238,6 +239,7 @@ def python(code: str, *words: object) -> subprocess.CompletedProcess[str]:
     return started(sys.executable, "-c", textwrap.dedent(code), *words)
 
 
+@pytest.mark.thorough
 def test_help_is_fast_and_light() -> None:
     best = float("inf")
     for _ in range(3):
@@ -323,6 +325,7 @@ def test_numbers_are_read() -> None:
     assert isinstance(command.tolerance, float)
 
 
+@pytest.mark.thorough(cases=("press --help >&-", "sensors list --json >&-"))
 @pytest.mark.parametrize("words", ["sensors list --json >&-", "press --help >&-", "zzz 2>&-"])
 def test_closed_streams_change_no_exit_code(words: str) -> None:
     done = started("bash", "-c", f"{sys.executable} -m taccel_lab.cli.app {words}")

@@ -31,6 +31,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 def test_check_writes_a_page(here: Path, cli: Cli) -> None:
     figures = cli.json("capture check", "captures", "--report", "page")
     assert figures["usable"] and len(figures["presses"]) == 5
@@ -113,6 +114,7 @@ def test_nothing_is_read_of_an_import_that_stands(
     assert out.is_dir() and counted and not any(counted)
 
 
+@pytest.mark.thorough
 def test_several_sets_are_checked_one_by_one(here: Path, cli: Cli) -> None:
     write_captures(here / "both" / "first")
     write_captures(here / "both" / "second")

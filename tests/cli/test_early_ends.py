@@ -153,7 +153,7 @@ LOADS_THE_KERNEL = """
 """
 
 
-@pytest.mark.thorough(cases=("2-130",))
+@pytest.mark.thorough
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_the_load_of_the_cad_kernel_can_be_interrupted(number: int, code: int) -> None:
     command = [sys.executable, "-c", textwrap.dedent(LOADS_THE_KERNEL)]

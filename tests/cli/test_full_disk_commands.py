@@ -45,7 +45,7 @@ def largest(folder: Path) -> int:
     return max(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-@pytest.mark.thorough(cases=("gs-sdk", "isaac-lab", "onnx", "taxim"))
+@pytest.mark.thorough(cases=("gs-sdk", "isaac-lab", "onnx", "safetensors", "taccel", "taxim"))
 @pytest.mark.parametrize("to", EXPORTERS)
 def test_an_export_is_whole_or_not_at_all(to: str, mini: Path, tmp_path: Path, cli: Cli) -> None:
     if to == "onnx":

@@ -47,6 +47,7 @@ def words_of(command: str, places: dict[str, str], out: Path | str, tmp_path: Pa
     return words
 
 
+@pytest.mark.thorough(cases=("press-/proc/x",))
 @pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_before_any_work(

@@ -155,7 +155,7 @@ def json_commands() -> Iterator[str]:
                 yield f"{name} {word}".strip()
 
 
-@pytest.mark.thorough(cases=("preview",))
+@pytest.mark.thorough(cases=("capture check", "preview"))
 @pytest.mark.parametrize("command", sorted(CHEAP))
 def test_what_is_printed_is_json(
     command: str, places: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]

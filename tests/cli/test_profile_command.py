@@ -202,7 +202,7 @@ def test_bad_input(arguments: str, told: str, cli: Cli) -> None:
     assert told in cli.refusal("sensors show", *arguments.split())
 
 
-@pytest.mark.thorough(cases=("9dtact",))
+@pytest.mark.thorough(cases=("9dtact", "rtac"))
 @pytest.mark.parametrize("name", ["9dtact", "digit_360", "rtac"])
 def test_picture(name: str, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / f"{name}.png"
@@ -260,6 +260,7 @@ def test_show_of_the_catalogue(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> Non
     assert "refused" not in text
 
 
+@pytest.mark.thorough
 def test_picture_of_a_robot(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "hand.png"
     shown = cli("robot show three_finger_hand --picture", path).out

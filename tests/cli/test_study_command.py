@@ -87,6 +87,7 @@ def test_limit_and_report_only(file: Path, cli: Cli) -> None:
     assert len(logged(file.parent / "a b")) == 2
 
 
+@pytest.mark.thorough
 def test_interruption_says_how_to_go_on(
     file: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
@@ -100,6 +101,7 @@ def test_interruption_says_how_to_go_on(
     assert len(logged(file.parent / "out")) == 3
 
 
+@pytest.mark.thorough
 def test_no_design_within_the_constraints_is_exit_code_1(file: Path, cli: Cli) -> None:
     file.write_text(file.read_text(encoding="utf-8") + CONSTRAINT, encoding="utf-8")
     told = cli("study", file, "--out", "out", code=1).out

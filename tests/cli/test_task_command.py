@@ -72,6 +72,7 @@ def test_interrupted_run_keeps_what_is_done(
     assert [row["seed"] for row in json.loads((out / "result.json").read_text())["per_seed"]] == [0]
 
 
+@pytest.mark.thorough
 def test_record(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "recorded"
     words = [short_task(tmp_path, 6), "--seed", "2", "--out", out]

@@ -101,6 +101,7 @@ def test_what_a_part_leaves_in_circles_goes_with_the_next(
     assert len(held) == 8 and max(held[4:]) <= max(held[:4])
 
 
+@pytest.mark.thorough
 def test_other_data_sets_and_files_are_left_alone(profile: Path, tmp_path: Path) -> None:
     begun = tmp_path / "begun"
     make_plan = plan(profile)
@@ -185,7 +186,7 @@ def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
     assert parts_of(copied) == parts_of(made)
 
 
-@pytest.mark.thorough(cases=("up/x",))
+@pytest.mark.thorough(cases=("up/x", "{0}/thesis.tex"))
 @pytest.mark.parametrize("name", ["{0}/thesis.tex", "../../../thesis.tex", "C:\\x", "a\0b", "up/x"])
 def test_the_list_of_a_part_names_nothing_outside(
     profile: Path, tmp_path: Path, name: str, copied: Path
@@ -344,6 +345,7 @@ def test_lerobot(made: Path, tmp_path: Path) -> None:
     assert told == f"{row['motion']} {row['object']} on {row['sensor']}"
 
 
+@pytest.mark.thorough
 def test_univtac(made: Path, tmp_path: Path) -> None:
     data = Dataset(made)
     assert export_univtac([made], tmp_path / "uv") == 6

@@ -115,6 +115,7 @@ KEPT_PARTS = [(1, 2), (0, 3), (4, 5)]
 """As the first version drew them."""
 
 
+@pytest.mark.thorough
 def test_episodes_follow_from_seed_and_number() -> None:
     few = plan("flat_pad", dataset={"episodes": 5}, **NO_IMAGES)
     many = plan("flat_pad", dataset={"episodes": 50}, **NO_IMAGES)
@@ -194,6 +195,7 @@ def _cached_plan() -> DatasetPlan:
     return plan("flat_pad", dataset={"episodes": 40}, **NO_IMAGES)
 
 
+@pytest.mark.thorough
 def test_units_differ_as_measured_and_the_first_is_the_profile(profile: Path) -> None:
     made = plan(
         profile,
@@ -209,6 +211,7 @@ def test_units_differ_as_measured_and_the_first_is_the_profile(profile: Path) ->
     assert held_out == {4, 5}
 
 
+@pytest.mark.thorough
 def test_a_view_of_a_profile_beside_the_file_is_a_sensor(tmp_path: Path) -> None:
     profile = small_profile()
     bare = profile.without("background", "color", "normals", "perturbation", "force")

@@ -26,6 +26,7 @@ from tests.support.small_data_sets import SIZE, make
 from tests.support.strangers import Payload, lure
 
 
+@pytest.mark.thorough
 def test_a_touch_is_drawn(made: Path) -> None:
     data = Dataset(made)
     figure = data.plot(1)
@@ -240,6 +241,7 @@ def test_a_description_without_its_keys_is_refused(copied: Path) -> None:
         Dataset(copied)
 
 
+@pytest.mark.thorough
 def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
     import zarr
 

@@ -86,6 +86,7 @@ def test_the_network_reads_the_press(mini: SensorProfile, folder: Path) -> None:
     assert angle_deg(-found) > flat and angle_deg(found[..., ::-1]) > 2 * angle_deg(found)
 
 
+@pytest.mark.thorough
 def test_the_device_file(mini: SensorProfile, folder: Path) -> None:
     device = yaml.safe_load((folder / "device.yaml").read_text())
     assert device == {

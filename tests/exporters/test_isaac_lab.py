@@ -37,6 +37,7 @@ def isaac_render(data: Path, penetration_m: np.ndarray, cfg: dict) -> np.ndarray
     return np.clip(np.stack(change, axis=-1) + background, 0, 255)
 
 
+@pytest.mark.thorough
 def test_the_renderer_shows_the_press(mini: SensorProfile, tmp_path: Path) -> None:
     document = export_profile(mini, "isaac-lab", tmp_path / "out")
     cfg = json.loads((tmp_path / "out" / "sensor_cfg.json").read_text())

@@ -29,6 +29,7 @@ def both(mini: SensorProfile) -> SensorProfile:
     return with_normals(mini)
 
 
+@pytest.mark.thorough(cases=("0",))
 @pytest.mark.parametrize("bands", [0, 3])
 def test_onnx_runs_to_the_same_image(both: SensorProfile, tmp_path: Path, bands: int) -> None:
     if bands:
@@ -74,6 +75,7 @@ def test_onnx_normals_are_those_of_the_model(both: SensorProfile, tmp_path: Path
     assert described["normals"]["features"] == list(model.config.features)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("markers", [False, True])
 def test_onnx_forces_are_those_of_the_model(
     mini: SensorProfile, tmp_path: Path, markers: bool

@@ -81,6 +81,7 @@ def test_change_is_the_polynomial_of_the_bin() -> None:
     assert pixel_terms(u, v).tolist() == [16, 4, 8, 4, 2, 1]
 
 
+@pytest.mark.thorough
 def test_a_distilled_table_shows_what_the_model_shows(mini: SensorProfile) -> None:
     made = distil_table(mini, 125)
     press = press_over_rest(mini)
@@ -115,6 +116,7 @@ def test_bands_do_not_fall_in_step_with_the_pixels_that_are_asked(mini: SensorPr
     assert np.ptp(columns) > 280 and np.ptp(pixels // 320) > 200
 
 
+@pytest.mark.thorough(cases=("region1",))
 @pytest.mark.parametrize(
     "region",
     [

@@ -222,7 +222,7 @@ def test_a_damaged_frame_is_left_out_and_an_end_cut_off_is_counted(tmp_path: Pat
     assert count_frames(path) == (11, 20) and len(list(read_frames(path))) == 11
 
 
-@pytest.mark.thorough(cases=("turn0",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("turn", [(0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)])
 def test_frames_are_as_stored_whatever_a_player_is_asked_to_turn(
     turn: tuple[int, ...], tmp_path: Path

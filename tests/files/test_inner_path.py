@@ -345,6 +345,7 @@ def test_a_stream_is_read_one_ahead_and_no_further() -> None:
     assert all(later > before for before, later in zip(asked[:-2], made[2:], strict=True))
 
 
+@pytest.mark.thorough
 def test_arrays_of_all_shapes_come_back() -> None:
     values = {
         "empty": np.zeros((0, 3)),
@@ -367,6 +368,7 @@ def test_an_error_that_does_not_pickle_is_told() -> None:
     assert read_apart("a", readers.double, 2) == 4
 
 
+@pytest.mark.thorough
 def test_streams_side_by_side_and_left_early() -> None:
     one, two = stream_apart("v", readers.count, 10**6), stream_apart("w", readers.count, 3)
     assert [next(one), next(two), next(one), next(two)] == [0, 0, 1, 1]
@@ -375,6 +377,7 @@ def test_streams_side_by_side_and_left_early() -> None:
     assert read_apart("a", readers.double, 2) == 4
 
 
+@pytest.mark.thorough
 def test_a_plain_script_needs_no_guard_and_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(

@@ -36,6 +36,7 @@ def area_m2(mesh: TetMesh, region: Region) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
+@pytest.mark.thorough
 @settings(max_examples=15)
 @given(
     seed=st.integers(0, 9),

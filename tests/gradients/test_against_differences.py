@@ -104,7 +104,7 @@ FAST = ("quadratic under an edge", "three environments", "on a mount that moves"
 own comes in with a modulus and the ways of the tools."""
 
 
-@pytest.mark.thorough(cases=("quadratic under an edge-poisson_ratio",))
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("which", "name"),
     variants(
@@ -131,6 +131,7 @@ def test_moduli(which: str, name: str) -> None:
 RUBBING = {name: case for name, case in CASES.items() if case.friction > 0}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST[1:], "facets"], RUBBING))
 def test_friction(which: str) -> None:
     case = RUBBING[which]
@@ -141,6 +142,7 @@ def test_friction(which: str) -> None:
     assert (compare(case, lambda g: g.friction[:, 0, 1], changed, 1e-5) < 1e-5).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST[1:], "a stiffness of its own"], CASES))
 def test_size(which: str) -> None:
     case = CASES[which]
@@ -151,7 +153,7 @@ def test_size(which: str) -> None:
     assert (compare(case, lambda g: g.scale[:, 0], changed, 2e-6) < 1e-5).all()
 
 
-@pytest.mark.thorough(cases=("quadratic under an edge", "three environments"))
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST, "box on its edge"], CASES))
 def test_ways_of_the_tools(which: str) -> None:
     """Along random shifts and turns of all tools at the start and in all steps at once."""
@@ -212,6 +214,7 @@ def test_a_gel_pressed_onto_another() -> None:
         assert slope == pytest.approx(expected, rel=1e-5), name
 
 
+@pytest.mark.thorough(cases=("quadratic",))
 @pytest.mark.parametrize("name", ["ball, rubbing", "quadratic", "facets"])
 def test_these_presses_stick_and_slip(name: str) -> None:
     """Contacts in both regimes, or the comparisons above would say little."""

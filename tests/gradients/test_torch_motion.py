@@ -145,6 +145,7 @@ def test_two_calls_before_one_way_back() -> None:
         assert float(tensor.grad) == pytest.approx(expected, rel=1e-5), values
 
 
+@pytest.mark.thorough
 def test_ways_back_in_any_order_and_again() -> None:
     moving, poses = TorchMotion(CASE.model(), TIGHT), torch.tensor(CASE.poses)
     soft, hard = young_of(1.2e5), young_of(3.1e5)

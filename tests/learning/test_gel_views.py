@@ -149,6 +149,7 @@ def test_a_calibrated_sensor_has_its_own_and_its_cameras_pixels() -> None:
     assert np.abs(first["rgb"][0, 0].numpy() - background).max() <= 1
 
 
+@pytest.mark.thorough
 def test_a_changed_design_has_those_of_its_familys_starter() -> None:
     thin = catalogue_profile("gelsight_mini", {"thickness_mm": 3})
     grid = PixelGrid(20, 15, 1.0, 1.0)

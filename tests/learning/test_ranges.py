@@ -64,6 +64,7 @@ def drawn(env: TactileVectorEnv, gels: list[str]) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.thorough(cases=("grasp-lift-hand",))
 @pytest.mark.parametrize("task", ["grasp-lift", "grasp-lift-hand"])
 def test_a_sensor_s_own_spread_is_drawn(task: str, measured: SensorProfile) -> None:
     env = make_vec(task, 32, sensor=measured, randomised=True, device="cpu")

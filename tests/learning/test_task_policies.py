@@ -71,6 +71,7 @@ def test_the_baselines_rate_is_the_tasks() -> None:
     assert sorted({*failed} - {1}) == [8, 10, 25, 34, 43, 51, 53, 56, 60, 63]
 
 
+@pytest.mark.thorough
 def test_actions_move_both_gels_within_their_reach() -> None:
     """After the first step, which closes: by their speeds, and no farther than their reach."""
     learning = peg_parameters().learning

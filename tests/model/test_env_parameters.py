@@ -84,6 +84,7 @@ def assert_same(found: list[np.ndarray], env: int, expected: list[np.ndarray]) -
     assert np.abs(expected[2]).max() > 2e-5, "the bodies were meant to touch"
 
 
+@pytest.mark.thorough(cases=("material1-quadratic", "material2-quadratic"))
 @pytest.mark.parametrize(
     ("material", "element"),
     [
@@ -212,6 +213,7 @@ class Cubes:
         return result(self.state, self.solver)
 
 
+@pytest.mark.thorough
 def test_masses_weights_and_damping_follow_bitwise() -> None:
     """Density of one soft body, moduli of another of the same group: the rest stays."""
     densities, young = np.array([500.0, 2000.0]), np.array([2e5, 6e4])
@@ -240,7 +242,7 @@ def test_lumped_masses_of_quadratic_tets_follow_bitwise() -> None:
         np.testing.assert_array_equal(model.masses.numpy()[env], built.masses.numpy()[0])
 
 
-@pytest.mark.thorough(cases=("False",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("by_mass", [False, True])
 def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
     """To rounding: mass and moments of the solid are those of the scene times a factor."""
@@ -326,6 +328,7 @@ def test_moduli_by_tet() -> None:
     np.testing.assert_array_equal(model.largest_moduli.numpy()[:, 0], [1e5, 3e5])
 
 
+@pytest.mark.thorough
 def test_a_mask_a_later_change_and_what_is_left_out() -> None:
     """A solver that has stepped takes what is set, in the environments of the mask alone."""
     model = pressed_pad(3, Material(1e5, 0.4)).finalize()
@@ -340,7 +343,7 @@ def test_a_mask_a_later_change_and_what_is_left_out() -> None:
         assert_same(found, env, result(*press(pressed_pad(1, material).finalize())))
 
 
-@pytest.mark.thorough(cases=("True",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("capture", [False, True])
 def test_captured_steps_notice(capture: bool) -> None:
     """Widened arrays move, and what is written later is read by the same graph."""
@@ -393,6 +396,7 @@ def test_a_loop_in_torch_is_that_of_built_models_on_every_device(device: str) ->
         assert np.abs(forces[env] - expected).max() < 2e-4 * np.abs(expected).max()
 
 
+@pytest.mark.thorough
 def test_a_contact_stiffness_of_the_solver_stays() -> None:
     model = pressed_pad(2, Material(1e5, 0.4)).finalize()
     solver = SolverIPC(model, SolverConfig(kappa_pa=3e5))

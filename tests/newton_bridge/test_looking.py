@@ -48,6 +48,7 @@ def held() -> tuple[SolverGel, object]:
     return solver, state
 
 
+@pytest.mark.thorough
 def test_a_gel_feels_the_cube_at_its_nodes(held: tuple[SolverGel, object]) -> None:
     solver, _ = held
     sensor = SensorTactile(solver, "left pad", size_px=(64, 48)).update()

@@ -84,6 +84,7 @@ def test_what_others_do_to_a_body_inside_is_followed() -> None:
     assert states[0].joint_q.numpy()[-7:] == pytest.approx(after, abs=1e-7)
 
 
+@pytest.mark.thorough
 def test_a_body_bounces_on_its_gel() -> None:
     """A free block of 50 g whose gel stands on newton's ground plane, which newton's solver,
     without contacts, does not know: only the wrench of the gel holds it, around 0.1 mm deep."""

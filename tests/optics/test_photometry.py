@@ -172,6 +172,7 @@ def test_evenness_shadows_and_saturation() -> None:
     assert spot.saturated_fraction > 0.05
 
 
+@pytest.mark.thorough
 def test_shading_gain_is_the_slope_of_the_picture() -> None:
     """Grey levels of a gel tilted as a whole against the figure for a small tilt."""
     lights = far_lights((0.0, 120.0, 240.0), 40.0)

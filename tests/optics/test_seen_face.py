@@ -148,6 +148,7 @@ def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
     np.testing.assert_allclose(dark_centre(moved), (0.6, -0.4), atol=0.02)
 
 
+@pytest.mark.thorough
 def test_bevels_stay_sharp() -> None:
     bevelled = GelPad(
         length_x_mm=16, length_y_mm=14, corner_radius_mm=2, thickness_mm=4, rim="chamfer",

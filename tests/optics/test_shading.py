@@ -120,6 +120,7 @@ def test_cells_of_area_lights_cover_them_evenly() -> None:
     np.testing.assert_allclose(total, light.rgb)
 
 
+@pytest.mark.thorough
 def test_a_step_throws_its_shadow() -> None:
     step, edge = 1.0, 1.0
     source_x, depth = 9.0, 6.0

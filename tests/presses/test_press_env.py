@@ -40,7 +40,7 @@ def press_env(
     )
 
 
-@pytest.mark.thorough(cases=("sphere:2.0",))
+@pytest.mark.thorough(cases=("cylinder:1.0", "sphere:2.0"))
 @pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
 def test_force_grows_with_depth(indenter: str) -> None:
     env = press_env(indenter, physics=DEFAULT if indenter == "sphere:2.0" else LINEAR)

@@ -89,7 +89,7 @@ def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: n
     return env
 
 
-@pytest.mark.thorough(cases=("edge:90x3",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("indenter", ["sphere:2", "edge:90x3"])
 def test_a_press_turns_with_its_frame(indenter: str) -> None:
     straight = pressed(pad(), indenter, (0.4, -0.2))
@@ -109,6 +109,7 @@ def test_a_press_turns_with_its_frame(indenter: str) -> None:
     assert turned.positions[0] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_press_from_the_side_pushes_sideways() -> None:
     """The wall of a block, which is contact face too here, pressed along its normal."""
     block = block_mesh((6, 6, 4), (8e-3, 8e-3, 4e-3))
@@ -172,6 +173,7 @@ def test_turns_by_rotation_vectors() -> None:
     assert top[1].tolist() == [0.0, 0.0, 1.0]
 
 
+@pytest.mark.thorough
 def test_a_ball_that_rolls_keeps_its_force() -> None:
     """Rolling on by radius times angle drags the gel along far less than sliding as far."""
     env = PressEnv(

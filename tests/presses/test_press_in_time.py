@@ -69,6 +69,7 @@ def test_a_hold_relaxes_and_a_way_back_loses_work() -> None:
     assert (outcome.rest_height_m - outcome.height_m).max() > 1e-5
 
 
+@pytest.mark.thorough
 def test_friction_holds_while_the_indenter_rests() -> None:
     """However long: static friction allows as little sliding in a long step as in a short one."""
     path = replace(PATH, hold_s=60.0)
@@ -78,6 +79,7 @@ def test_friction_holds_while_the_indenter_rests() -> None:
     assert found == pytest.approx(relaxed, rel=5e-3)
 
 
+@pytest.mark.thorough
 def test_a_slow_press_is_softer_than_a_fast_one() -> None:
     fast, slow = (forces(pressed(replace(PATH, speed_mm_s=speed)))[-1] for speed in (1e3, 1e-3))
     relaxed = forces(pressed(PATH, GEL))[-1]
@@ -85,6 +87,7 @@ def test_a_slow_press_is_softer_than_a_fast_one() -> None:
     assert slow / relaxed == pytest.approx(1.0, rel=2e-2)
 
 
+@pytest.mark.thorough
 def test_a_gel_that_does_not_relax_goes_back_as_it_came() -> None:
     plain = pressed(PATH, GEL)
     outcome = pressed(replace(PATH, back=True), GEL)

@@ -79,6 +79,7 @@ def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
     assert np.array_equal(outcome.positions_m[bonded], outcome.mesh.nodes_m[bonded])
 
 
+@pytest.mark.thorough
 def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
     ball = parse_indenter("sphere:2.0").shape
     assert isinstance(ball, Ball)

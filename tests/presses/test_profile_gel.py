@@ -53,6 +53,7 @@ def pressed():
     return profile, scene, solver, state
 
 
+@pytest.mark.thorough
 def test_gel_is_the_profiles(pressed) -> None:
     profile, scene, _, _ = pressed
     (gel,) = scene.soft_bodies

@@ -28,6 +28,7 @@ def patient(item: Path, told: Progress) -> int:
     return os.getpid()
 
 
+@pytest.mark.thorough
 def test_signals_to_all_processes_of_a_job_are_the_parents(tmp_path: Path) -> None:
     with ProcessPool(patient, 1) as pool:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
@@ -46,6 +47,7 @@ def full(item: str, told: Progress) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), item)
 
 
+@pytest.mark.thorough(cases=("1",))
 @pytest.mark.parametrize("processes", [0, 1])
 def test_a_full_disk_is_no_process_that_died(
     processes: int, capfd: pytest.CaptureFixture[str]
@@ -109,7 +111,7 @@ for place in (lambda: require_device("cpu") and wp.config.kernel_cache_dir, cach
 NO_HOME = "there is no home folder to keep .*; set TACCEL_LAB_CACHE to a folder"
 
 
-@pytest.mark.thorough(cases=("variables3-h/.cache/warp/-h/.cache/taccel_lab",))
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("variables", "kernels", "results"),
     [

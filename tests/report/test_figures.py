@@ -45,6 +45,7 @@ def _png_size(path: Path) -> tuple[int, int]:
     return struct.unpack(">II", head[16:24])
 
 
+@pytest.mark.thorough
 def test_height_map_is_drawn_in_millimetres_over_the_gel(tmp_path):
     height = np.full((60, 80), np.nan)
     height[10:50, 10:70] = -2e-4

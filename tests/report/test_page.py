@@ -63,6 +63,7 @@ def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores(
     assert 'class="verdict plain"' not in page_html(judged, {})
 
 
+@pytest.mark.thorough
 def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path) -> None:
     profile = catalogue_profile("gelsight_mini")
     material = profile.material.replace(

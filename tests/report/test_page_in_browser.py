@@ -56,6 +56,7 @@ def canvas_of(page: Any) -> Any:
     return canvas
 
 
+@pytest.mark.thorough
 def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
     closed = "() => document.querySelectorAll('details:not([open])').length"
     with chromium_page(address, (1280, 900)) as page:
@@ -155,6 +156,7 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         assert page.is_visible(".still") and not page.is_visible(".mesh-view")
 
 
+@pytest.mark.thorough
 def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> None:
     with chromium_page(address, SMALL) as page:
         box = canvas_of(page).bounding_box()

@@ -240,6 +240,7 @@ def test_a_gripper_grips_with_the_force_of_its_drives_and_lifts(element: Element
         np.testing.assert_allclose(signs * frames[:, gel, 3:], wanted[:, 3:], atol=1e-6)
 
 
+@pytest.mark.thorough(cases=("True",))
 @pytest.mark.parametrize("with_gels", [False, True])
 def test_drives_hold_a_hand_and_its_gels_against_their_weight(with_gels: bool) -> None:
     """At rest each drive's torque is that of the weights of links and gels, at the angles where the

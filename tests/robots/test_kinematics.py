@@ -192,6 +192,7 @@ def of(name: str, folder: Path) -> Robot:
     return turned(load_urdf(write(folder, CHAIN)) if name == "chain" else named(name))
 
 
+@pytest.mark.thorough(cases=("parallel_gripper-cpu",))
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", ["parallel_gripper", "three_finger_hand", "chain", *REAL])
 def test_tensors_go_where_arrays_go(name: str, device: str, tmp_path: Path) -> None:
@@ -236,6 +237,7 @@ def test_autograd_follows_the_poses(name: str, tmp_path: Path) -> None:
         torch.testing.assert_close(slope, wanted, rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_unchecked_targets_read_nothing_from_the_device() -> None:
     """Tensors on torch's device "meta" have no values: whatever asks for one fails."""
     robot = named("three_finger_hand")

@@ -121,6 +121,7 @@ def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
     assert (np.linalg.norm(force.sum(axis=1), axis=1) <= 2 * residual + 1e-7).all()
 
 
+@pytest.mark.thorough
 def test_a_hand_of_turning_joints_holds_a_ball() -> None:
     """Knuckles bend in and middles out by the same angle: upright tips close on a free ball."""
     robot = named("three_finger_hand")
@@ -244,6 +245,7 @@ def test_the_exported_urdf_of_a_sensor_mounts(coarse: SensorProfile, tmp_path: P
         assert gap.max() < 1e-8  # The STL file has single precision.
 
 
+@pytest.mark.thorough
 def test_a_picture_shows_gels(tmp_path: Path) -> None:
     """Blue where the pad that looks at us is, as seen along its normal."""
     robot = named("parallel_gripper").mount("finger_left", GEL, on_seat(PAD))

@@ -205,6 +205,7 @@ def test_box_pairs_are_those_of_brute_force(seed: int, n: int, m: int) -> None:
     assert len(found) <= overlap.sum() + 1
 
 
+@pytest.mark.thorough
 def test_the_time_of_a_check_grows_with_the_faces_and_not_with_their_pairs() -> None:
     """By a ratio: how fast this machine is, and what else it does, is in both times."""
 

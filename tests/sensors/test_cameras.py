@@ -131,6 +131,7 @@ def test_numbers_of_cameras_agree_and_all_of_them_see_the_gel() -> None:
         family.parameters({"camera_x_mm": [0] * 65})
 
 
+@pytest.mark.thorough
 def test_an_image_beside_the_gel_is_refused_in_names_that_can_be_set() -> None:
     with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
         catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})

@@ -46,6 +46,7 @@ def test_every_file_is_there(result: DesignResult) -> None:
     assert sorted(p.name for p in result.out_dir.parent.iterdir()) == ["gelsight"]
 
 
+@pytest.mark.thorough
 def test_drawings_name_options_and_the_state_of_the_design(result: DesignResult) -> None:
     root = ET.parse(result.files["drawing"]).getroot()
     words = ["".join(n.itertext()).strip() for n in root.iter("{http://www.w3.org/2000/svg}text")]

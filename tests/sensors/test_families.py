@@ -167,7 +167,7 @@ def test_figures_of_a_sensor_are_not_those_of_another() -> None:
 # Formulas -------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(cases=("digit",))
+@pytest.mark.thorough(cases=("digit", "gelsight", "gelsight_40", "gelsight_r15"))
 @settings(max_examples=6)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.parametrize("name", FAMILIES)
@@ -195,7 +195,7 @@ def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: 
     assert all(np.isfinite(v) for v, _ in derived_figures(found).values() if isinstance(v, float))
 
 
-@pytest.mark.thorough(cases=("digit", "gelsight", "gelsight_r15", "gelsight_wedge"))
+@pytest.mark.thorough(cases=("digit", "flat_pad", "gelsight", "gelsight_r15", "gelsight_wedge"))
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_bounds_leave_room_for_one_another(family: SensorFamily) -> None:
     rng = np.random.default_rng(11)
@@ -220,7 +220,18 @@ def test_one_step_out_of_bounds_is_refused_by_name(family: SensorFamily) -> None
 # Meshes and presses ---------------------------------------------------------------------------
 
 
-@pytest.mark.thorough(cases=("9dtact", "digit", "digit_360", "gelsight_40", "gelsight_wedge"))
+@pytest.mark.thorough(
+    cases=(
+        "9dtact",
+        "digit",
+        "digit_360",
+        "flat_pad",
+        "gelsight_40",
+        "gelsight_mini",
+        "gelsight_r15",
+        "gelsight_wedge",
+    )
+)
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     """By the usual edge; profiles of this process take the same mesh."""
@@ -280,6 +291,7 @@ def test_random_sensor_is_built_in_cad(family: SensorFamily, seed: int) -> None:
     assert part.solid.volume == pytest.approx(pad.volume_mm3(), rel=5e-3)
 
 
+@pytest.mark.thorough(cases=("9dtact",))
 @pytest.mark.parametrize("name", ["9dtact", "gelsight_mini", "rtac"])
 def test_designed_profiles_come_back(name: str, tmp_path) -> None:
     designed = catalogue_profile(name)

@@ -116,7 +116,7 @@ def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResu
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
 
 
-@pytest.mark.thorough(cases=("edge:90x6x0.1-0.1915-60000",))
+@pytest.mark.thorough(cases=("edge:90x6x0.1-0.1915-60000", "sphere:2-0.76-10000"))
 @pytest.mark.parametrize(
     ("tool", "radius_mm", "most"),
     [("sphere:2", 0.76, 10_000), ("cylinder:2", 2.0, 10_000), ("edge:90x6x0.1", 0.1915, 60_000)],

@@ -11,6 +11,7 @@ from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
 
+@pytest.mark.thorough
 def test_a_narrower_focus_is_taken_where_the_usual_one_folds_and_told() -> None:
     """It was refused: folded tets far from the contact."""
     with pytest.warns(UserWarning, match=r"fine part is \d+% as wide"):

@@ -97,5 +97,7 @@ def test_no_name_is_taken_twice(installed: Installed) -> None:
 
 
 def test_unknown_sensor_names_the_known() -> None:
-    with pytest.raises(InputError, match=r"'gelsigth'; known: .*gelsight"):
+    with pytest.raises(
+        InputError, match=r"'gelsigth' \(did you mean gelsight\?\); known: .*gelsight"
+    ):
         sensor_family("gelsigth")

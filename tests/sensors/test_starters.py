@@ -56,6 +56,7 @@ def test_its_mark_survives_saving(tmp_path: Path) -> None:
     assert is_starter(again) and tl.validate_profile(tmp_path / "profile") == []
 
 
+@pytest.mark.thorough(cases=("gelsight_mini",))
 @pytest.mark.parametrize("name", NAMES)
 def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     """A dark or bright blob on the starter's own background is a dent; nothing else is."""

@@ -17,7 +17,7 @@ from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.sensors.registry import sensor_family
 
 
-@pytest.mark.thorough(cases=("9dtact-0.8",))
+@pytest.mark.thorough(cases=("9dtact-0.8", "9dtact-1.0", "9dtact-2.0"))
 @pytest.mark.parametrize("thickness_mm", [0.8, 1.0, 2.0])
 @pytest.mark.parametrize("name", ["digit", "9dtact", "flat_pad"])
 def test_thin_gels_mesh_well(name: str, thickness_mm: float) -> None:

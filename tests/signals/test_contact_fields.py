@@ -77,6 +77,7 @@ def test_integrals_are_the_wrench() -> None:
     assert depth.max() == pytest.approx(0.4e-3, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_contact_is_the_solver_s_and_not_a_threshold() -> None:
     """Elements are half as wide as the contact's radius: within a fifth of 6.0 mm2, which
     ``FineSurface`` finds on a mesh of three times as many nodes; pressures that are not zero

@@ -150,6 +150,7 @@ def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted() -> None:
     np.testing.assert_allclose(mounted, drawn, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_images_of_many_environments_are_those_of_each() -> None:
     env = pressed(True)
     whole = [a.numpy().copy() for a in shown(env, WAVES).read("height_m", "depth_m", "contact")]
@@ -167,6 +168,7 @@ def test_images_of_many_environments_are_those_of_each() -> None:
     assert (signal.contact.numpy() == whole[2]).all()
 
 
+@pytest.mark.thorough
 def test_textures_are_checked(tmp_path: Path) -> None:
     import cv2
 

@@ -140,7 +140,7 @@ def dented(seed: int, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     return (background + change).astype(np.float32), background
 
 
-@pytest.mark.thorough(cases=("0.3",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_blocks_read_what_pixels_read(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Heights to 0.005 mm and their deviation to 2 %, by few answers of the networks."""

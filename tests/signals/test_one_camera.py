@@ -93,6 +93,7 @@ def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) 
         assert np.median(turned) > np.cos(np.radians(0.5))
 
 
+@pytest.mark.thorough(cases=("gelsight_40",))
 @pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40"])
 def test_dots_of_a_colour_model_lie_where_the_markers_are(name: str) -> None:
     profile = painted(catalogue_profile(name))

@@ -279,7 +279,7 @@ def test_the_first_layer_keeps_more_than_half_precision():
     )
 
 
-@pytest.mark.thorough(cases=("hidden0-tanh-False",))
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("hidden", "activation", "encoded"),
     [((20, 128), "tanh", False), ((64, 64, 64), "silu", True)],

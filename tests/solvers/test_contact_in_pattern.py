@@ -35,6 +35,7 @@ def fingers() -> Scene:
     return driven_grasp(1, (Element.LINEAR, Element.LINEAR))
 
 
+@pytest.mark.thorough(cases=("fingers-ssor",))
 @pytest.mark.parametrize(
     ("make", "method"),
     variants(

@@ -172,6 +172,7 @@ def test_bits_depend_on_the_order_of_contacts_unless_asked_not_to(
     assert same == [deterministic] * 4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", variants(["grasp"], SCENES))
 def test_the_result_is_the_same_within_the_tolerance(name: str) -> None:
     plain, sorted_ = in_turn(name, False), in_turn(name, True)

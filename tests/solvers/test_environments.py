@@ -59,7 +59,7 @@ def press(
     return state.positions.numpy(), solver.contact_gradient.numpy(), reports
 
 
-@pytest.mark.thorough(cases=("ball-0.8",))
+@pytest.mark.thorough(cases=("ball-0.8", "mesh-0.8"))
 @pytest.mark.parametrize("friction", [0.0, 0.8])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_results_do_not_depend_on_number_and_order(shape: str, friction: float) -> None:

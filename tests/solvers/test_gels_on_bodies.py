@@ -246,6 +246,7 @@ def test_gel_frames_follow_and_bonded_nodes_with_them() -> None:
     np.testing.assert_array_equal(of_gel.numpy(), found[:, 0])
 
 
+@pytest.mark.thorough
 def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None:
     """A heavier, softer gel in one environment is what a scene with such a gel has, bit by bit."""
     other = Material(6e4, 0.45, density_kg_m3=3000.0)

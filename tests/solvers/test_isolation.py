@@ -126,7 +126,7 @@ def run_alone(env: int, scheme: TimeScheme) -> list[np.ndarray]:
     return left(solver, state, 0)
 
 
-@pytest.mark.thorough(cases=("bdf2-nan_velocity", "euler-nan_position"))
+@pytest.mark.thorough(cases=("bdf2-nan_velocity", "euler-nan_position", "euler-nan_velocity"))
 @pytest.mark.parametrize(
     ("scheme", "spoil"),
     variants(

@@ -46,6 +46,7 @@ def grasp_poses(step: int) -> np.ndarray:
     return mount_poses([4.05e-3 - 5e-5 * step])
 
 
+@pytest.mark.thorough
 def test_a_module_has_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
     stated: dict[str, int] = {}

@@ -75,6 +75,7 @@ def assert_as_alone(
         np.testing.assert_array_equal(found.gaps.numpy()[env], expected.gaps.numpy()[0])
 
 
+@pytest.mark.thorough
 def test_many_contacts_cost_the_memory_of_their_environment() -> None:
     solver, state, report = touch(list(range(ENVS)))
     assert report.converged.all(), report.summary()
@@ -105,6 +106,7 @@ def test_what_the_others_list_stays_while_one_grows() -> None:
         assert_as_alone(solver, state, env, gaps)
 
 
+@pytest.mark.thorough
 def test_beyond_the_limit_one_environment_is_given_up() -> None:
     solver, state, report = touch(list(range(ENVS)), max_collisions=165)
     others = np.arange(ENVS) != CROWDED

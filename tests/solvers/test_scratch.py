@@ -74,6 +74,7 @@ def poison_and_compare(device: str, element: Element, **options: bool) -> None:
     np.testing.assert_array_equal(poisoned[1].velocities.numpy(), clean[1].velocities.numpy())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("element", "deterministic"),
     variants([(Element.LINEAR, True), (Element.QUADRATIC, False)], Element, [False, True]),

@@ -92,7 +92,7 @@ def interrupted_at(count: int) -> Iterator[None]:
             signal.signal(signal.SIGINT, earlier)
 
 
-@pytest.mark.thorough(cases=("mechanism-0",))
+@pytest.mark.thorough(cases=("mechanism-0", "press-0", "relaxing gel-0"))
 @pytest.mark.parametrize("seed", variants([0], range(6)))
 def test_an_interrupted_step_leaves_no_trace(case: Any, seed: int) -> None:
     """Wherever: while kernels are loaded, the graph is recorded or replayed, states are copied."""
@@ -115,6 +115,7 @@ def test_an_interrupted_step_leaves_no_trace(case: Any, seed: int) -> None:
     assert interrupted
 
 
+@pytest.mark.thorough(cases=("mechanism",))
 def test_an_interrupted_call_gives_up_all_steps_underway(case: Any) -> None:
     build, ask, expected = case
     solver, state = build()
@@ -143,6 +144,7 @@ def test_a_copy_is_a_checkpoint_for_any_solver(case: Any) -> None:
             copied = state.copy()
 
 
+@pytest.mark.thorough(cases=("mechanism",))
 def test_states_in_turn_keep_the_graph_of_a_solver(case: Any) -> None:
     build, ask, expected = case
     solver, state = build()
@@ -258,7 +260,7 @@ def press(build: Callable[[], Made], ask: Any) -> list[list[np.ndarray]]:
     return [*found, everything(solver, state)[:1]]
 
 
-@pytest.mark.thorough(cases=("mechanism",))
+@pytest.mark.thorough
 def test_threads_with_solvers_of_their_own_do_not_disturb_one_another(case: Any) -> None:
     build, ask, _ = case
     expected = press(build, ask)

@@ -55,6 +55,7 @@ def eager() -> np.ndarray:
     return result
 
 
+@pytest.mark.thorough
 def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray) -> None:
     solver, state = make()
     np.testing.assert_array_equal(run(solver, state), eager)
@@ -72,6 +73,7 @@ def gel_on_gel() -> Scene:
     return Scene([lower, upper], [KinematicBody(None, name="hand")])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("first_contact", [1, 5])
 def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> None:
     """Also where the graph is recorded while they are out of reach, and searches no tree."""
@@ -104,6 +106,7 @@ def test_lists_that_were_too_short_grow_and_the_step_is_taken_again(eager: np.nd
     assert all((part.rooms > 2).any() for part in solver.lists)
 
 
+@pytest.mark.thorough
 def test_lists_that_others_grew_are_not_written_through_old_graphs(eager: np.ndarray) -> None:
     solver, state = make()
     for step in range(1, STEPS):

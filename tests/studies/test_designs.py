@@ -179,6 +179,7 @@ def test_a_design_without_markers_is_refused() -> None:
         design_task(sensor_family("gelsight").parameters())
 
 
+@pytest.mark.thorough
 def test_softer_gels_push_less_hard() -> None:
     """The policy feels the rim by the same way of the markers."""
     forces = []

@@ -36,6 +36,7 @@ def test_the_registry() -> None:
         assert set(metric.presses) <= set(STANDARD_PRESSES)
 
 
+@pytest.mark.thorough
 @given(
     power=st.floats(0.3, 2.5), factor=st.floats(0.01, 10), load=st.floats(0.06, 1.0),
 )  # fmt: skip

@@ -75,6 +75,7 @@ def test_added_values_extend_a_study_and_others_are_kept(tmp_path: Path) -> None
     assert run_study(study(), tmp_path, processes=0).new == 0
 
 
+@pytest.mark.thorough
 def test_new_metrics_leave_known_figures_alone(tmp_path: Path) -> None:
     asked: list[tuple[list[str], list[str]]] = []
 

@@ -126,7 +126,7 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
     assert constraint.text() == "blur from 1 to 2"
 
 
-@pytest.mark.thorough(cases=("digit_curvature",))
+@pytest.mark.thorough(cases=("digit_curvature", "mini_thickness_hardness"))
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path) -> None:
     study = make_study(load_spec(path), default_kit())

@@ -128,6 +128,7 @@ def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
     assert (steps * starts <= 1e-9).all()
 
 
+@pytest.mark.thorough
 def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
     for trial in run_task(by_touch("start", x_mm=0.5, y_mm=0.5), [0, 1], "cpu").trials:
         assert trial.success and trial.figures["tries"] == 1
@@ -144,6 +145,7 @@ def test_tries_are_used_up() -> None:
     assert trial.figures["depth_mm"] < 0.1 and trial.steps < 60
 
 
+@pytest.mark.thorough
 def test_where_no_side_is_felt_the_hand_turns() -> None:
     """A policy that tells no side goes through its turns, and then stays turned."""
     task = by_touch("policy", side_part=(1e3, 1e3), turns_deg=(3.0, -5.0), tries=4)

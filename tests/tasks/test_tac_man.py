@@ -84,6 +84,7 @@ def test_a_throw_as_meant_is_caught() -> None:
     assert trial.figures["off_mm"] < 10 and trial.figures["held_s"] > 0.3
 
 
+@pytest.mark.thorough
 def test_the_ball_flies_as_thrown_bodies_do() -> None:
     """While nothing touches it, its height has the second difference of free fall."""
     episode = even().begin([0], "cpu")

@@ -29,9 +29,11 @@ def kind_of(name: str) -> str:
         "grasp-lift-driven",
         "nut-m16",
         "object-classification",
+        "peg-insertion",
         "peg-tacex",
         "soft-bear",
         "tac-man-helical",
+        "throw-catch",
         "twist",
     )
 )
@@ -123,6 +125,7 @@ def test_an_environment_that_fails_is_a_failure_with_its_cause() -> None:
     assert bad.steps == 0 and not bad.success and bad.cause == "solver: OVERLAP in step 1"
 
 
+@pytest.mark.thorough
 def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
     task = with_parameters(named("grasp-lift"), environments=1)
 
@@ -137,6 +140,7 @@ def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
         run_task(task, [0, 1], "cpu", steps=6, progress=stop)
 
 
+@pytest.mark.thorough
 def test_the_peg_takes_the_step_of_its_file() -> None:
     """Twice as many steps of half the length bring the gels to the same place."""
     task = named("peg-insertion")

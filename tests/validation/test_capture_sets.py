@@ -73,6 +73,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Imported:
     return made
 
 
+@pytest.mark.thorough(cases=("gsmini_markers_video",))
 @pytest.mark.parametrize("name", sorted(LAYOUTS))
 def test_every_set_imports(name: str, imported: Imported) -> None:
     if LAYOUTS[name] not in SCRIPTED:

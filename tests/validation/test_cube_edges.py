@@ -12,6 +12,7 @@ from __future__ import annotations
 from functools import cache, partial
 
 import numpy as np
+import pytest
 
 from taccel_lab.calibration.capture.captures import Frame
 from taccel_lab.calibration.capture.folder import EdgeCapture
@@ -41,6 +42,7 @@ def rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
+@pytest.mark.thorough
 def test_edges_have_their_length_at_the_published_scale() -> None:
     """Absolute: nothing is fitted to these presses."""
     edges, refused = measured()

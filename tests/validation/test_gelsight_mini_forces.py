@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
@@ -58,6 +59,7 @@ def simulated_forces(depths_mm: list[float], poisson_ratio: float) -> np.ndarray
     return np.array(forces)
 
 
+@pytest.mark.thorough
 def test_one_modulus_and_a_zero_explain_the_measured_forces() -> None:
     data = json.loads(real_data("gsmini_feats_calib/force_indentation.json").read_text())
     measured = np.array(data["normal_force_N"])

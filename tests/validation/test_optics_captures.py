@@ -263,6 +263,7 @@ def test_ball_presses_turn_the_colours_of_the_real_ones(
     assert (means > correlation).all()
 
 
+@pytest.mark.thorough
 def test_the_score_would_notice_lights_on_the_wrong_side() -> None:
     found, press = compared(classic_gelsight), classic_gelsight().presses()[0]
     scale = found.real[1].shape[1] / press.image.shape[1]

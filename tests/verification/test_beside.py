@@ -31,6 +31,7 @@ def press() -> None:
     assert solver.contact_gradient.numpy().any()
 
 
+@pytest.mark.thorough
 def test_a_cpu_beside_itself_gives_the_same_bits() -> None:
     with steps_beside("cpu") as found:
         press()

@@ -65,6 +65,7 @@ def upside_down(x: float, z: float, deg: float = 0.0) -> np.ndarray:
     return everywhere(1, np.array([x, 0, z, np.cos(turn), np.sin(turn), 0, 0]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("lower", "upper"),
     [
@@ -117,6 +118,7 @@ def plate_down(top: float) -> list[np.ndarray]:
     ]
 
 
+@pytest.mark.thorough
 def test_a_folding_strip_meets_itself_unless_it_may_not() -> None:
     for self_contact in (True, False):
         made = hairpin(self_contact)

@@ -146,6 +146,7 @@ def test_finer_linear_tets_come_closer_and_lock_as_poisson_ratio_grows() -> None
     assert 1.3 * pressed(6).force_error < pressed(6, poisson=0.45).force_error < 0.08
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("cells", variants([(3, 4)], [(3, 4), (4, 6)]))
 def test_dhat_acts_like_depth(cells: tuple[int, int]) -> None:
     """Contact begins at a gap of dhat: the force grows like that of a depth larger by dhat.

@@ -147,6 +147,7 @@ def test_a_floating_pair_keeps_its_momentum() -> None:
     assert abs(coordinate(run)) > 0.1
 
 
+@pytest.mark.thorough
 def test_two_cubes_fixed_together_are_one_box() -> None:
     spin = (3.0, 5.0, -2.0)
     options = {"gravity": NONE, "dt": 5e-3}

@@ -173,6 +173,7 @@ def check(point: Slid, tolerance: float, spacing: float) -> None:
     assert point.friction[point.radii > stick + spacing].min(initial=1) > 0.99
 
 
+@pytest.mark.thorough
 def test_partial_slip_and_full_slip() -> None:
     """Two elements along the contact radius, with nodes 0.25 a apart."""
     partial, full = slid(2, 0.6, 1.3)

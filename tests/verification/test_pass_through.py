@@ -130,6 +130,7 @@ def test_a_free_body_that_comes_from_behind_bounces_off(element: Element, mounte
     np.testing.assert_allclose(x, soft.nodal_mesh.nodes_m, atol=1e-9)
 
 
+@pytest.mark.thorough(cases=("quadratic-neo_hookean",))
 @pytest.mark.parametrize(
     ("element", "law"),
     variants(

@@ -50,6 +50,7 @@ def path(reach: float) -> list[np.ndarray]:
     return [*down, *side, *turn, pose(*last[:2], reach + 0.3e-3, (0.2, 0, 1), 8)]
 
 
+@pytest.mark.thorough(cases=("box-0.5-quadratic", "sphere mesh-0.0-linear"))
 @pytest.mark.parametrize(
     ("name", "friction", "element"),
     [

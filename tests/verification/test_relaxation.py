@@ -140,7 +140,7 @@ def harmonic(steps: int, omega: float, branches: tuple[MaxwellBranch, ...] = ONE
     return complex(np.dot(forces[-steps:], turn) / (SWING_M * (np.sin(phase[-steps:]) @ turn)))
 
 
-@pytest.mark.thorough(cases=("4.0",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("omega", [0.5, 4.0])
 def test_a_harmonic_strain_has_the_loss_angle(omega: float) -> None:
     """E* = E (1 + g i w tau / (1 + i w tau)); a step half as long has a quarter of the error."""
@@ -332,6 +332,7 @@ def test_environments_have_their_own_past_and_moduli() -> None:
     assert forces[2] == pytest.approx(2 * forces[0], rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_step_that_is_taken_again_relaxes_for_its_own_time() -> None:
     """To other targets and back: it ends where it had ended."""
     model = pressed()

@@ -155,6 +155,7 @@ BLOCKS = ["affine", *Element]
 FLOORS = ["plane", "box"]
 
 
+@pytest.mark.thorough(cases=("quadratic-box",))
 @pytest.mark.parametrize(
     ("block", "floor"), variants([("affine", "plane"), (Element.QUADRATIC, "box")], BLOCKS, FLOORS)
 )
@@ -322,6 +323,7 @@ def test_the_range_of_the_other_kind_of_scene_is_refused(
         SolverIPC(model, replace(SolverConfig(), **{option: 1e-4}))
 
 
+@pytest.mark.thorough
 def test_a_gel_holds_a_block() -> None:
     """Both move; what the gel's friction carries at rest is the block's weight along the slope."""
     slope = Slope("affine", "gel", 0.8 * MU)

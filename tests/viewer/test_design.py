@@ -137,6 +137,7 @@ def test_a_kept_press_knows_all_code_that_makes_it() -> None:
     }
 
 
+@pytest.mark.thorough
 def test_a_newer_wish_ends_the_work_between_steps() -> None:
     asked = []
 

@@ -357,6 +357,7 @@ def test_texts_of_sources_are_shown_as_they_are_written(
         assert_inert(page, asked)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("shared_browser")
 def test_texts_of_sessions_and_designs_are_shown_as_they_are_written(tmp_path: Path) -> None:
     from types import SimpleNamespace

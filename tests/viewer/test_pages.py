@@ -191,6 +191,7 @@ def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_e
     assert page.shown is not None and "exact" in page.shown.missing
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("formulas_alone")
 def test_a_fault_of_the_program_is_told_and_the_page_lives_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -145,6 +145,7 @@ def test_every_step_is_there_and_the_last_is_the_end(folder: Path) -> None:
     assert states.fields[0].values[2].max() > 1 > states.fields[0].values[0].max()
 
 
+@pytest.mark.thorough
 def test_forces_are_those_of_the_tool_on_the_gel_and_the_tool_comes_down(folder: Path) -> None:
     states = read_press(folder)
     force = json.loads((folder / "press.json").read_text())["press"]["wrench"]["force_n"]

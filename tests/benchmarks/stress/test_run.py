@@ -23,7 +23,19 @@ BUDGET_S = 0.4
 """Of a case here: enough for most."""
 
 
-@pytest.mark.thorough(cases=("jump-1",))
+@pytest.mark.thorough(
+    cases=(
+        "batch-1",
+        "gel_on_gel-1",
+        "jump-1",
+        "no_way-1",
+        "pile-1",
+        "soft_on_soft-1",
+        "stiff_on_gel-1",
+        "throw_and_catch-1",
+        "twist-1",
+    )
+)
 @pytest.mark.parametrize(
     ("family", "seed"), variants(((name, 1) for name in FAMILIES), sorted(FAMILIES), [1, 2])
 )

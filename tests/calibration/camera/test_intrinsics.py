@@ -122,6 +122,7 @@ def test_charuco_board_by_its_markers(legacy: bool) -> None:
     assert errors(view, 7, 5, pose_of(7, 5, distance_mm=36.0)).max() < 0.6
 
 
+@pytest.mark.thorough
 def test_charuco_parts_mirrors_and_strangers() -> None:
     half = charuco_image()
     half[:, 170:] = 120
@@ -136,6 +137,7 @@ def test_charuco_parts_mirrors_and_strangers() -> None:
         detect_charuco(half, 8, 6, marker_share=0.7, dictionary="DICT_9X9")
 
 
+@pytest.mark.thorough(cases=("0.0",))
 @pytest.mark.parametrize("share", [0.0, 1 / 3])
 def test_dots_with_some_missing(share: float) -> None:
     rng = np.random.default_rng(5)
@@ -149,6 +151,7 @@ def test_dots_with_some_missing(share: float) -> None:
     assert np.median(off) < 0.25 and off.max() < 1.0
 
 
+@pytest.mark.thorough
 def test_dots_that_are_not_there_or_too_many() -> None:
     rng = np.random.default_rng(0)
     noise = quantise(add_noise(np.full((240, 320, 3), 120.0), 3.0, rng))
@@ -182,6 +185,7 @@ def test_dents_of_pins_show_against_the_untouched_gel() -> None:
         detect_dots(reference, 6, 5, reference=reference)
 
 
+@pytest.mark.thorough
 def test_images_of_two_sizes_are_refused_and_one_twice_counts_once() -> None:
     image = picture(chess_pattern(7, 5), pose_of(7, 5))
     larger = cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC)
@@ -272,6 +276,7 @@ def views_from(
     ]  # fmt: skip
 
 
+@pytest.mark.thorough(cases=("way0",))
 @pytest.mark.parametrize("way", [{"turn_deg": 20.0, "tilt_deg": (1, 0.5)}, {"tilt_deg": (25, 10)}])
 def test_views_that_are_not_tilted_or_from_one_side_are_called_weak(way: dict[str, Any]) -> None:
     turn = way.get("turn_deg", 0.0)
@@ -283,6 +288,7 @@ def test_views_that_are_not_tilted_or_from_one_side_are_called_weak(way: dict[st
     assert "too_few" in codes
 
 
+@pytest.mark.thorough
 def test_points_of_another_board_are_called_weak() -> None:
     """As when a chessboard is searched for dots: regular points, but not those of the board."""
     rng = np.random.default_rng(3)

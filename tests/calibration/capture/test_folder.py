@@ -386,6 +386,7 @@ def test_what_no_press_of_a_ball_can_be(
         loaded(tmp_path, depth, force)
 
 
+@pytest.mark.thorough
 @settings(max_examples=30)
 @given(
     radius=st.floats(1.0, 15.0), thickness=st.floats(1.0, 6.0), nu=st.floats(0.4, 0.5),

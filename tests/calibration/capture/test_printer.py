@@ -50,6 +50,7 @@ def moves(plan: PrinterPlan) -> list[tuple[np.ndarray, int]]:
     return found
 
 
+@pytest.mark.thorough(cases=("digit",))
 @pytest.mark.parametrize("sensor", FLAT_OR_CURVED)
 def test_the_ball_travels_above_the_gel_and_enters_it_slowly(sensor: str) -> None:
     plan = printer_plan(sensor, PRINTERS["ender3"], TOUCH)

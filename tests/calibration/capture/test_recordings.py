@@ -159,6 +159,7 @@ def test_packed_levels_are_those_that_were_written(
     np.testing.assert_array_equal(images_of(recording), levels)
 
 
+@pytest.mark.thorough
 def test_chunks_of_too_many_frames_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -152,6 +152,7 @@ def test_two_grids_agree() -> None:
     assert np.sqrt(np.mean((means - rises[0].rise_mm) ** 2)) < 4e-3
 
 
+@pytest.mark.thorough
 def test_the_depth_of_a_contact_does_not_hang_on_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
     """A coarse grid's contact is wider than it should be by a part of a step, and the ball would
     come out 2 % too shallow."""

@@ -242,6 +242,7 @@ def test_a_circle_ignores_outliers(
     assert fit.inliers.tolist() == [True] * 60 + [False] * outliers
 
 
+@pytest.mark.thorough
 @settings(max_examples=5)
 @given(u=st.floats(30, 130), v=st.floats(30, 90), radius=st.floats(11, 17), seed=st.integers(0, 99))
 def test_finds_synthetic_contacts(u: float, v: float, radius: float, seed: int) -> None:
@@ -374,6 +375,7 @@ def test_the_median_holds_no_more_than_a_band_of_large_pictures() -> None:
     assert peak < 350 << 20
 
 
+@pytest.mark.thorough(cases=("3264-2449-5",))
 @pytest.mark.parametrize(
     ("width", "height", "factor"), [(640, 480, 1), (1919, 959, 1), (1280, 960, 2), (3264, 2449, 5)]
 )

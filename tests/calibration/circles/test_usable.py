@@ -52,6 +52,7 @@ def test_sound_presses_stay_as_they_are() -> None:
     assert kept is captures and len(contacts) == 4 and remarks == []
 
 
+@pytest.mark.thorough
 def test_one_empty_frame_in_ten_is_left_out() -> None:
     captures, _ = synthetic_captures(10)
     kept, contacts, (remark,) = usable_presses(with_empty_frames(captures, {4}))
@@ -74,6 +75,7 @@ def test_presses_without_a_contact_are_left_out_while_six_remain() -> None:
     assert all(f"memory[{i}]" in str(caught.value) for i in (1, 2, 7, 8, 9))
 
 
+@pytest.mark.thorough
 def test_contacts_that_the_border_cuts_are_left_out() -> None:
     captures, _ = synthetic_captures(10)
     images = {}
@@ -100,6 +102,7 @@ def with_cut_presses(captures: CaptureSet, circles: Mapping[int, ContactCircle])
 CUT = {2: ContactCircle(152.0, 60.0, 15.0), 5: ContactCircle(158.0, 116.0, 14.0)}
 
 
+@pytest.mark.thorough
 def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside() -> None:
     captures = with_cut_presses(synthetic_captures(7)[0], CUT)
     used = usable_circles(captures, cache=False)
@@ -113,6 +116,7 @@ def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside()
     assert "2 of 7 presses were left out: p2, p5" in remark.message
 
 
+@pytest.mark.thorough
 def test_a_contact_that_the_fit_loses_does_not_stop_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -329,6 +329,7 @@ def test_a_model_that_explains_little_is_weak(sound: Sound) -> None:
     assert "heldout_error" in codes(result) and judge(result.remarks) is Verdict.WEAK
 
 
+@pytest.mark.thorough
 def test_nothing_held_out_and_too_few_presses_are_said(sound: Sound) -> None:
     captures, surfaces = sound
     result = calibrate(captures, surfaces, holdout_every=0, options=replace(FITTED, steps=20))
@@ -339,6 +340,7 @@ def test_nothing_held_out_and_too_few_presses_are_said(sound: Sound) -> None:
     assert {r.code: r.severity for r in result.remarks}["too_few"] is Severity.ERROR
 
 
+@pytest.mark.thorough
 def test_the_page_shows_every_press(steady: ColorCalibration, tmp_path: Path) -> None:
     page = color_page(steady)
     write_page(page, tmp_path / "report")

@@ -149,6 +149,7 @@ def test_the_surroundings_keep_their_own_colour(monkeypatch: pytest.MonkeyPatch)
     assert error[1] < 0.6 * error[0], error
 
 
+@pytest.mark.thorough
 def test_slopes_count_over_a_leaning_rest() -> None:
     """The same slopes over rest, on flat and on leaning gel, give the same table and image."""
     frames = frames_of(true_table(np.random.default_rng(6)))

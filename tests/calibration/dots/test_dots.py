@@ -54,7 +54,7 @@ def test_perfect_dots_are_found_to_a_hundredth_of_a_pixel(radius: float, blur_px
     assert (dots.flags == 0).all()
 
 
-@pytest.mark.thorough(cases=("1.0-True", "3.0-False"))
+@pytest.mark.thorough
 @pytest.mark.parametrize(("noise", "dark"), [(1.0, True), (4.0, True), (3.0, False)])
 def test_noisy_dots_lie_within_their_own_sigma(noise: float, dark: bool) -> None:
     true = jittered()

@@ -203,6 +203,7 @@ def test_a_layout_gives_back_the_marker_grid(
     np.testing.assert_allclose(back, points, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_layout_sigmas_hold() -> None:
     rng = np.random.default_rng(3)
     true = grid_points(8, 9, (30.0, 28.0), turn_rad=0.1)
@@ -255,6 +256,7 @@ def bent_board(index: np.ndarray, angle: float, bend: float) -> np.ndarray:
     return xy @ turn.T + [320, 240]
 
 
+@pytest.mark.thorough
 @settings(max_examples=8, deadline=None)
 @example(angle=0.0, bend=0.0, seed=739)  # The first seed steps to a knight's place.
 @given(angle=st.floats(-3.1, 3.1), bend=st.floats(-0.15, 0.45), seed=st.integers(0, 1000))
@@ -286,6 +288,7 @@ def test_a_line_beyond_the_board_is_told_from_dirt() -> None:
     assert found is not None and found.strangers == 0 and len(found.points) >= COLUMNS * ROWS
 
 
+@pytest.mark.thorough
 def test_no_lattice_among_random_points() -> None:
     """What random points hold is too few of a board, or too crooked, for any detector."""
     for seed in range(20):

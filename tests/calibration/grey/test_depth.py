@@ -98,6 +98,7 @@ def test_noisy_presses_lie_within_their_spread() -> None:
     assert np.mean(np.abs(np.concatenate(errors)) < 3.0) > 0.85
 
 
+@pytest.mark.thorough
 def test_contacts_are_found_without_circles() -> None:
     captures = captures_of(CIRCLES, noise=1.0, labelled=False)
     for press, circle in zip(captures.presses, CIRCLES, strict=True):
@@ -155,6 +156,7 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
         fit_depth(lost)
 
 
+@pytest.mark.thorough
 def test_presses_at_one_spot_or_that_answer_differently_are_told() -> None:
     assert codes(fit_depth(captures_of([CIRCLES[0]] * 3, noise=0.5)))["too_few"] == "warning"
     # One press under a third of the light of the others: no curve fits both.

@@ -148,6 +148,7 @@ def test_noise_within_its_own_sigma() -> None:
     assert np.median(np.abs(off)) > 0.1
 
 
+@pytest.mark.thorough
 def test_a_spoilt_frame_leaves_the_fit_without_it_bit_for_bit_as_it_is() -> None:
     profile = old_profile()
     old = np.asarray(profile.background_rgb, dtype=np.float64)
@@ -272,6 +273,7 @@ def spoilt(press: CapturedPress) -> CapturedPress:
     return replace(press, read=partial(np.copy, image))
 
 
+@pytest.mark.thorough
 def test_what_the_manifest_holds_out_is_held_out(
     captures: CaptureSet, profile: SensorProfile
 ) -> None:

@@ -132,6 +132,7 @@ def test_a_session_ends_at_a_number_of_frames_or_by_a_watcher(
     assert result.reader is not None and len(watching.readings) > 2
 
 
+@pytest.mark.thorough
 def test_several_sensors_go_on_in_turn_until_each_is_over(
     grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
 ) -> None:
@@ -193,6 +194,7 @@ def test_a_depth_that_is_mostly_beyond_is_refused() -> None:
     assert _refusal({"beyond_balls_share": 0.3}) == ""
 
 
+@pytest.mark.thorough
 def test_forces_come_from_whoever_tells_them(grey: tuple[CaptureSet, SensorProfile]) -> None:
     captures, profile = grey
     background = np.asarray(captures.background, np.float32)

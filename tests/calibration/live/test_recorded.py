@@ -39,6 +39,7 @@ def folder_and_reader(folder: Path, branches: tuple[BranchEntry, ...] = ()) -> L
     return LiveReader(profile, rest.astype(np.float32), sigma_every=1)
 
 
+@pytest.mark.thorough
 def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -193,6 +193,7 @@ def test_captures_become_a_block_a_report_and_tracks(
     np.testing.assert_allclose(arrays["video0_time_s"], np.arange(7) / 20.0)
 
 
+@pytest.mark.thorough
 def test_the_radius_is_known_better_than_the_dots_differ(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -187,6 +187,7 @@ def test_what_tracks_cannot_tell_is_said() -> None:
     assert [remark.code for remark in dark.remarks()] == ["markers_lost"]
 
 
+@pytest.mark.thorough
 def test_unseen_markers_do_not_slow_the_common_motion() -> None:
     """A jump of all dots, most of which are covered while it lasts: the seen ones tell it."""
     true = np.repeat(REST[None], 6, axis=0)
@@ -319,6 +320,7 @@ def looking_at(
     return float(q[0]), float(q[1]), float(q[2]), float(q[3])
 
 
+@pytest.mark.thorough(cases=("-5.0-0.5-missing2", "0.0-0.0-missing0"))
 @pytest.mark.parametrize(
     ("turn_deg", "stagger", "missing"),
     [(0.0, 0.0, ()), (7.0, 0.0, ((1, 2), (4, 5))), (-5.0, 0.5, ((2, 3),))],

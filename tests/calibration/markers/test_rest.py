@@ -173,6 +173,7 @@ def test_pitch_of_a_real_video_is_within_its_interval(
         assert 1.96 * layout.sigma(axis) < 0.4
 
 
+@pytest.mark.thorough(cases=("part0",))
 @pytest.mark.parametrize("part", [slice(60, 121), slice(100, 121), slice(57, 88)])
 def test_a_real_video_that_never_rests_is_refused(part: slice) -> None:
     with pytest.raises(InputError, match="no frame at rest"):

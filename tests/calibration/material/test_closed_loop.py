@@ -150,6 +150,7 @@ def test_a_press_with_other_friction_is_not_that_of_the_fit(
     assert said is not None and "friction 0 (this press: 1)" in said
 
 
+@pytest.mark.thorough
 def test_a_press_that_does_not_converge_is_refused(
     gel: Gel, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -305,6 +305,7 @@ def test_held_out_points_lie_in_their_intervals(ball: CurveTool, table: ForceTab
     assert sum(hits) >= 36  # of 40
 
 
+@pytest.mark.thorough
 def test_few_points_that_fit_are_not_called_good(ball: CurveTool, table: ForceTable) -> None:
     found = stiffness(points(ball, FEW, table.force_n(FEW, MODULUS, 0.48)), {0.0: table})
     assert np.abs(found.fit.relative_residuals(0)).max() < 0.01
@@ -342,6 +343,7 @@ def test_friction_that_points_do_not_tell_widens_intervals(
     assert low < 0.97 * narrow_low and high == pytest.approx(narrow_high, rel=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["sphere", "cylinder"])
 def test_a_force_at_a_recorded_depth_allows_for_the_zero(
     gel: Gel, ball: CurveTool, table: ForceTable, kind: Literal["sphere", "cylinder"]

@@ -88,6 +88,7 @@ def test_a_label_that_its_image_rejects_widens_nothing(clean: Clean) -> None:
     assert list(apart) == [wrong] and apart[wrong] < 5.0
 
 
+@pytest.mark.thorough
 def test_perfect_captures_are_read_to_the_networks_precision(clean: Clean) -> None:
     captures, surfaces, result = clean
     assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
@@ -120,6 +121,7 @@ def test_noisy_captures_err_as_expected() -> None:
     assert errors == sorted(errors, reverse=True)
 
 
+@pytest.mark.thorough(cases=("5-usable",))
 @pytest.mark.parametrize(("count", "verdict"), [(3, Verdict.WEAK), (5, Verdict.USABLE)])
 def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) -> None:
     captures, surfaces = synthetic_captures(count, noise=1.0)
@@ -365,6 +367,7 @@ def test_edges_and_punches_are_read_by_a_network_trained_on_other_tools(
         assert found.figures(reader.profile.grid())["max_depth_mm"] > 0.3
 
 
+@pytest.mark.thorough
 def test_every_stage_is_named_and_ends(
     synthetic: NormalCalibration, stages: dict[str, tuple[int, int]]
 ) -> None:

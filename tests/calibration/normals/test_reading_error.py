@@ -142,6 +142,7 @@ def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
     assert stated.radius95_sigmas < 1.15 * exact.radius95_sigmas
 
 
+@pytest.mark.thorough
 def test_what_balls_are_off_by_is_in_the_absolute_depth_and_not_in_the_reading() -> None:
     """Labels or reading, nobody can tell; what is stated of labels makes no depth better known."""
     exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)

@@ -62,7 +62,7 @@ def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
     return 1e-3 * found.rise_mm.reshape(120, 2, 160, 2).mean(axis=(1, 3))
 
 
-@pytest.mark.thorough(cases=("sphere-4.0-0.3-0.03",))
+@pytest.mark.thorough(cases=("sphere-4.0-0.3-0.03", "sphere-4.0-1.0-0.03"))
 @pytest.mark.parametrize(
     ("kind", "radius_mm", "depth_mm", "within"),
     [

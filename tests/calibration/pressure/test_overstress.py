@@ -106,6 +106,7 @@ def test_frames_with_times_read_the_force_of_a_hold(gel: SensorProfile, held: Pr
     assert read[-1] < 0.1 * read.max(), "the dent that is left needs no force"
 
 
+@pytest.mark.thorough
 def test_an_image_alone_holds_the_sudden_and_the_long_press(
     gel: SensorProfile, held: Press
 ) -> None:

@@ -149,6 +149,7 @@ def test_a_scale_of_the_catalogue_is_noted_as_assumed(tmp_path: Path) -> None:
         facts.catalogue_scale(320, 320)
 
 
+@pytest.mark.thorough
 def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     (tmp_path / "turned").mkdir()

@@ -117,6 +117,7 @@ def test_drift_is_recovered_beside_a_contact(circle: ContactCircle, left: float)
     assert DRIFT.remove(DRIFT.apply(frame)) == pytest.approx(frame)
 
 
+@pytest.mark.thorough(cases=("0.1-size4",))
 @pytest.mark.parametrize("size", [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)])
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.33])
 def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], share: float) -> None:

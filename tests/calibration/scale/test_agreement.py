@@ -268,12 +268,14 @@ def test_kinds_of_captures_agree(tmp_path: Path) -> None:
     assert not any(remark.code == "scale_disagrees" for remark in result.remarks)
 
 
+@pytest.mark.thorough
 def test_the_scale_of_rectified_images_is_one_of_rectified_images(tmp_path: Path) -> None:
     folder = load_capture_folder(write_folder(tmp_path / "even", (0.085, 0.082)))
     measured = calibrate_scale(replace(folder, rectified=True), tiny_profile(GRID))
     assert measured.apply_to(tiny_profile(GRID)).camera.rectified
 
 
+@pytest.mark.thorough
 def test_a_wrong_pitch_and_a_wrong_ball_are_said_to_be_so(tmp_path: Path) -> None:
     """Markers stated 12 % too far apart; a ball whose contacts are larger than itself."""
     folder = write_folder(tmp_path / "bad", (0.085, 0.082), marker_error=1.12, ball_mm=2.0)

@@ -81,6 +81,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.thorough(cases=("large box", "sphere"))
 @pytest.mark.parametrize("name", SHAPES)
 @given(places=st.lists(PLACES, min_size=4, max_size=4), turn=TURNS)
 @settings(max_examples=15, deadline=None)

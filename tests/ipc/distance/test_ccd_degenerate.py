@@ -199,6 +199,7 @@ FAMILIES: tuple[Callable[[np.random.Generator], Queries], ...] = (
         "grazing",
         "nearly_parallel",
         "short_edges",
+        "wedge_on_wedge",
     )
 )
 @pytest.mark.parametrize("family", FAMILIES)

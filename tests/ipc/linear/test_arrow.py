@@ -47,6 +47,7 @@ def _residual(system: LinearSystem, dense: np.ndarray, env: int) -> float:
     return float(np.linalg.norm(left) / np.linalg.norm(b))
 
 
+@pytest.mark.thorough(cases=("peg-32-163",))
 @pytest.mark.parametrize(
     ("lanes", "kib"),
     [
@@ -87,6 +88,7 @@ def test_gels_in_contact_are_left_to_cg(many_lanes: None, bodies: int, kib: int)
     assert _residual(system, dense, 0) <= 1.01 * TOLERANCE
 
 
+@pytest.mark.thorough
 def test_environments_do_not_see_each_other(many_lanes: None) -> None:
     """Nor what rests, has no Cholesky factor, or is not finite."""
     system, dense = contact_system(5)
@@ -204,6 +206,7 @@ def test_more_rows_than_it_is_for_are_refused() -> None:
         Arrow(system, [])
 
 
+@pytest.mark.thorough
 def test_a_program_knows_what_it_can_number() -> None:
     """A chain that touches a border of 240 rows: half a word holds no number of its last blocks."""
     chain = np.stack([np.arange(299), np.arange(1, 300)], axis=1)

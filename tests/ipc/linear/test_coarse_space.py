@@ -67,6 +67,7 @@ def test_the_matrix_of_the_parts_is_inverted(many_lanes: None, part_rows: int) -
     assert (found[1] == 0).all(), "not an active one"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", [BlockCG, PipelinedCG])
 def test_a_long_bar_takes_few_iterations(
     many_lanes: None, method: type[BlockCG] | type[PipelinedCG]

@@ -163,6 +163,7 @@ def solve_listed(solver: str, seed: int, in_any_order: bool) -> np.ndarray:
     return solutions
 
 
+@pytest.mark.thorough(cases=("arrow",))
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_bits_do_not_depend_on_the_order_of_the_list(many_lanes: None, solver: str) -> None:
     first, *others = (solve_listed(solver, seed, True) for seed in range(4))

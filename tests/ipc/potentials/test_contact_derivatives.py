@@ -74,7 +74,7 @@ def close(found: Array, low: ContactDerivatives, high: ContactDerivatives, step:
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
 
-@pytest.mark.thorough(cases=("x-columns0-ball",))
+@pytest.mark.thorough(cases=("before-columns1-ball", "x-columns0-ball"))
 @pytest.mark.parametrize("case", [EDGE, BALL], ids=["edge", "ball"])
 @pytest.mark.parametrize(("name", "columns"), [("x", NOW), ("before", BEFORE)])
 def test_by_positions(case: Case, name: str, columns: slice) -> None:
@@ -89,6 +89,7 @@ def test_by_positions(case: Case, name: str, columns: slice) -> None:
     close(found, low, high, step)
 
 
+@pytest.mark.thorough(cases=("insets-31-case1-0",))
 @pytest.mark.parametrize(
     ("name", "column", "case", "kind"),
     [
