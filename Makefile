@@ -25,7 +25,7 @@ TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
 # In the order of tests/conftest.py.
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test thorough style lint check slow explore mutants notebook docs wheel doctor clean
+.PHONY: help demo test thorough style lint types check slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
@@ -47,13 +47,15 @@ demo: $(VENV)/.installed-demo
 
 # The type checker runs beside the tests: one waits on what the other does not.
 test: style
-	$(MAKE) -j2 $(if $(FOLDER),,lint) check
+	$(MAKE) -j2 $(if $(FOLDER),,types) check
 
 style: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 
-lint: style
+lint: style types
+
+types: $(VENV)/.installed-dev
 	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from taccel_lab.guards import require_positive, require_range, require_seed
+from taccel_lab.errors import InputError
+from taccel_lab.guards import require_range, require_seed
 from taccel_lab.networks.color_settings import INPUT_NAMES
 from taccel_lab.networks.settings import MAX_BANDS
 
@@ -56,13 +57,18 @@ class NetworkTraining:
 
 
 def _require_settings(
-    options: ColorFitOptions | InverseFitOptions, model: str, counts: Sequence[str]
+    options: ColorFitOptions | InverseFitOptions, model: str, counts: Sequence[str], fastest: float
 ) -> None:
     for name in counts:
         require_range(name, getattr(options, name), 1, math.inf)
-    require_range("learning_rate", options.learning_rate, 1e-9, 1)
+    _require_between("learning_rate", options.learning_rate, fastest)
     require_range(f"{model} position_bands", options.position_bands, 0, MAX_BANDS)
     require_seed(options.seed)
+
+
+def _require_between(name: str, value: float, below: float) -> None:
+    if not 0 < value < below:
+        raise InputError(f"{name} must lie in (0, {below:g}), got {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +110,8 @@ class ColorFitOptions(ColorTraining):
 
     def __post_init__(self) -> None:
         counts = ("steps", "batch_pixels", "disc_pixels", "ring_pixels", "far_pixels")
-        _require_settings(self, "color model", counts)
-        require_positive("huber_levels", self.huber_levels)
+        _require_settings(self, "color model", counts, 1e3)
+        _require_between("huber_levels", self.huber_levels, 1e3)
 
     @property
     def rings(self) -> tuple[tuple[float, float, int], ...]:
@@ -157,7 +163,7 @@ class InverseFitOptions(NormalTraining):
 
     def __post_init__(self) -> None:
         counts = ("members", "steps", "batch_pixels", "disc_pixels", "flat_pixels", "zooms")
-        _require_settings(self, "normal model", counts)
+        _require_settings(self, "normal model", counts, 1.0)
         require_range("synthetic_presses", self.synthetic_presses, 0, MOST_SYNTHETIC)
 
     @property

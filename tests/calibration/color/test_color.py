@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.network_fit import ColorSamples, fit_color_model, train
-from taccel_lab.calibration.press_options import ColorFitOptions
+from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
 from taccel_lab.calibration.response.frame import CaptureScene, HeldoutSet, PressFrame
 from taccel_lab.calibration.unfinished import (
     BlockOutcome,
@@ -130,6 +130,10 @@ def test_bad_fits_are_refused() -> None:
         ColorFitOptions(steps=0)
     with pytest.raises(InputError, match="learning_rate must lie in"):
         ColorFitOptions(learning_rate=-1.0)
+    with pytest.raises(InputError, match=r"huber_levels must lie in \(0, 1000\), got 1000"):
+        ColorFitOptions(huber_levels=1e3)
+    with pytest.raises(InputError, match=r"learning_rate must lie in \(0, 1\), got 1"):
+        InverseFitOptions(learning_rate=1.0)
     with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
         fit_color(captures, [], surfaces)
     circles = [press.circle for press in captures.presses if press.circle is not None]
