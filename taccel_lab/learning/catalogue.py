@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -14,26 +13,16 @@ from taccel_lab.guards import require_known, require_range
 from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
+from taccel_lab.learning.registration import FILES, KINDS, names
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.learning.vector_env import TactileVectorEnv
-from taccel_lab.tasks import __file__ as TASKS
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.catalogue import Task
 
-KINDS: dict[str, type[LearningTask]] = {
-    "grasp-lift": GraspLiftLearning,
-    "peg-insertion": PegInsertionLearning,
-}
-"""The class of each kind of task."""
-FILES = Path(TASKS).parent / "files"
-
-
-def names() -> list[str]:
-    """Tasks of the package that can be learned."""
-    found = {path.stem: read_toml(path) for path in FILES.glob("*.toml")}
-    return sorted(name for name, table in found.items() if table.get("kind") in KINDS)
+_CLASSES: tuple[type[LearningTask], ...] = (GraspLiftLearning, PegInsertionLearning)
+"""The class of each of ``KINDS``."""
 
 
 def make_vec(
@@ -50,7 +39,7 @@ def make_vec(
             ``colors`` are given.
 
     Raises:
-        InputError: A task that cannot be learned, or takes no sensor.
+        InputError: A task that cannot be learned, or a sensor that it does not take.
     """
     require_range("num_envs", num_envs, 1, math.inf)
     if isinstance(task, str):
@@ -62,11 +51,13 @@ def make_vec(
         parameters = task.parameters
     if parameters.kind not in KINDS:
         raise InputError(f"tasks of kind {parameters.kind!r} cannot be learned: {', '.join(KINDS)}")
-    if {"rgb", "rgb_levels"} & set(options.get("observe", ())) and not options.get("colors"):
+    shows = {"rgb", "rgb_levels"} & set(options.get("observe", ())) or options.get("render_mode")
+    if shows and not options.get("colors"):
         options["colors"] = default_colors(sensor)
     if sensor is not None:
         options.setdefault("view", sensor.grid())
-    return TactileVectorEnv(KINDS[parameters.kind](parameters, num_envs, sensor), **options)
+    learned = dict(zip(KINDS, _CLASSES, strict=True))[parameters.kind]
+    return TactileVectorEnv(learned(parameters, num_envs, sensor), **options)
 
 
 def _values(table: Any) -> Any:

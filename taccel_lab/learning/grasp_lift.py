@@ -16,7 +16,6 @@ import warp as wp
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
-from taccel_lab.learning.ranges import DrawnRange, Given, sensor_ranges
 from taccel_lab.learning.task import Judgement, LearningTask, about_z, compose, planar_inverse
 from taccel_lab.model import Model
 from taccel_lab.robots import Robot
@@ -153,7 +152,7 @@ class GraspLiftLearning(LearningTask):
         self.step_limit = parameters.steps
         self.start_half = (start.x_mm, start.y_mm, start.yaw_deg)
         self.randomised = tuple(learning.randomise)
-        self._sensor, self._gels = sensor, tuple(built.grasper.pads)
+        self.sensor, self.gels = sensor, tuple(built.grasper.pads)
         kinds = {joint.name: joint.kind for joint in built.robot.joints}
         dofs = built.robot.dof_names
         units = [1e-3 if kinds[name] is JointKind.PRISMATIC else np.radians(1.0) for name in dofs]
@@ -173,11 +172,6 @@ class GraspLiftLearning(LearningTask):
         self._per_step = dt * np.array([*speeds, np.radians(learning.turn_deg_s)])
         reach = [1e-3 * reach for reach in learning.reach_mm]
         self._reach = np.array([*reach, np.radians(learning.reach_deg)])
-
-    def ranges(self, given: Given) -> tuple[DrawnRange, ...]:
-        if self._sensor is None:
-            return super().ranges(given)
-        return sensor_ranges(self.randomised, self._sensor, self._gels, self.scene, given)
 
     def attach(self, model: Model, state: State) -> None:
         count, device = model.env_count, wp.device_to_torch(model.device)

@@ -13,8 +13,8 @@ if find_spec("gymnasium") is None:
         "environments are gymnasium's, which is not installed: pip install 'taccel-lab[learning]'"
     )
 
-from gymnasium import register, spaces
+from gymnasium import Env, spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-__all__ = ["AutoresetMode", "VectorEnv", "batch_space", "register", "spaces"]
+__all__ = ["AutoresetMode", "Env", "VectorEnv", "batch_space", "spaces"]

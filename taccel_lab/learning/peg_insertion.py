@@ -14,12 +14,12 @@ import numpy as np
 import torch
 import warp as wp
 
-from taccel_lab.errors import InputError
 from taccel_lab.learning.task import Judgement, LearningTask, about_z, compose, planar_inverse
 from taccel_lab.model import Model
 from taccel_lab.state import State
-from taccel_lab.tasks.bodies import contact_config
-from taccel_lab.tasks.peg_scene import TURNS, PegPath, peg_parts, peg_scene
+from taccel_lab.scene import Element
+from taccel_lab.tasks.bodies import SIDES, contact_config, sensor_gel
+from taccel_lab.tasks.peg_scene import TURNS, PegPath, face_offset, peg_parts, peg_scene
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -42,14 +42,13 @@ class PegInsertionLearning(LearningTask):
         env_count: int,
         sensor: SensorProfile | None = None,
     ) -> None:
-        if sensor is not None:
-            raise InputError(
-                "the gels of a peg insertion are part of the task: a sensor goes into grasp-lift"
-            )
         start, policy, learning = parameters.start, parameters.policy, parameters.learning
         parts, _ = peg_parts(parameters.meshes)
         path = PegPath.of_mm(policy.peg_mm, policy.times_s, policy.gel_mm)
-        self.scene = peg_scene(parts, path, env_count, dt_s=parameters.dt_s)
+        gel = None if sensor is None else sensor_gel(sensor, element=Element.LINEAR)
+        self.scene = peg_scene(parts, path, env_count, dt_s=parameters.dt_s, gel=gel)
+        self._out_m = 0.0 if gel is None else face_offset(parts, gel)
+        self.sensor, self.gels = sensor, SIDES
         self.config = contact_config(parameters.contact)
         self.step_limit = parameters.steps
         self.start_half = (start.x_mm, start.y_mm, start.yaw_deg)
@@ -74,7 +73,7 @@ class PegInsertionLearning(LearningTask):
         self._step_size, self._most = put(self._per_step), put(self._reach)
         # Of both gels in the frame between them, open and closed.
         apart = np.zeros((2, 2, 3))
-        apart[..., 0] = np.outer(self._path.gel_m[[0, -1], 0], [-1, 1])
+        apart[..., 0] = np.outer(self._path.gel_m[[0, -1], 0] + self._out_m, [-1, 1])
         turns = np.broadcast_to(TURNS, (2, 2, 4))
         self._gels = put(np.concatenate([apart, turns], axis=2))
         self._middle = put(self._path.gel_m[0] * [0, 1, 1])

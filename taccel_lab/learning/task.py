@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
-from taccel_lab.learning.ranges import DrawnRange, Given, ranges_of
+from taccel_lab.learning.ranges import DrawnRange, Given, ranges_of, sensor_ranges
 from taccel_lab.model import Model
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import SolverConfig
@@ -86,6 +86,10 @@ class LearningTask(ABC):
     """Half ranges of the starts, by ``start_names``."""
     randomised: tuple[Randomised, ...]
     """Parameters that episodes may draw, of the file."""
+    sensor: SensorProfile | None
+    """Whose gels stand in place of the file's."""
+    gels: tuple[str, ...]
+    """Names of the gels."""
 
     @abstractmethod
     def __init__(
@@ -98,12 +102,15 @@ class LearningTask(ABC):
             sensor: Whose gels stand in place of the file's.
 
         Raises:
-            InputError: A sensor, of a task whose gels are part of it.
+            InputError: A sensor whose gel has layers of several materials.
         """
 
     def ranges(self, given: Given) -> tuple[DrawnRange, ...]:
-        """What episodes draw, with ranges that are given in place of others; see ``ranges_of``."""
-        return ranges_of(self.randomised, given)
+        """What episodes draw, with ranges that are given in place of others; see ``ranges_of``
+        and, with a sensor, ``sensor_ranges``."""
+        if self.sensor is None:
+            return ranges_of(self.randomised, given)
+        return sensor_ranges(self.randomised, self.sensor, self.gels, self.scene, given)
 
     @abstractmethod
     def attach(self, model: Model, state: State) -> None:

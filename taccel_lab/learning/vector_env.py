@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_known
 from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.ranges import Given
@@ -100,7 +101,7 @@ Observation = dict[str, torch.Tensor]
 PROPRIOCEPTION = "proprioception"
 OBSERVATIONS = (*VIEWS, PROPRIOCEPTION)
 """What there is to observe."""
-MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+RENDER_MODES = ("rgb_array",)
 
 
 class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
@@ -109,13 +110,15 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
     An episode is terminated by success and truncated by the step limit or by a simulation that
     failed, which is no exception: ``info["cause"]`` has the name of its ``EnvStatus``. With
     NEXT_STEP an environment that has ended is put to a new start by the next ``step``, which
-    ignores its action, with a reward of 0; with DISABLED by
-    ``reset(options={"reset_mask": mask})``, before it is stepped again.
+    ignores its action, with a reward of 0; with SAME_STEP by the step that ends it; with DISABLED
+    by ``reset(options={"reset_mask": mask})``, before it is stepped again.
 
     What ``step`` and ``reset`` return is memory of its own, a row for each environment: a dict of
     observations, rewards (float32), terminations and truncations (bool). ``info`` has ``success``
     (bool) and the task's figures (float32) as tensors, and where a simulation failed ``cause``, an
-    array of objects of the host, None elsewhere, with the mask ``_cause``.
+    array of objects of the host, None elsewhere, with the mask ``_cause``. With SAME_STEP all of it
+    is of the step that was taken, but observations of new episodes are of their starts: the last of
+    the old ones are in ``final_obs``, with the mask ``_final_obs``.
     """
 
     def __init__(
@@ -130,12 +133,14 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         view: PixelGrid | None = None,
         device: str | None = None,
         solver: dict[str, Any] | None = None,
+        arrays: Literal["torch", "numpy"] = "torch",
+        render_mode: str | None = None,
     ) -> None:
         """
         Args:
             task: As many environments as its scene has.
             observe: Names of ``OBSERVATIONS``; see ``GelViews.read`` for units.
-            autoreset_mode: NEXT_STEP or DISABLED.
+            autoreset_mode: When ended environments begin anew.
             randomised: Whether episodes draw the parameters that the task randomises; ranges, by
                 what is drawn, stand in place of the task's or the sensor's.
             size_px: Width and height of images and depth.
@@ -143,19 +148,32 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             view: What pixels see of each gel; its contact face when None.
             device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
             solver: Settings of ``SolverConfig`` other than the task's.
+            arrays: What ``step`` and ``reset`` return: tensors on the device, or arrays of the
+                host, as gymnasium's wrappers take.
+            render_mode: "rgb_array" for ``render``.
 
         Raises:
-            InputError: Unknown observations or mode, images without colours, ranges of what is not
+            InputError: Unknown observations or modes, images without colours, ranges of what is not
                 drawn, or a sensor that does not state how far its gels spread.
         """
         unknown = [name for name in observe if name not in OBSERVATIONS]
         if unknown or not observe or len(set(observe)) < len(observe):
             known = ", ".join(OBSERVATIONS)
             raise InputError(f"observe names some of {known}, each once; got {', '.join(observe)}")
-        if autoreset_mode not in MODES:
-            raise InputError(f"autoreset_mode must be NEXT_STEP or DISABLED, got {autoreset_mode}")
-        self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
+        modes = [mode.name for mode in AutoresetMode]
+        require_known("autoreset_mode", getattr(autoreset_mode, "name", autoreset_mode), modes)
+        require_known("arrays", arrays, ("torch", "numpy"))
+        if render_mode is not None:
+            require_known("render_mode", render_mode, RENDER_MODES)
+        self.render_mode = render_mode
+        self._on_host = arrays == "numpy"
         self.task = task
+        dt_s = task.scene.time.dt_s
+        self.metadata = {
+            "autoreset_mode": autoreset_mode,
+            "render_modes": list(RENDER_MODES),
+            "render_fps": round(1 / dt_s),
+        }
         self.model = task.scene.finalize(device)
         self.num_envs = self.model.env_count
         self.device = torch.device(wp.device_to_torch(self.model.device))
@@ -170,6 +188,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self._half = torch.tensor(task.start_half, dtype=torch.float64, device=self.device)
         self.views = GelViews(self.solver, observe, size_px, colors, view)
         """What the gels show and feel."""
+        shown = render_mode is not None
+        self._pictures = GelViews(self.solver, ("rgb",), size_px, colors, view) if shown else None
         self._observe = observe
         self._mode = autoreset_mode
         self._ended = np.ones(self.num_envs, dtype=bool)
@@ -213,13 +233,13 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         elif seed is not None:
             self._draws.seed(seed, torch.as_tensor(mask, device=self.device))
         self.begin_episodes(mask, start)
-        return self._observation(), {}
+        return self._given(self._observation()), {}
 
     def step(
         self, actions: torch.Tensor
     ) -> tuple[Observation, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """A step of the environments whose episode goes on, by actions in [-1, 1], [env, action];
-        see the class for the others.
+        see the class for the others. An action that is not a number ends its own environment.
 
         Raises:
             InputError: Wrong shape; before the first ``reset``; with DISABLED if an environment has
@@ -250,7 +270,20 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self._ended = (terminated | truncated).cpu().numpy()
         reward = torch.where(good, judged.reward, 0.0)
         info |= {"success": terminated.clone(), **judged.figures}
-        return self._observation(), reward, terminated, truncated, info
+        seen = self._observation()
+        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+            info |= {"final_obs": seen, "_final_obs": terminated | truncated}
+            self.begin_episodes(self._ended, None)
+            seen = self._observation()
+        return self._given((seen, reward, terminated, truncated, info))
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """What the gels of each environment show, side by side, uint8 [height, gels x width, 3];
+        None unless ``render_mode`` was set."""
+        if self._pictures is None:
+            return None
+        images = self._pictures.read("rgb", self.state).cpu().numpy()
+        return tuple(np.concatenate(list(gels), axis=1) for gels in images)
 
     def begin_episodes(self, mask: np.ndarray, start: torch.Tensor | None) -> None:
         """New episodes in the environments of a mask (bool, [env]), from drawn starts when None;
@@ -266,6 +299,16 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self._steps.masked_fill_(who, 0)
         self._still |= who
         self._ended = self._ended & ~mask
+
+    def _given(self, value: Any) -> Any:
+        """Tensors in it as the arrays that the user wants."""
+        if not self._on_host:
+            return value
+        if isinstance(value, torch.Tensor):
+            return value.cpu().numpy()
+        if isinstance(value, dict):
+            return {key: self._given(inner) for key, inner in value.items()}
+        return tuple(map(self._given, value)) if isinstance(value, tuple) else value
 
     def _observation(self) -> Observation:
         found = {}

@@ -101,6 +101,8 @@ def _begin_step_kernel(
         for k in range(7):
             if start[k] != end[k]:
                 p.prescribed.progress[env] = zero
+            if not wp.isfinite(end[k]):
+                p.phases.status[env] = _NOT_A_NUMBER
         turn = turn_between(wp.transform_get_rotation(start), wp.transform_get_rotation(end))
         p.prescribed.turns[env, body] = turn
         if turn > wp.float64(1.0e-9):

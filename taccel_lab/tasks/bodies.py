@@ -11,6 +11,7 @@ import numpy as np
 
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.scene_description import SceneDescription
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.model import BodyKind, Model
@@ -29,6 +30,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import SolverConfig
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.parameters import Contact, FreeBody, PadParameters
 
 
@@ -71,6 +73,21 @@ def pad_body(
         friction_coefficient=pad.friction,
         element=Element(pad.element),
     )
+
+
+def sensor_gel(sensor: SensorProfile, **options: Any) -> SoftBody:
+    """The gel of a sensor in the sensor's frame; ``options``: further fields of ``SoftBody``.
+
+    Raises InputError for a gel with layers of several materials.
+    """
+    # Profiles need pydantic, which the machines of a cluster may lack.
+    from taccel_lab.presses.profile_gel import profile_gel
+
+    if sensor.material.layers:
+        raise InputError(
+            f"sensor {sensor.sensor.name!r} has a gel of several layers: tasks take gels of one"
+        )
+    return profile_gel(sensor, **options)
 
 
 def free_body(body: FreeBody, shape: TriangleMesh, name: str, poses: np.ndarray) -> AffineBody:

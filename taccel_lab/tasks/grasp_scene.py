@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.errors import InputError
 from taccel_lab.robots import Robot, named, on_seat
 from taccel_lab.scene import AffineBody, Plane, Scene, SoftBody, TimeStepping
-from taccel_lab.tasks.bodies import G, pad_body, pad_mesh
+from taccel_lab.tasks.bodies import G, pad_body, pad_mesh, sensor_gel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -88,14 +87,9 @@ def grasp_scene(
     """
     grasper = GRASPERS[robot_name]
     robot = named(robot_name).touching(grasper.touched)
-    if sensor is not None and sensor.material.layers:
-        raise InputError(
-            f"sensor {sensor.sensor.name!r} has a gel of several layers: grasps take gels of one"
-        )
-    mesh = pad_mesh(pad) if sensor is None else sensor.mesh
-    gel = sensor or pad_body(pad, mesh)
+    gel = pad_body(pad, pad_mesh(pad)) if sensor is None else sensor_gel(sensor)
     for name, link in grasper.pads.items():
-        robot = robot.mount(link, gel, on_seat(mesh), name)
+        robot = robot.mount(link, gel, on_seat(gel.mesh), name)
     # It lies where contact has just begun, and settles while the fingers close.
     height = half_height_m + 1e-3 * dhat_mm
     poses = np.array(poses)

@@ -12,7 +12,7 @@ others of the same dimensions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -181,24 +181,18 @@ def peg_scene(
     hole_is_affine: bool = False,
     peg_poses: np.ndarray | None = None,
     dt_s: float = DT_S,
+    gel: SoftBody | None = None,
 ) -> Scene:
     """The scene; kinematic bodies are both mounts and, unless it is affine, the hole.
 
     An affine hole is held by a fixed joint instead of being prescribed. ``peg_poses``: where the
-    peg starts in each environment, [env_count, 7]; where the path says when None.
+    peg starts in each environment, [env_count, 7]; where the path says when None. ``gel`` stands in
+    place of the example's, see ``face_offset``.
     """
     names = ("left", "right")
-    gels = [
-        SoftBody(
-            parts.gel,
-            GEL,
-            name=name,
-            mount=f"{name} mount",
-            friction_coefficient=GEL_FRICTION,
-            element=Element.LINEAR,
-        )
-        for name in names
-    ]
+    if gel is None:
+        gel = SoftBody(parts.gel, GEL, friction_coefficient=GEL_FRICTION, element=Element.LINEAR)
+    gels = [replace(gel, name=name, mount=f"{name} mount") for name in names]
     frames = [KinematicBody(None, name=f"{name} mount") for name in names]
     volume = mass_properties(parts.peg, 1.0).volume_m3
     peg = AffineBody(
@@ -224,6 +218,13 @@ def peg_scene(
         frames.append(KinematicBody(parts.hole, parts.hole_friction, name="hole"))
     time = TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=GRAVITY)
     return Scene(gels, frames, env_count, time, affine_bodies=bodies, joints=joints)
+
+
+def face_offset(parts: PegParts, gel: SoftBody) -> float:
+    """How much further from the peg the mount of another gel has to be than the path says [m], for
+    the crown of its contact face to be where the example's face is."""
+    crowns = [float(mesh.nodes_m[:, 2].max()) for mesh in (gel.mesh, parts.gel)]
+    return crowns[0] - crowns[1]
 
 
 def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:

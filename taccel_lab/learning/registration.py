@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks as environments that gymnasium knows by name, whichever of both packages loads first.
+
+>>> import gymnasium, taccel_lab
+>>> env = gymnasium.make("taccel_lab/PegInsertion-v0")    # doctest: +SKIP
+>>> envs = gymnasium.make_vec("taccel_lab/PegInsertion-v0", num_envs=64)    # doctest: +SKIP
+
+gymnasium has read no entry points of packages since 1.1; nothing here loads it.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from taccel_lab.learning.vector_env import TactileVectorEnv
+
+KINDS = ("grasp-lift", "peg-insertion")
+"""Kinds of tasks that can be learned."""
+FILES = Path(__file__).parents[1] / "tasks" / "files"
+_HERE = "taccel_lab.learning"
+
+
+def names() -> list[str]:
+    """Tasks of the package that can be learned."""
+    from taccel_lab.files.documents import read_toml
+
+    found = {path.stem: read_toml(path) for path in FILES.glob("*.toml")}
+    return sorted(name for name, table in found.items() if table.get("kind") in KINDS)
+
+
+def env_id(task: str) -> str:
+    """``taccel_lab/PegInsertion-v0`` of ``peg-insertion``."""
+    return f"taccel_lab/{''.join(word.capitalize() for word in task.split('-'))}-v0"
+
+
+def register_envs() -> None:
+    """Register every task that can be learned."""
+    from gymnasium import register
+
+    for task in names():
+        register(
+            env_id(task),
+            entry_point=f"{_HERE}.single_env:TactileEnv",
+            vector_entry_point=f"{_HERE}.registration:make_registered",
+            kwargs={"task": task},
+        )
+
+
+def make_registered(num_envs: int = 1, *, task: str, **options: Any) -> TactileVectorEnv:
+    """What ``gymnasium.make_vec`` calls; options as of ``learning.catalogue.make_vec``."""
+    from taccel_lab.learning.catalogue import make_vec
+
+    return make_vec(task, num_envs, **options)
+
+
+class _Registering(Loader):
+    """Loads gymnasium as another loader does, and registers the tasks."""
+
+    def __init__(self, loader: Loader) -> None:
+        self._loader = loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        self._loader.exec_module(module)
+        register_envs()
+
+
+class _Finder(MetaPathFinder):
+    """Finds gymnasium once, when somebody first asks for it."""
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        if fullname != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = PathFinder.find_spec(fullname, path, target)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _Registering(spec.loader)
+        return spec
+
+
+def register_with_gymnasium() -> None:
+    """Register the tasks now, or as soon as gymnasium is imported."""
+    if "gymnasium" in sys.modules:
+        register_envs()
+    else:
+        sys.meta_path.insert(0, _Finder())
