@@ -16,8 +16,8 @@ import warp as wp
 
 from taccel_lab.learning.task import Judgement, LearningTask, about_z, compose, planar_inverse
 from taccel_lab.model import Model
-from taccel_lab.state import State
 from taccel_lab.scene import Element
+from taccel_lab.state import State
 from taccel_lab.tasks.bodies import SIDES, contact_config, sensor_gel
 from taccel_lab.tasks.peg_scene import TURNS, PegPath, face_offset, peg_parts, peg_scene
 

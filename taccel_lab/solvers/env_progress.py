@@ -193,7 +193,7 @@ class Following:
 
 @wp.struct
 class Curvature:
-    """What of the curvature the next matrix has, and how long its direction is taken."""
+    """What of the curvature the next matrix has."""
 
     sharpness: wp.array(dtype=wp.float64)
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
@@ -201,8 +201,6 @@ class Curvature:
     """PSD_* of the next matrix: projected, or as it is."""
     projected: wp.array(dtype=wp.int32)
     """Iterations for which matrices are projected in any case."""
-    boost: wp.array(dtype=wp.float64)
-    """Multiple of Newton's direction that is searched along."""
 
 
 @wp.struct

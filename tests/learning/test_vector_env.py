@@ -13,13 +13,13 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from taccel_lab.learning.gymnasium_envs import env_id
 
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names
 from taccel_lab.learning.grasp_lift import JointControl
-from taccel_lab.learning.gymnasium_envs import env_id
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
 from taccel_lab.robots import named as named_robot
 from taccel_lab.solvers import EnvStatus

@@ -21,7 +21,7 @@
         factor[e] = own < 0 ? 0.0 : value[9 * (own >> 1) + turned];
     }
     if (lane == 0)
-        numbers[layout.flag] = 0.0;
+        numbers[layout.flag] = numbers[layout.flag + 1] = 0.0;
     WP_TILE_SYNC();
     // Every block is listed twice: one of them is that of a border row and a gel column.
     #pragma unroll 1
@@ -53,6 +53,10 @@
 #else
         return 1.0 / wp::sqrt(value);
 #endif
+    };
+    // A negative pivot changes its sign, and with it the matrix; a small one would lead far away.
+    const auto turned = [](double pivot, double least) {
+        return pivot >= 0.0 ? pivot : -pivot > least ? -pivot : least;
     };
     // Words never change: the first that a lane needs after a barrier are read before it.
     int first = level_starts[0];
@@ -97,13 +101,19 @@
                 owner = owners[block];
             const int diagonal = owner & 0xffffu;
             const double* const d = factor + 9 * diagonal;
-            const double r00 = inverse_root(d[0]);
+            const double least = @LEAST_TURNED@ * (wp::abs(d[0]) + wp::abs(d[4]) + wp::abs(d[8]));
+            const double d00 = turned(d[0], least);
+            const double r00 = inverse_root(d00);
             const double l10 = d[3] * r00;
             const double l20 = d[6] * r00;
             // From the minor, which does not wait for the first root.
-            const double r11 = d[0] * r00 * inverse_root(d[0] * d[4] - d[3] * d[3]);
+            const double minor = d00 * d[4] - d[3] * d[3];
+            const double r11 = d00 * r00 * inverse_root(turned(minor, d00 * least));
             const double l21 = (d[7] - l20 * l10) * r11;
-            const double r22 = inverse_root(d[8] - l20 * l20 - l21 * l21);
+            const double rest = d[8] - l20 * l20 - l21 * l21;
+            const double r22 = inverse_root(turned(rest, least));
+            if (d[0] < 0.0 || minor < 0.0 || rest < 0.0)
+                numbers[layout.flag + 1] = 1.0;
             const double r10 = -l10 * r00 * r11;
             const double r21 = -l21 * r11 * r22;
             const double r20 = -(l20 * r00 + l21 * r10) * r22;
@@ -208,14 +218,16 @@
             schur[(3 * i + part / 3) * width + 3 * j + part % 3] +=
                 extra_values.data[9 * (own >> 1) + turned];
     }
-    // Gauss-Jordan, from one copy to the other and back; what has no Cholesky factor gives NaN.
+    // Gauss-Jordan, from one copy to the other and back, negative pivots as above.
     double* old = schur;
     double* next = schur + width * width;
     #pragma unroll 1
     for (int pivot = 0; pivot < width; ++pivot) {
         WP_TILE_SYNC();
         const double scale = old[pivot * width + pivot];
-        const double inverse = scale > 0.0 ? 1.0 / scale : wp::float64(NAN);
+        const double inverse = 1.0 / (scale < 0.0 ? -scale : scale);
+        if (scale < 0.0)
+            numbers[layout.flag + 1] = 1.0;
         #pragma unroll 1
         for (int e = lane; e < width * width; e += lanes) {
             const int i = e / width;

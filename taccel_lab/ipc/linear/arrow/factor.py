@@ -15,7 +15,12 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.device.native import native
-from taccel_lab.ipc.linear.arrow.program import BORDER_CHUNKS, SCHUR_CHUNKS, ArrowLayout
+from taccel_lab.ipc.linear.arrow.program import (
+    BORDER_CHUNKS,
+    LEAST_TURNED,
+    SCHUR_CHUNKS,
+    ArrowLayout,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,7 +52,7 @@ def load_matrix(
     ...
 
 
-@wp.func_native(native("arrow", "factor_columns", NAMES=NAMES))
+@wp.func_native(native("arrow", "factor_columns", NAMES=NAMES, LEAST_TURNED=LEAST_TURNED))
 def factor_columns(
     memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
 ) -> None:

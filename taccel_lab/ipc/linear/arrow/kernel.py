@@ -96,6 +96,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         rhs: wp.array2d(dtype=wp.vec3d),
         tolerances: wp.array(dtype=wp.float64),
         max_iterations: int,
+        reach: wp.float64,
         work: ArrowWork,
         solutions: wp.array2d(dtype=wp.vec3d),
         iterations: wp.array(dtype=wp.int32),
@@ -177,6 +178,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         goal = tolerances[env] * tolerances[env] * b_sq
         r_sq = b_sq
         rho_old = zero
+        scale = wp.float64(1.0)
         count = int(0)
         broken = int(0)
         # One loop for both cases: a second copy of the solve would double the code to fetch.
@@ -186,16 +188,21 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
             solve_factored(memory, program, lane, lanes, layout)
             share = wp.vec3d()
             for place in range(lane, n, lanes):
-                share[0] += wp.dot(
-                    get_vector(memory, layout.r, place), get_vector(memory, layout.x, place)
-                )
+                x_row = get_vector(memory, layout.x, place)
+                share[0] += wp.dot(get_vector(memory, layout.r, place), x_row)
+                share[1] += wp.dot(x_row, x_row)
             # The other turn than the sum before, or barriers between them.
-            rho = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)[0]
+            share = team_sum(share, env, 0, 1, lane, 1, work.gates, dots)
+            rho = share[0]
+            shrink = wp.min(reach / wp.sqrt(share[1]), wp.float64(1.0))
+            if count == 0 and get_number(memory, layout.flag + 1) != zero:
+                broken = int(1)
+                scale = shrink
             if not (rho > zero and rho < infinity and b_sq < infinity):
                 broken = int(1)
             elif exact:
                 for place in range(lane, n, lanes):
-                    solutions[env, lists.order[place]] = get_vector(memory, layout.x, place)
+                    solutions[env, lists.order[place]] = scale * get_vector(memory, layout.x, place)
                 count = int(1)
                 r_sq = zero
             else:
@@ -213,7 +220,13 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
                 )
                 share[0] += multiply_extra(env, lane, lanes, extra, extra_values, p_scalars)
                 curvature = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
-                if not (curvature > zero and curvature < infinity):
+                if count == 0 and curvature <= zero and curvature > -infinity:
+                    # The factor is positive definite: this way leads down, further and further.
+                    for place in range(lane, n, lanes):
+                        solutions[env, lists.order[place]] = shrink * p[place]
+                    count = int(1)
+                    broken = int(1)
+                elif not (curvature > zero and curvature < infinity):
                     broken = int(1)
                 else:
                     alpha = rho / curvature

@@ -201,6 +201,8 @@ HASTES = (1.0, 0.25, 0.0)
 """See ``least_degree_order``; two gels of 83 nodes take 20, 22 and 22 levels."""
 BORDER_CHUNKS = 32
 """Partial sums of a border row in a solve."""
+LEAST_TURNED = 0.01
+"""Part of a diagonal block's trace that a pivot is at least which was negative."""
 SCHUR_CHUNKS = 6
 """Partial sums of an element of the Schur complement."""
 
@@ -331,7 +333,7 @@ def arrow_program(plan: Elimination) -> ArrowProgram:
         ("z", 3 * (n + m)),
         ("schur", 2 * width * width),
         ("sums", sums),
-        ("flag", 1),
+        ("flag", 2),
     ):
         setattr(layout, name, room)
         room += size

@@ -33,6 +33,17 @@ def holds(pattern: BlockPattern, clusters: list[tuple[int, int]]) -> bool:
     return few and plan_arrow(pattern, clusters, 0, hastes=[0.0])[1].addressable
 
 
+def _reach(problem: LinearProblem, border: np.ndarray) -> float:
+    """Longest way that a solution of a turned factor may lead, as a norm over all rows [m]: the
+    mean distance of coupled gel nodes at rest. Beyond it the matrix says nothing."""
+    if problem.positions_m is None:
+        return np.inf
+    rows, columns = problem.pattern.rows, problem.pattern.columns
+    coupled = (rows != columns) & ~np.isin(rows, border) & ~np.isin(columns, border)
+    ways = problem.positions_m[rows[coupled]] - problem.positions_m[columns[coupled]]
+    return float(np.linalg.norm(ways, axis=1).mean()) if len(ways) else np.inf
+
+
 def _lanes(device: wp.Device, env_count: int, placement: Placement) -> int:
     """Lanes of a block: 512 fill the registers of a multiprocessor, so that blocks are smaller
     where there are enough of them, and memory, to work side by side."""
@@ -76,6 +87,7 @@ class Arrow:
         places[order] = np.arange(n)
         numbers = np.full(n, -1)
         numbers[plan.border] = np.arange(len(plan.border))
+        self._reach = _reach(problem, plan.border)
         self._layout = program.layout
         self._lists = lists = ArrowLists()
         for name, array in (
@@ -122,6 +134,7 @@ class Arrow:
         self._extra.update(active)
         inputs = [self._team.lanes, active, self._lists, self._layout, self._slices, self._values]
         inputs += [problem.extra.counts, self._extra.rows, problem.extra.places, self._extra.values]
-        inputs += [problem.rhs, problem.tolerances, max_iterations, self._work, problem.solution]
+        inputs += [problem.rhs, problem.tolerances, max_iterations, wp.float64(self._reach)]
+        inputs += [self._work, problem.solution]
         inputs += [problem.iterations, problem.residuals, problem.breakdown]
         launch_team(self._kernel, problem.env_count, self._team, *inputs)

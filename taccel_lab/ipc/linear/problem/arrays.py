@@ -88,9 +88,9 @@ class LinearProblem:
         self.iterations = wp.zeros(env_count, dtype=wp.int32, device=device)
         """CG iterations of the last solve (1 for a direct one), 0 where not active, [env_count]."""
         self.breakdown = wp.zeros(env_count, dtype=wp.int32, device=device)
-        """1 where the last solve stopped early because the matrix is not positive definite or a
-        number is not finite; the solution is then the last good iterate, at worst zero,
-        [env_count]."""
+        """1 where the matrix of the last solve is not positive definite or a number is not finite.
+        The solution is then the last good iterate, at worst zero, or that of a factor whose
+        negative pivots have changed their sign: it descends. [env_count]."""
         self.residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
         self.renewed = wp.full(env_count, 1, dtype=wp.int32, device=device)
         """Whether the next solve makes anew what part of a preconditioner takes long, int32,
@@ -114,8 +114,8 @@ class LinearReport:
     where the matrix is rounded and not verified (``VERIFY_BELOW``); 0 when rhs is 0, and where a
     factorisation of the whole matrix gave the solution and nobody measured it."""
     breakdown: np.ndarray
-    """Whether the solve stopped early because the matrix is not positive definite or a number is
-    not finite; the solution is then the last good iterate, at worst zero. bool."""
+    """Whether the matrix is not positive definite or a number is not finite, see ``LinearProblem``;
+    bool."""
 
     @classmethod
     def read(cls, problem: LinearProblem) -> LinearReport:
