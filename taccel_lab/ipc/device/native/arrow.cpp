@@ -101,7 +101,7 @@
                 owner = owners[block];
             const int diagonal = owner & 0xffffu;
             const double* const d = factor + 9 * diagonal;
-            const double least = @LEAST_TURNED@ * (wp::abs(d[0]) + wp::abs(d[4]) + wp::abs(d[8]));
+            const double least = @LEAST_TURNED@ * (turned(d[0], 0.0) + turned(d[4], 0.0) + turned(d[8], 0.0));
             const double d00 = turned(d[0], least);
             const double r00 = inverse_root(d00);
             const double l10 = d[3] * r00;
