@@ -25,7 +25,7 @@ from taccel_lab.with_error import with_error
 
 
 @pytest.mark.thorough
-def test_a_catalogue_name_with_parameters() -> None:
+def test_a_catalogue_name_with_parameters():
     profile = tl.load_sensor("flat_pad", {"thickness_mm": 3})
     assert profile.gel.thickness_mm == pytest.approx(3)
     text = repr(profile)
@@ -34,7 +34,7 @@ def test_a_catalogue_name_with_parameters() -> None:
     assert "<caption><b>profile of flat_pad</b></caption>" in profile._repr_html_()
 
 
-def test_the_folder_of_a_profile(tmp_path: Path) -> None:
+def test_the_folder_of_a_profile(tmp_path):
     tl.save_profile(tl.load_sensor("flat_pad"), tmp_path / "profile")
     assert repr(tl.load_sensor(tmp_path / "profile")) == repr(tl.load_sensor("flat_pad"))
     with pytest.raises(tl.InputError, match="change a sensor of the catalogue"):
@@ -42,7 +42,7 @@ def test_the_folder_of_a_profile(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_step_file(tmp_path: Path) -> None:
+def test_a_step_file(tmp_path):
     import build123d as bd
 
     bd.export_step(bd.Box(16, 12, 3), str(tmp_path / "gel.step"))
@@ -72,12 +72,12 @@ QUICK: dict[str, Any] = {"depth_mm": 0.3, "accuracy": "fast", "element": "linear
 
 
 @pytest.fixture(scope="module")
-def pressed() -> tl.Press:
+def pressed():
     return tl.press("flat_pad", "sphere:4", **QUICK)
 
 
 @pytest.mark.thorough
-def test_nobody_has_measured_a_stored_mesh() -> None:
+def test_nobody_has_measured_a_stored_mesh():
     small = tl.load_sensor("flat_pad", {"thickness_mm": 8, "length_x_mm": 12, "length_y_mm": 10})
     pressed = tl.press(small, "sphere:4", **QUICK, mesh="profile")
     assert np.isnan(pressed.force_error_n)
@@ -87,7 +87,7 @@ def test_nobody_has_measured_a_stored_mesh() -> None:
 
 
 @pytest.mark.thorough
-def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
+def test_what_a_press_tells(pressed, tmp_path):
     shape = pressed.plan.profile.grid().height_px, pressed.plan.profile.grid().width_px
     assert pressed.force_n > 0
     assert pressed.force_error_n > 0
@@ -111,9 +111,7 @@ def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_the_deepest_place_is_that_of_the_contact(
-    pressed: tl.Press, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_deepest_place_is_that_of_the_contact(pressed, monkeypatch):
     """A ray that grazes a dome's border finds a large depth there, without any contact."""
     told = dict(pressed.summary()[1])["deepest"]
     grazed = pressed.depth_mm.copy()
@@ -139,7 +137,7 @@ def loaded_by(code: str, names: tuple[str, ...]) -> str:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(usable_cores() < 2, reason="on one core the command draws itself")
-def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
+def test_the_command_draws_in_a_process_beside(tmp_path):
     words = ["press", "flat_pad", "--depth-mm", "0.2", "--accuracy", "fast"]
     words += ["--element", "linear", "--out"]
     code = f"from taccel_lab.cli.app import main\nmain({[*words, str(tmp_path / 'out')]!r})"
@@ -149,18 +147,18 @@ def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
 
 @pytest.mark.thorough(cases=("sensors.profile",))
 @pytest.mark.parametrize("module", ["api.press_picture", "report.figures", "sensors.profile"])
-def test_what_draws_loads_no_solver(module: str) -> None:
+def test_what_draws_loads_no_solver(module):
     assert loaded_by(f"import taccel_lab.{module}", (*HEAVY, *DRAWING, "warp", "scipy")) == "set()"
 
 
 @pytest.mark.thorough
-def test_a_plan_loads_no_kernels() -> None:
+def test_a_plan_loads_no_kernels():
     kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
     assert loaded_by("import taccel_lab.api.press_run", (*HEAVY, *kernels, "scipy")) == "set()"
 
 
 @pytest.mark.thorough
-def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> None:
+def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path):
     methods = tuple(f"taccel_lab.ipc.linear.{name}" for name in ("arrow.solver", "cg.block_cg"))
     code = (
         "from taccel_lab import press\n"
@@ -172,9 +170,7 @@ def test_a_press_on_the_cpu_loads_no_linear_solver_of_gpus(tmp_path: Path) -> No
 
 
 @pytest.mark.thorough
-def test_the_designed_mesh_is_kept_between_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_designed_mesh_is_kept_between_runs(tmp_path, monkeypatch):
     pad = sensor_family("gelsight_mini").parameters().pad()
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     made, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
@@ -189,7 +185,7 @@ def test_the_designed_mesh_is_kept_between_runs(
     assert kept_mesh(pad, lambda _: (made, quality, 0.7))[2] == 0.7
 
 
-def test_the_command_has_the_same_options_and_defaults() -> None:
+def test_the_command_has_the_same_options_and_defaults():
     assert issubclass(PressCommand, PressOptions)
 
 
@@ -207,13 +203,13 @@ def test_the_command_has_the_same_options_and_defaults() -> None:
         ({"depth_mm": 0.3, "device": "tpu"}, "device 'tpu' is not there"),
     ],
 )
-def test_what_cannot_be_pressed_is_refused(words: dict, message: str) -> None:
+def test_what_cannot_be_pressed_is_refused(words, message):
     with pytest.raises(tl.InputError, match=message):
         tl.press("flat_pad", "sphere:4", **words)
 
 
 @pytest.mark.thorough
-def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) -> None:
+def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path):
     """As on Windows: links are files that hold where they lead. Nothing is printed but by the
     script, which has no main guard; the press and its files load neither torch nor vtk."""
     if not (ROOT / ".git").exists():
@@ -240,7 +236,7 @@ def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_percentage_is_kept_against_the_closed_form() -> None:
+def test_a_percentage_is_kept_against_the_closed_form():
     """Small strains, no friction: the exact linear solution is within 1 % of the truth there."""
     found = tl.press("flat_pad", "sphere:4", depth_mm=0.1, friction=0.0, accuracy="3%")
     error, gel = found.error, found.plan.profile.material

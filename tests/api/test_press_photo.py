@@ -6,9 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +26,7 @@ SENSOR = "gelsight_mini"
 
 
 @pytest.fixture(scope="module")
-def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def photo(tmp_path_factory):
     """A simulated press stands for the photo: its place and depth are known."""
     unit = tl.load_sensor(SENSOR)
     press = tl.press(unit, "sphere:4", depth_mm=0.5, at_mm=(2.0, -1.5), accuracy="fast")
@@ -41,7 +39,7 @@ def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.thorough
-def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path) -> None:
+def test_the_press_in_a_photo_is_found_and_simulated(photo, tmp_path):
     press = tl.press(SENSOR, "sphere:4", like=photo, accuracy="fast")
     like = press.like
     assert like is not None
@@ -62,9 +60,7 @@ def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path
 
 
 @pytest.mark.thorough
-def test_the_table_says_what_press_json_does(
-    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_says_what_press_json_does(photo, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["--indenter", "sphere:4", "--like", str(photo), "--accuracy", "fast"]
     assert main(["press", SENSOR, *arguments, "--out", str(out)]) == 0
@@ -86,9 +82,7 @@ def test_the_table_says_what_press_json_does(
         ("sphere:3", (6.0, 4.5), 0.4),
     ],
 )
-def test_presses_are_found_within_their_deviations(
-    tool: str, at_mm: tuple[float, float], depth_mm: float, tmp_path: Path
-) -> None:
+def test_presses_are_found_within_their_deviations(tool, at_mm, depth_mm, tmp_path):
     """Of the default accuracy, with the camera's noise; what rough presses miss is in it."""
     unit = tl.load_sensor(SENSOR)
     true = tl.press(unit, tool, depth_mm=depth_mm, at_mm=at_mm)
@@ -136,7 +130,7 @@ def reading(
     )
 
 
-def test_place_and_depth_of_a_reading() -> None:
+def test_place_and_depth_of_a_reading():
     found = SeenPress.of(reading((0.6, -0.3), 0.4, None), GRID)
     assert found is not None and found.whole
     np.testing.assert_allclose(found.at_mm, (0.6, -0.3), atol=5e-3)
@@ -148,7 +142,7 @@ def test_place_and_depth_of_a_reading() -> None:
 
 
 @pytest.mark.parametrize("sigma_mm", [0.01, 0.02, 0.04])
-def test_a_leaning_paraboloid_moves_by_its_radius(sigma_mm: float) -> None:
+def test_a_leaning_paraboloid_moves_by_its_radius(sigma_mm):
     """Its lean times its radius: a plane added to ``x^2 / 2R`` moves its vertex by that."""
     found = SeenPress.of(reading((0.0, 0.0), 0.4, sigma_mm), GRID)
     assert found is not None and found.at_sigma_mm is not None
@@ -157,7 +151,7 @@ def test_a_leaning_paraboloid_moves_by_its_radius(sigma_mm: float) -> None:
     assert found.depth_sigma_mm == pytest.approx(2 * sigma_mm)
 
 
-def test_on_a_slope_the_place_is_less_certain_along_it() -> None:
+def test_on_a_slope_the_place_is_less_certain_along_it():
     lean = 0.05
     found = SeenPress.of(reading((0.0, 0.0), 0.4, 0.005, lean), GRID)
     level = SeenPress.of(reading((0.0, 0.0), 0.4, 0.005), GRID)
@@ -169,12 +163,12 @@ def test_on_a_slope_the_place_is_less_certain_along_it() -> None:
 
 
 @pytest.mark.thorough
-def test_what_the_simulation_cannot_show_is_said(photo: Path) -> None:
+def test_what_the_simulation_cannot_show_is_said(photo):
     """A rough press that leaves no trace in its image corrects nothing."""
     run = PressRun.plan(SENSOR, PressOptions(indenter="sphere:4", like=photo))
     asked: list[PressRun] = []
 
-    def untouched(rough: PressRun) -> Any:
+    def untouched(rough):
         asked.append(rough)
         return SimpleNamespace(image=rough.profile.background_rgb)
 
@@ -186,7 +180,7 @@ def test_what_the_simulation_cannot_show_is_said(photo: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
+def test_a_rough_press_ends_as_the_photo_does(photo):
     """Sideways, but not back to where nothing is seen; its steps are not kept."""
     options = PressOptions(
         indenter="sphere:4", like=photo, shear_mm=(0.2, 0.0), unload=True, states=True
@@ -194,7 +188,7 @@ def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
     run = PressRun.plan(SENSOR, options)
     asked: list[PressRun] = []
 
-    def same(rough: PressRun) -> Any:
+    def same(rough):
         asked.append(rough)
         assert run.photo is not None
         return SimpleNamespace(image=run.photo.rgb)
@@ -213,7 +207,7 @@ def test_a_rough_press_ends_as_the_photo_does(photo: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_path: Path) -> None:
+def test_another_background_takes_the_place_of_the_profiles(photo, tmp_path):
     """Of photo and background that are darker alike, nothing else changes."""
     profile = tl.load_sensor(SENSOR)
     assert profile.background_rgb is not None
@@ -228,9 +222,7 @@ def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_pat
 
 
 @pytest.mark.thorough
-def test_what_shows_no_press_is_refused(
-    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_shows_no_press_is_refused(photo, tmp_path, capsys):
     profile = tl.load_sensor(SENSOR)
     assert profile.background_rgb is not None
     rest = tmp_path / "rest.png"

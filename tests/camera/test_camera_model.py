@@ -77,7 +77,7 @@ def opencv_frame(camera: DesignedCamera) -> tuple[np.ndarray, np.ndarray, np.nda
         (0.2, -0.1, 0.001, 0.002, 0.03, 0.1, 0.02, 0.01),
     ],
 )
-def test_pinhole_is_opencv(distortion: tuple[float, ...], rotation: tuple[float, ...]) -> None:
+def test_pinhole_is_opencv(distortion, rotation):
     import cv2
 
     camera = replace(DIGIT, distortion=distortion, rotation=unit(rotation))
@@ -87,7 +87,7 @@ def test_pinhole_is_opencv(distortion: tuple[float, ...], rotation: tuple[float,
 
 
 @given(rotation=rotations)
-def test_fisheye_is_opencv(rotation: tuple[float, ...]) -> None:
+def test_fisheye_is_opencv(rotation):
     import cv2
 
     camera = replace(FISHEYE, rotation=unit(rotation))
@@ -101,7 +101,7 @@ TURNED = replace(DIGIT, rotation=unit((0.2, -0.3, 0.1, 0.9)))
 
 
 @pytest.mark.parametrize("camera", [DIGIT, FISHEYE, replace(DIGIT, distortion=()), TURNED])
-def test_every_pixel_comes_back(camera: DesignedCamera) -> None:
+def test_every_pixel_comes_back(camera):
     model = CameraModel(camera)
     uv = np.stack(np.meshgrid(np.arange(240.0), np.arange(320.0)), axis=-1)
     origin, directions = model.rays(uv)
@@ -111,14 +111,14 @@ def test_every_pixel_comes_back(camera: DesignedCamera) -> None:
 
 
 @given(k1=st.floats(-0.4, 0.4), k2=st.floats(-0.1, 0.1), u=st.floats(0, 239), v=st.floats(0, 319))
-def test_inverse_is_exact_or_nan(k1: float, k2: float, u: float, v: float) -> None:
+def test_inverse_is_exact_or_nan(k1, k2, u, v):
     model = CameraModel(replace(DIGIT, distortion=(k1, k2, 0.001, -0.001)))
     uv = np.array([u, v])
     back = model.pixels_from_directions(model.directions_from_pixels(uv))
     assert np.isnan(back).all() or np.allclose(back, uv, atol=1e-7)
 
 
-def test_beyond_the_fold_of_a_lens_is_nan() -> None:
+def test_beyond_the_fold_of_a_lens_is_nan():
     # r (1 - 0.5 r^2) never exceeds 0.544.
     model = CameraModel(replace(DIGIT, distortion=(-0.5, 0.0, 0.0, 0.0)))
     edge = 0.544 * DIGIT.fx_px
@@ -129,13 +129,13 @@ def test_beyond_the_fold_of_a_lens_is_nan() -> None:
     assert np.isnan(outside).all()
 
 
-def test_a_fisheye_sees_sideways_a_pinhole_nothing_behind() -> None:
+def test_a_fisheye_sees_sideways_a_pinhole_nothing_behind():
     behind = np.array([0.3 + 5.0, -0.2, -17.62 - 1.0])
     assert np.isfinite(CameraModel(replace(FISHEYE, distortion=())).project(behind)).all()
     assert np.isnan(CameraModel(DIGIT).project(behind)).all()
 
 
-def test_resized_camera_sees_the_same() -> None:
+def test_resized_camera_sees_the_same():
     half = resized(DIGIT, 120, 160)
     points = points_before(DIGIT)
     full, small = CameraModel(DIGIT).project(points), CameraModel(half).project(points)
@@ -214,15 +214,7 @@ def march_spheres(
     n_window=st.floats(1.3, 1.8),
     n_gel=st.floats(1.3, 1.6),
 )
-def test_flat_media_agree_with_brute_force(
-    across: float,
-    azimuth: float,
-    air: float,
-    window: float,
-    gel: float,
-    n_window: float,
-    n_gel: float,
-) -> None:
+def test_flat_media_agree_with_brute_force(across, azimuth, air, window, gel, n_window, n_gel):
     camera_z = -(air + window + gel)
     media = FlatMedia((-(window + gel), -gel), (1.0, n_window, n_gel))
     camera = np.array([0.4, -0.7, camera_z])
@@ -250,9 +242,7 @@ def test_flat_media_agree_with_brute_force(
     n_window=st.floats(1.3, 1.7),
     n_gel=st.floats(1.3, 1.6),
 )
-def test_domes_agree_with_brute_force(
-    polar: float, azimuth: float, offset: float, shell: float, n_window: float, n_gel: float
-) -> None:
+def test_domes_agree_with_brute_force(polar, azimuth, offset, shell, n_window, n_gel):
     centre = np.array([0.0, 0.0, -15.0])
     media = DomeMedia((0.0, 0.0, -15.0), (13.5 - shell, 13.5), (1.0, n_window, n_gel))
     camera = centre + [0.3, 0.2, offset]
@@ -269,7 +259,7 @@ def test_domes_agree_with_brute_force(
     np.testing.assert_allclose(media.sight(camera, entry + 1.5 * bent), direction, atol=1e-7)
 
 
-def test_one_index_is_a_straight_line() -> None:
+def test_one_index_is_a_straight_line():
     points = np.random.default_rng(0).uniform([-9, -9, -1], [9, 9, 0], (50, 3))
     camera = np.array([1.0, 2.0, -20.0])
     straight = points - camera
@@ -282,7 +272,7 @@ def test_one_index_is_a_straight_line() -> None:
         assert entry.shape == points.shape
 
 
-def test_total_reflection_ends_a_ray() -> None:
+def test_total_reflection_ends_a_ray():
     media = FlatMedia((0.0,), (1.5, 1.0))
     critical = math.asin(1 / 1.5)
     for angle, gets_through in ((critical - 0.01, True), (critical + 0.01, False)):
@@ -292,7 +282,7 @@ def test_total_reflection_ends_a_ray() -> None:
         assert (passed > 0) == gets_through
 
 
-def test_fresnel_at_normal_and_brewster_incidence() -> None:
+def test_fresnel_at_normal_and_brewster_incidence():
     up = np.array([0.0, 0.0, 1.0])
     _, passed = refract(up, up, 1.0, 1.5)
     assert passed == pytest.approx(1 - (0.5 / 2.5) ** 2)
@@ -304,7 +294,7 @@ def test_fresnel_at_normal_and_brewster_incidence() -> None:
     assert passed == pytest.approx(1 - 0.5 * across)
 
 
-def test_media_that_do_not_fit() -> None:
+def test_media_that_do_not_fit():
     with pytest.raises(InputError, match="2 interfaces separate 3 media, got 2"):
         FlatMedia((0.0, 1.0), (1.0, 1.5))
     with pytest.raises(InputError, match="ascend"):
@@ -317,7 +307,7 @@ def test_media_that_do_not_fit() -> None:
         snell_invariant(np.array([1.0]), [np.array([0.0])], [1.0])
 
 
-def test_back_of_a_curved_gel_is_read_at_the_corners_of_ten_node_tets() -> None:
+def test_back_of_a_curved_gel_is_read_at_the_corners_of_ten_node_tets():
     pad = ShellDomePad(dome_radius_mm=15.0, thickness_mm=1.5)
     mesh = quadratic_mesh(gel_mesh(pad, 3.0))
     radius = np.linalg.norm(glued_back_mm(mesh) + [0, 0, 15.0], axis=1)

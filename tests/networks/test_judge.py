@@ -50,7 +50,7 @@ def scaled(key: str, weights: Weights, factor: float) -> Weights:
 
 @pytest.mark.parametrize("config", [COLOR, NORMAL, FORCE])
 @pytest.mark.parametrize("seed", range(3))
-def test_networks_whose_answers_no_sensor_gives_are_refused(config: Config, seed: int) -> None:
+def test_networks_whose_answers_no_sensor_gives_are_refused(config, seed):
     key, weights = KEYS[type(config)], weights_of(config, seed)
     assert fault(config, weights) is None
     for factor in (1e4 if key == "force" else 100.0, 1e38):
@@ -59,7 +59,7 @@ def test_networks_whose_answers_no_sensor_gives_are_refused(config: Config, seed
     assert "40x30 px, the camera block says 40x31" in str(fault(config, weights, (40, 31)))
 
 
-def test_a_scale_of_another_network_is_refused() -> None:
+def test_a_scale_of_another_network_is_refused():
     weights = weights_of(COLOR, 0)
     wrong = dataclasses.replace(COLOR, output_scale=3200.0)
     assert "color model answers up to" in str(fault(wrong, weights))
@@ -71,7 +71,7 @@ def test_a_scale_of_another_network_is_refused() -> None:
 
 
 @pytest.mark.parametrize("markers", [False, True])
-def test_forces_are_those_that_images_are_read_with(markers: bool) -> None:
+def test_forces_are_those_that_images_are_read_with(markers):
     config = dataclasses.replace(FORCE, markers=markers, patch_scale_n=(0.5, 1.0, 2.0))
     weights = weights_of(config, 4)
     change = np.random.default_rng(5).normal(size=(2, 3, *config.input_px)).astype(np.float32)
@@ -92,7 +92,7 @@ def test_forces_are_those_that_images_are_read_with(markers: bool) -> None:
 
 
 @pytest.mark.parametrize("key", ["color", "normals", "force"])
-def test_every_way_to_a_profile_judges_its_networks(key: str) -> None:
+def test_every_way_to_a_profile_judges_its_networks(key):
     sound = with_force(with_normals(mini_profile()))
     field = ARRAY_FIELDS[key]
     weights = {name: 1e5 * value for name, value in getattr(sound, field).items()}
@@ -104,7 +104,7 @@ def test_every_way_to_a_profile_judges_its_networks(key: str) -> None:
             make()
 
 
-def test_a_network_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_is_asked_once(monkeypatch):
     asked: list[str] = []
     plain = judge._judge
     monkeypatch.setattr(judge, "_faults", {})

@@ -40,7 +40,7 @@ def line(place: np.ndarray, length: float, depth: float) -> np.ndarray:
 
 @pytest.mark.parametrize("length", [0.5, 6.0, 24.0, 60.0])
 @pytest.mark.parametrize("depth", [5.0, 12.0])
-def test_a_straight_guide_is_a_line_of_light(length: float, depth: float) -> None:
+def test_a_straight_guide_is_a_line_of_light(length, depth):
     """At the default number of samples, however long the exit is."""
     guide = Light((0.0, 0.0, -depth), UP, WHITE, size_mm=(length, 0.0))
     place, found = irradiance(guide)
@@ -49,7 +49,7 @@ def test_a_straight_guide_is_a_line_of_light(length: float, depth: float) -> Non
     np.testing.assert_allclose(finer, line(place, length, depth), rtol=1e-4)
 
 
-def test_a_ring_guide_is_even_on_its_axis_and_about_it() -> None:
+def test_a_ring_guide_is_even_on_its_axis_and_about_it():
     """P (n + 1) / (2 pi) cos^n(emission) cos(incidence) / r^2 on the axis, for every tilt."""
     radius, depth, tilt, lobe = 13.0, 7.0, math.radians(50), 2.0
     inward = (-math.sin(tilt), 0.0, math.cos(tilt))
@@ -66,7 +66,7 @@ def test_a_ring_guide_is_even_on_its_axis_and_about_it() -> None:
     np.testing.assert_allclose(found, found[:, ::-1], rtol=2e-3)
 
 
-def test_a_bent_guide_is_many_leds_along_its_arc() -> None:
+def test_a_bent_guide_is_many_leds_along_its_arc():
     """Also with a height, a tilt and a turn."""
     tilt, turn = math.radians(70), math.radians(10)
     side = math.sin(tilt)
@@ -89,7 +89,7 @@ def test_a_bent_guide_is_many_leds_along_its_arc() -> None:
     assert points[:, :2].mean(axis=0)[1] == pytest.approx(0, abs=0.2)
 
 
-def test_an_arc_has_a_middle_beside_the_axis_and_no_width() -> None:
+def test_an_arc_has_a_middle_beside_the_axis_and_no_width():
     with pytest.raises(InputError, match="lies beside the gel's z axis"):
         Light((0.0, 0.0, -5.0), UP, WHITE, arc_deg=90.0)
     with pytest.raises(InputError, match="its size_mm is 0 wide"):

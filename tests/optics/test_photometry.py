@@ -35,7 +35,7 @@ def far_lights(azimuths: tuple[float, ...], elevation: float) -> tuple[Light, ..
 
 
 @pytest.mark.parametrize("elevation", [25.0, 35.2644, 60.0])
-def test_three_lights_at_120_degrees(elevation: float) -> None:
+def test_three_lights_at_120_degrees(elevation):
     """Unit rows at elevation e have the singular values cos(e) sqrt(3/2), twice, and sin(e)
     sqrt(3)."""
     lights = far_lights((0.0, 120.0, 240.0), elevation)
@@ -51,7 +51,7 @@ def test_three_lights_at_120_degrees(elevation: float) -> None:
 
 
 @given(matrix=st.lists(st.floats(-1, 1), min_size=9, max_size=9), gain=st.floats(0.1, 10))
-def test_condition_number_is_that_of_the_unit_rows(matrix: list[float], gain: float) -> None:
+def test_condition_number_is_that_of_the_unit_rows(matrix, gain):
     rows = np.array(matrix).reshape(3, 3)
     lengths = np.linalg.norm(rows, axis=1)
     if lengths.min() < 1e-3 or np.linalg.svd(rows / lengths[:, None])[1][2] < 0.05:
@@ -65,7 +65,7 @@ def test_condition_number_is_that_of_the_unit_rows(matrix: list[float], gain: fl
     assert condition.median == pytest.approx(expected, rel=1e-6)
 
 
-def test_sensors_without_three_directions_say_so() -> None:
+def test_sensors_without_three_directions_say_so():
     white = Light(*towards(0, 40, FAR), (1.0, 1.0, 1.0))
     grey = measure_photometry(model(design(white), refraction=False))
     assert grey.light_rank == 1
@@ -79,7 +79,7 @@ def test_sensors_without_three_directions_say_so() -> None:
     assert json.loads(json.dumps(two.to_json()))["light_rank"] == 2
 
 
-def test_scale_of_a_pinhole_over_a_flat_gel() -> None:
+def test_scale_of_a_pinhole_over_a_flat_gel():
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     optics = replace(design(*lights), camera=camera(fy_px=75.0))
     straight = measure_photometry(model(optics, refraction=False))
@@ -94,7 +94,7 @@ def test_scale_of_a_pinhole_over_a_flat_gel() -> None:
     assert bent.mm_per_px_x.minimum < 0.999 * apparent / 60.0
 
 
-def test_footprint_of_a_sheared_image() -> None:
+def test_footprint_of_a_sheared_image():
     v, u = np.mgrid[:5, :6].astype(float)
     points = np.stack([0.2 * u + 0.1 * v, 0.3 * v, 0 * u], axis=-1)
     across, down, anisotropy = pixel_footprint(points)
@@ -106,7 +106,7 @@ def test_footprint_of_a_sheared_image() -> None:
 
 
 @pytest.mark.parametrize("half", [30.0, 6.0])
-def test_visible_fraction(half: float) -> None:
+def test_visible_fraction(half):
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     optics = model(design(*lights), half=half, refraction=False, size_px=(164, 124))
     shown = 41 * 0.5 * 31 * 0.5
@@ -114,11 +114,11 @@ def test_visible_fraction(half: float) -> None:
     assert measure_photometry(optics).visible_fraction == pytest.approx(expected, rel=0.02)
 
 
-def test_visible_part_of_a_dome() -> None:
+def test_visible_part_of_a_dome():
     """A pinhole in the centre of a sphere sees R^2 times its rectangle's solid angle."""
     radius = 12.0
 
-    def cap(xy: np.ndarray) -> np.ndarray:
+    def cap(xy):
         return np.sqrt(np.maximum(radius**2 - np.sum(xy**2, axis=-1), 0.04)) - radius
 
     lights = far_lights((0.0, 120.0, 240.0), 60.0)
@@ -138,7 +138,7 @@ def test_visible_part_of_a_dome() -> None:
     assert figures.visible_fraction == pytest.approx(seen / whole, rel=0.01)
 
 
-def test_dots_count_in_no_figure() -> None:
+def test_dots_count_in_no_figure():
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     plain = measure_photometry(model(design(*lights), refraction=False))
     dotted = measure_photometry(
@@ -149,7 +149,7 @@ def test_dots_count_in_no_figure() -> None:
     assert dotted.levels_per_deg == pytest.approx(plain.levels_per_deg, rel=0.1)
 
 
-def test_window_smaller_than_the_view_hides_the_rest() -> None:
+def test_window_smaller_than_the_view_hides_the_rest():
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     small = replace(PLATE, size_mm=(6.0, 30.0))
     image = model(design(*lights, window=small)).render()
@@ -158,7 +158,7 @@ def test_window_smaller_than_the_view_hides_the_rest() -> None:
     assert np.isnan(image.points_mm[~image.mask]).all()
 
 
-def test_evenness_shadows_and_saturation() -> None:
+def test_evenness_shadows_and_saturation():
     even = model(design(*far_lights((0.0, 120.0, 240.0), 40.0), camera=camera(falloff=0.0)),
                  refraction=False)  # fmt: skip
     figures = measure_photometry(even)
@@ -173,7 +173,7 @@ def test_evenness_shadows_and_saturation() -> None:
 
 
 @pytest.mark.thorough
-def test_shading_gain_is_the_slope_of_the_picture() -> None:
+def test_shading_gain_is_the_slope_of_the_picture():
     """Grey levels of a gel tilted as a whole against the figure for a small tilt."""
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     straight = {"refraction": False, "half": 25.0}
@@ -181,7 +181,7 @@ def test_shading_gain_is_the_slope_of_the_picture() -> None:
     gain = measure_photometry(flat)
     tilt = math.radians(0.5)
 
-    def change(azimuth: float) -> np.ndarray:
+    def change(azimuth):
         way = np.array([math.cos(azimuth), math.sin(azimuth)])
         tilted = model(
             design(*lights, camera=camera(falloff=0.0)),
@@ -199,14 +199,14 @@ def test_shading_gain_is_the_slope_of_the_picture() -> None:
     )
 
 
-def test_a_turbid_gel_shows_no_slopes() -> None:
+def test_a_turbid_gel_shows_no_slopes():
     lights = far_lights((0.0, 120.0, 240.0), 40.0)
     turbid = design(*lights, coating=Coating((0.05, 0.05, 0.05)), gel_scattering_per_mm=0.5)
     figures = measure_photometry(model(turbid, refraction=False))
     assert figures.levels_per_deg == (0.0, 0.0, 0.0)
 
 
-def test_depth_of_field() -> None:
+def test_depth_of_field():
     near, far = sharp_range_mm(800.0, 0.5, 20.0)
     for limit in (near, far):
         assert blur_px(np.array(limit), 800.0, 0.5, 20.0) == pytest.approx(1.0)

@@ -49,7 +49,7 @@ DESIGN = OpticalDesign(
 
 
 @pytest.fixture(scope="module")
-def mesh() -> TetMesh:
+def mesh():
     return gel_mesh(PAD, 1.5)
 
 
@@ -67,7 +67,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_patches_follow_the_pad_better_than_triangles(mesh: TetMesh) -> None:
+def test_patches_follow_the_pad_better_than_triangles(mesh):
     fine = GelFace(mesh).rest
     errors = PAD.contact_error_mm(fine.points_mm)
     inside = np.abs(fine.points_mm[:, :2] / [6.5, 5.5]).max(axis=1) < 1
@@ -80,7 +80,7 @@ def test_patches_follow_the_pad_better_than_triangles(mesh: TetMesh) -> None:
     facets /= np.linalg.norm(facets, axis=1, keepdims=True)
     of_facet = PAD.top_normal(corners[:, 0, :2])
 
-    def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def angle_deg(a, b):
         return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=1), -1, 1)))
 
     angle = angle_deg(expected, fine.normals)[inside]
@@ -91,7 +91,7 @@ def test_patches_follow_the_pad_better_than_triangles(mesh: TetMesh) -> None:
     np.testing.assert_allclose(np.linalg.norm(fine.normals, axis=1), 1.0, atol=1e-12)
 
 
-def test_mesh_and_formula_give_the_same_picture(mesh: TetMesh) -> None:
+def test_mesh_and_formula_give_the_same_picture(mesh):
     from_mesh = OpticalModel(DESIGN, mesh).render()
     from_formula = formula_model(
         DESIGN, PAD.top_mm, half_size_mm=(8.0, 7.0), back_z_mm=-PAD.thickness_mm
@@ -102,7 +102,7 @@ def test_mesh_and_formula_give_the_same_picture(mesh: TetMesh) -> None:
     np.testing.assert_allclose(from_mesh.points_mm, from_formula.points_mm, atol=0.01)
 
 
-def test_environments_are_rendered_one_by_one(mesh: TetMesh) -> None:
+def test_environments_are_rendered_one_by_one(mesh):
     model = OpticalModel(DESIGN, mesh)
     dent = pressed(mesh, (1.0, -1.0), 1.5, 3.0)
     rest = model.render()
@@ -116,7 +116,7 @@ def test_environments_are_rendered_one_by_one(mesh: TetMesh) -> None:
     np.testing.assert_allclose(both.points_mm[1][deepest][:2], (1.0, -1.0), atol=0.3)
 
 
-def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh: TetMesh) -> None:
+def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh):
     """Seen from inside a dent is a bump: its right flank faces the red light on the right."""
     model = OpticalModel(DESIGN, mesh)
     dent = model.render(pressed(mesh, (0.0, 0.0), 2.0, 4.0))
@@ -132,14 +132,14 @@ def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh: TetMesh) -> None:
 
 
 @pytest.mark.thorough
-def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
+def test_markers_move_with_the_gel(mesh):
     size = (200, 150)
     model = OpticalModel(DESIGN, mesh, size_px=size, markers=MarkerGrid(1, 1, 3.0, 3.0, 0.8))
     plain = OpticalModel(DESIGN, mesh, size_px=size)
     moved = mesh.nodes_m.copy()
     moved[:, :2] += [0.6e-3, -0.4e-3]
 
-    def dark_centre(positions: np.ndarray | None) -> np.ndarray:
+    def dark_centre(positions):
         image = model.render(positions)
         dark = image.linear[..., 1] < 0.5 * plain.render(positions).linear[..., 1]
         return image.points_mm[dark].mean(axis=0)[:2]
@@ -149,7 +149,7 @@ def test_markers_move_with_the_gel(mesh: TetMesh) -> None:
 
 
 @pytest.mark.thorough
-def test_bevels_stay_sharp() -> None:
+def test_bevels_stay_sharp():
     bevelled = GelPad(
         length_x_mm=16, length_y_mm=14, corner_radius_mm=2, thickness_mm=4, rim="chamfer",
         rim_mm=1.0, window_x_mm=12, window_y_mm=10,
@@ -162,7 +162,7 @@ def test_bevels_stay_sharp() -> None:
     assert (tilt > 30.0).any()
 
 
-def test_a_dome_is_round_on_the_mesh_of_a_press() -> None:
+def test_a_dome_is_round_on_the_mesh_of_a_press():
     """Its chords far from the contact left a ring in the camera's picture: 60 um, 3 degrees."""
     profile = catalogue_profile("rtac")
     mesh = press_mesh("rtac", {}, (0.0, 0.0), 1.2)
@@ -177,7 +177,7 @@ def test_a_dome_is_round_on_the_mesh_of_a_press() -> None:
     assert np.degrees(np.quantile(turned[upper], 0.99)) < 0.5
 
 
-def test_the_skin_is_seen_from_its_inner_side() -> None:
+def test_the_skin_is_seen_from_its_inner_side():
     flat = GelPad(
         length_x_mm=10, length_y_mm=10, corner_radius_mm=1, thickness_mm=3, window_x_mm=8,
         window_y_mm=8,
@@ -196,7 +196,7 @@ def test_the_skin_is_seen_from_its_inner_side() -> None:
     assert np.ptp(seen[..., 0]) == pytest.approx(10, abs=0.1)
 
 
-def test_quadratic_meshes_are_seen_through_all_their_nodes(mesh: TetMesh) -> None:
+def test_quadratic_meshes_are_seen_through_all_their_nodes(mesh):
     quadratic = quadratic_mesh(mesh)
     model = OpticalModel(DESIGN, quadratic)
     difference = model.render().rgb.astype(int) - OpticalModel(DESIGN, mesh).render().rgb
@@ -204,7 +204,7 @@ def test_quadratic_meshes_are_seen_through_all_their_nodes(mesh: TetMesh) -> Non
     assert model.render(quadratic.nodes_m).rgb.shape == (48, 64, 3)
 
 
-def test_media_of_flat_and_domed_backs() -> None:
+def test_media_of_flat_and_domed_backs():
     flat = np.array([[x, y, -4.0] for x in (-5, 5) for y in (-5, 5)])
     media = media_between(DESIGN, flat)
     assert media == FlatMedia((-6.0, -4.0), (1.0, 1.49, 1.41))
@@ -227,7 +227,7 @@ def test_media_of_flat_and_domed_backs() -> None:
     assert media_between(cast, flat) == FlatMedia((), (1.41,))
 
 
-def test_faces_that_are_not_there(mesh: TetMesh) -> None:
+def test_faces_that_are_not_there(mesh):
     bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
     with pytest.raises(InputError, match="CONTACT"):
         GelFace(bare)

@@ -23,7 +23,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("lobe", [0.0, 1.0, 7.5])
-def test_point_light_over_a_lambert_plane(lobe: float) -> None:
+def test_point_light_over_a_lambert_plane(lobe):
     tilt = math.radians(20)
     axis = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
     light = Light((-3.0, 2.0, -9.0), tuple(axis.tolist()), (2.0, 1.0, 0.5), lobe=lobe)
@@ -41,7 +41,7 @@ def test_point_light_over_a_lambert_plane(lobe: float) -> None:
         np.testing.assert_allclose(image.linear[..., c], expected, rtol=2e-4)
 
 
-def test_refracted_light_conserves_power_between_cones() -> None:
+def test_refracted_light_conserves_power_between_cones():
     light = Light((0.0, 0.0, -14.0), UP, (1.0, 1.0, 1.0))
     optics = model(design(light, window=PLATE))
     field = optics.light_field()
@@ -68,7 +68,7 @@ def test_refracted_light_conserves_power_between_cones() -> None:
     assert vector[0] / np.linalg.norm(vector) == pytest.approx(-sine, rel=1e-3)
 
 
-def test_light_inside_the_window_bends_at_the_gel_only() -> None:
+def test_light_inside_the_window_bends_at_the_gel_only():
     # Straight above the source r -> 0: E = I / (n_w sum h / n)^2, and one interface to pass.
     depth_in_window = 2.0
     inside = Light((0.0, 0.0, -GEL_MM - depth_in_window), UP, (1.0, 1.0, 1.0))
@@ -85,7 +85,7 @@ def test_light_inside_the_window_bends_at_the_gel_only() -> None:
     np.testing.assert_allclose(same.irradiance()[..., 0], expected, rtol=1e-3)
 
 
-def test_area_light_converges_to_its_form_factor() -> None:
+def test_area_light_converges_to_its_form_factor():
     # A Lambertian rectangle parallel to the face, seen from the point under its middle: four
     # quarters with a = w / h, b = l / h (Howell, "Catalog of radiation configuration factors",
     # C-5).
@@ -106,7 +106,7 @@ def test_area_light_converges_to_its_form_factor() -> None:
     assert errors[2] < 1e-3
 
 
-def test_cells_of_area_lights_cover_them_evenly() -> None:
+def test_cells_of_area_lights_cover_them_evenly():
     light = Light((1.0, 2.0, -3.0), (1.0, 0.0, 0.0), (1.0, 2.0, 3.0), size_mm=(6.0, 2.0), lobe=3.0)
     samples = sample_lights((light,), 12)
     assert len(samples.positions_mm) == 12
@@ -121,11 +121,11 @@ def test_cells_of_area_lights_cover_them_evenly() -> None:
 
 
 @pytest.mark.thorough
-def test_a_step_throws_its_shadow() -> None:
+def test_a_step_throws_its_shadow():
     step, edge = 1.0, 1.0
     source_x, depth = 9.0, 6.0
 
-    def stepped(xy: np.ndarray) -> np.ndarray:
+    def stepped(xy):
         return -step * np.clip((xy[..., 0] - edge) / 0.05, 0.0, 1.0)
 
     way = np.array([-source_x, 0.0, depth]) / math.hypot(source_x, depth)
@@ -154,11 +154,11 @@ def two_lights() -> tuple[Light, Light]:
     )
 
 
-def test_light_adds_up_and_scales() -> None:
+def test_light_adds_up_and_scales():
     first, second = two_lights()
     gloss = Coating((0.4, 0.5, 0.6), specular=0.3, roughness=0.4)
 
-    def linear(*lights: Light, ambient: float = 0.0) -> np.ndarray:
+    def linear(*lights, ambient=0.0):
         optics = design(*lights, coating=gloss, window=PLATE, ambient_rgb=(ambient,) * 3)
         return model(optics).render().linear.astype(np.float64)
 
@@ -174,7 +174,7 @@ def test_light_adds_up_and_scales() -> None:
     assert only_red[..., 0].min() > 0.0
 
 
-def test_renders_are_equal_to_the_bit() -> None:
+def test_renders_are_equal_to_the_bit():
     optics = design(*two_lights(), window=PLATE)
     first, again = model(optics).render(), model(optics)
     second = again.render()
@@ -197,7 +197,7 @@ def _glossy_albedo_kernel(
 
 
 @pytest.mark.parametrize("roughness", [0.15, 0.5])
-def test_the_glossy_lobe_makes_no_light(roughness: float) -> None:
+def test_the_glossy_lobe_makes_no_light(roughness):
     gloss = Gloss()
     gloss.weight = 1.0
     gloss.alpha2 = roughness**2
@@ -214,7 +214,7 @@ def test_the_glossy_lobe_makes_no_light(roughness: float) -> None:
     assert reflected[1] < 1
 
 
-def test_markers_are_dark_round_and_where_they_belong() -> None:
+def test_markers_are_dark_round_and_where_they_belong():
     light = Light((0.0, 0.0, -20.0), UP, (1.0, 1.0, 1.0))
     grid = MarkerGrid(3, 3, 6.0, 5.0, 1.5, offset_mm=(0.5, -0.5))
     plain = model(design(light), refraction=False, size_px=(164, 124))
@@ -231,13 +231,13 @@ def test_markers_are_dark_round_and_where_they_belong() -> None:
     assert area == pytest.approx(9 * math.pi * 1.5**2, rel=0.01)
 
 
-def test_turbid_gel_over_black_skin_darkens_where_it_is_thin() -> None:
+def test_turbid_gel_over_black_skin_darkens_where_it_is_thin():
     # Kubelka and Munk: over black R = s / (s + 1); thick layers are white; none shows the skin.
     assert turbid_reflectance(np.array(0.0), np.array(2.0)) == pytest.approx(2 / 3)
     assert turbid_reflectance(np.array(0.3), np.array(0.0)) == pytest.approx(0.3)
     assert turbid_reflectance(np.array(0.3), np.array(1e6)) == pytest.approx(1.0)
 
-    def dented(xy: np.ndarray) -> np.ndarray:
+    def dented(xy):
         return -1.5 * np.exp(-np.sum(xy**2, axis=-1) / 4.0)
 
     # From afar, so that the dent's middle is hardly nearer to the light.
@@ -254,8 +254,8 @@ def test_turbid_gel_over_black_skin_darkens_where_it_is_thin() -> None:
     assert image.linear[15, 20, 0] < 0.85 * whole.linear[15, 20, 0]
 
 
-def test_other_formulas_keep_the_exposure() -> None:
-    def lower(xy: np.ndarray) -> np.ndarray:
+def test_other_formulas_keep_the_exposure():
+    def lower(xy):
         return np.full(xy.shape[:-1], -1.0)
 
     optics = model(design(*two_lights(), window=PLATE))
@@ -267,7 +267,7 @@ def test_other_formulas_keep_the_exposure() -> None:
     np.testing.assert_array_equal(optics.render().rgb, optics.picture(optics.light_field()).rgb)
 
 
-def test_exposure_puts_the_median_at_its_level() -> None:
+def test_exposure_puts_the_median_at_its_level():
     red, blue = two_lights()
     optics = design(red, replace(blue, rgb=(0.0, 0.1, 0.2)), window=PLATE)
     for balance in ("gray", "none"):
@@ -280,7 +280,7 @@ def test_exposure_puts_the_median_at_its_level() -> None:
             assert medians.min() < 80
 
 
-def test_input_that_shows_nothing() -> None:
+def test_input_that_shows_nothing():
     light = Light((0.0, 0.0, -20.0), UP, (1.0, 1.0, 1.0))
     with pytest.raises(InputError, match="samples"):
         model(design(light), samples=0)

@@ -15,7 +15,7 @@ from taccel_lab.presses.bonded_layer import layer_force_n, layer_young_modulus_p
 from tests.calibration.material.layer_series import sphere_force_series_n
 
 
-def test_a_thick_layer_is_a_half_space() -> None:
+def test_a_thick_layer_is_a_half_space():
     depth = np.array([0.002, 0.01])
     hertz = 4 / 3 * 1e5 / (1 - 0.4**2) * math.sqrt(2.0) * depth**1.5 * 1e-6
     series = sphere_force_series_n(depth, 2.0, 2000.0, 0.4, 1e5)
@@ -29,21 +29,21 @@ def test_a_thick_layer_is_a_half_space() -> None:
 @pytest.mark.parametrize(
     ("ratio", "factor"), [(0.2, 1.281), (0.4, 1.683), (0.6, 2.211), (0.8, 2.855), (1.0, 3.609)]
 )
-def test_flat_punches_on_incompressible_layers(ratio: float, factor: float) -> None:
+def test_flat_punches_on_incompressible_layers(ratio, factor):
     # Hayes, Keer, Herrmann and Mockros (1972), table 1, nu = 0.5.
     punch = layer_force_n("cylinder", np.array([0.1]), ratio, 1.0, 0.5)
     half_space = 2 * ratio * 0.1 / 0.75 * 1e-6
     assert punch[0] / half_space == pytest.approx(factor, rel=4e-3)
 
 
-def test_a_wide_punch_squeezes_a_confined_layer() -> None:
+def test_a_wide_punch_squeezes_a_confined_layer():
     wide = layer_force_n("cylinder", np.array([0.1]), 100.0, 1.0, 0.3)
     plate = layer_force_n("flat", np.array([0.1]), 100.0, 1.0, 0.3)
     assert wide[0] / plate[0] == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.5])
-def test_series_and_integral_equation_agree_on_moderate_layers(poisson: float) -> None:
+def test_series_and_integral_equation_agree_on_moderate_layers(poisson):
     depth = np.array([0.02, 0.05, 0.1])  # chi 0.04 to 0.22
     series = sphere_force_series_n(depth, 7.5, 4.0, poisson)
     exact = layer_force_n("sphere", depth, 7.5, 4.0, poisson)
@@ -55,16 +55,14 @@ def test_series_and_integral_equation_agree_on_moderate_layers(poisson: float) -
     st.floats(2e4, 2e6), st.floats(1.0, 10.0), st.floats(1.0, 6.0), st.floats(0.3, 0.499),
     st.sampled_from(["sphere", "cylinder"]),
 )  # fmt: skip
-def test_the_inverse_finds_the_modulus(
-    modulus: float, radius: float, thickness: float, poisson: float, kind: str
-) -> None:
+def test_the_inverse_finds_the_modulus(modulus, radius, thickness, poisson, kind):
     depth = np.linspace(0.01, 0.1, 4) * min(thickness, radius)
     force = layer_force_n(kind, depth, radius, thickness, poisson, modulus)  # type: ignore[arg-type]
     found = layer_young_modulus_pa(kind, depth, force, radius, thickness, poisson)  # type: ignore[arg-type]
     assert found == pytest.approx(modulus, rel=1e-9)
 
 
-def test_what_is_no_layer_is_refused() -> None:
+def test_what_is_no_layer_is_refused():
     depth = np.array([0.1])
     with pytest.raises(InputError, match="Poisson"):
         layer_force_n("sphere", depth, 1.0, 1.0, 0.6)

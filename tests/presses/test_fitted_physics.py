@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
-from taccel_lab.presses import PHYSICS, Accuracy, PressPhysics, physics_difference
+from taccel_lab.presses import PHYSICS, Accuracy, physics_difference
 from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.profile import (
     FittedWith,
@@ -47,7 +47,7 @@ def fitted(friction: float = 0.3) -> FittedWith:
     )
 
 
-def test_a_press_like_those_of_the_fit_says_nothing() -> None:
+def test_a_press_like_those_of_the_fit_says_nothing():
     assert physics_difference(block(fitted()), DEFAULT, 0.3) is None
     assert physics_difference(block(None), DEFAULT, 0.3) is None
 
@@ -69,13 +69,13 @@ def test_a_press_like_those_of_the_fit_says_nothing() -> None:
         ),
     ],
 )
-def test_what_differs_is_named(physics: PressPhysics, friction: float, words: str) -> None:
+def test_what_differs_is_named(physics, friction, words):
     said = physics_difference(block(fitted()), physics, friction)
     assert said is not None and words in said
     assert said.count("this press:") == 1
 
 
-def test_an_older_calibration_is_said_to_be_unknown() -> None:
+def test_an_older_calibration_is_said_to_be_unknown():
     old = block(
         None,
         kind="calibrated",
@@ -105,7 +105,7 @@ def calibrated(**tables: Any) -> Provenance:
 
 
 @pytest.fixture(scope="module")
-def mini() -> SensorProfile:
+def mini():
     return catalogue_profile("gelsight_mini")
 
 
@@ -128,7 +128,7 @@ def ends(profile: SensorProfile) -> dict[str, tuple[float, float]]:
     return {name: (item.low, item.high) for name, item in measured_ranges(profile).items()}
 
 
-def test_an_interval_is_taken_as_it_is(mini: SensorProfile) -> None:
+def test_an_interval_is_taken_as_it_is(mini):
     interval = {"young_modulus_pa": (9e4, 1.3e5), "poisson_ratio": (0.44, 0.47)}
     profile = with_fit(mini, interval=interval, spread={"young_modulus_pa": 1.0})
     found = measured_ranges(profile)
@@ -138,12 +138,12 @@ def test_an_interval_is_taken_as_it_is(mini: SensorProfile) -> None:
         assert found[name].rests_on == "the calibration's 95 % interval"
 
 
-def test_two_standard_deviations_stand_in_for_an_interval(mini: SensorProfile) -> None:
+def test_two_standard_deviations_stand_in_for_an_interval(mini):
     found = ends(with_fit(mini, spread={"friction_coefficient": 0.05, "density_kg_m3": 1.0}))
     assert found == {"friction_coefficient": pytest.approx((0.7, 0.9))}
 
 
-def test_the_spread_between_units_counts_beside_that_of_the_fit(mini: SensorProfile) -> None:
+def test_the_spread_between_units_counts_beside_that_of_the_fit(mini):
     """3 and 4 make 5, below the value; 12 and 5 make 13 above it."""
     profile = with_fit(mini, interval={"young_modulus_pa": (9.7e4, 1e5 + 4800)})
     profile = between_units(profile, young_modulus_relative=0.02, friction_coefficient=0.1)
@@ -154,7 +154,7 @@ def test_the_spread_between_units_counts_beside_that_of_the_fit(mini: SensorProf
     assert "between units" in measured_ranges(profile)["young_modulus_pa"].rests_on
 
 
-def test_what_was_not_measured_has_no_spread(mini: SensorProfile) -> None:
+def test_what_was_not_measured_has_no_spread(mini):
     assert ends(mini) == {}
     guessed = Provenance(kind="assumed", method="a guess", source="none")
     block = PerturbationBlock(young_modulus_relative=0.2, provenance=guessed)
@@ -163,7 +163,7 @@ def test_what_was_not_measured_has_no_spread(mini: SensorProfile) -> None:
     assert ends(mini.with_block(mini.material.replace(provenance=told))) == {}
 
 
-def test_ranges_that_no_gel_has_are_refused(mini: SensorProfile) -> None:
+def test_ranges_that_no_gel_has_are_refused(mini):
     with pytest.raises(InputError, match="reaches from -100000 to 300000, which no gel has"):
         measured_ranges(between_units(with_fit(mini), young_modulus_relative=1.0))
     with pytest.raises(InputError, match=r"spread of poisson_ratio .* to 0.51, which no gel has"):

@@ -25,7 +25,7 @@ BALL = parse_indenter("sphere:4")
 
 
 @pytest.fixture(scope="module")
-def pad() -> tl.SensorProfile:
+def pad():
     return tl.load_sensor("flat_pad")
 
 
@@ -46,7 +46,7 @@ def fitted(pad: tl.SensorProfile, pa: tuple[float, float]) -> tl.SensorProfile:
     return pad.with_block(material.replace(provenance=known))
 
 
-def test_independent_causes_add_by_squares_of_logarithms() -> None:
+def test_independent_causes_add_by_squares_of_logarithms():
     one, two = Cause("a", 0.5, 2.0), Cause("b", 1 / 1.1, 1.1)
     found = ForceInterval.of(3.0, (one, two))
     off = math.hypot(math.log(2), math.log(1.1))
@@ -57,7 +57,7 @@ def test_independent_causes_add_by_squares_of_logarithms() -> None:
     assert found.words().index("a x 0.5 to 2") < found.words().index("b -9.1 to +10 %")
 
 
-def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad: tl.SensorProfile) -> None:
+def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad):
     found = causes(pad)
     assert (found["Young's modulus"].low, found["Young's modulus"].high) == (0.5, 2.0)
     assert found["numerical"].high == pytest.approx(1.02)
@@ -67,7 +67,7 @@ def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad: tl.SensorProfile) -
     assert "depth" not in found and "Poisson's ratio" not in found
 
 
-def test_what_is_known_makes_the_interval_smaller(pad: tl.SensorProfile) -> None:
+def test_what_is_known_makes_the_interval_smaller(pad):
     pa = pad.material.young_modulus_pa
     known = fitted(pad, (0.9 * pa, 1.2 * pa))
     found = causes(known, slippery=0.96)
@@ -80,7 +80,7 @@ def test_what_is_known_makes_the_interval_smaller(pad: tl.SensorProfile) -> None
     assert wide.low_n < narrow.low_n < 2.0 < narrow.high_n < wide.high_n
 
 
-def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad: tl.SensorProfile) -> None:
+def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad):
     material, pa = pad.material, pad.material.young_modulus_pa
     wild = {"young_modulus_pa": pa, "poisson_ratio": 0.1, "friction_coefficient": 0.1}
     known = material.provenance.model_copy(update={"kind": "measured", "spread": wild})
@@ -90,9 +90,7 @@ def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad: tl.SensorP
     assert 1 - FRICTION_SHARE < found["friction"].low < 1.0
 
 
-def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(
-    pad: tl.SensorProfile,
-) -> None:
+def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(pad):
     press = pressed()
     assert force_power(press) == 1.5
     steps = [
@@ -104,7 +102,7 @@ def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(
     assert (found.low, found.high) == pytest.approx((0.8**2, 1.2**2))
 
 
-def test_heights_and_images_hold_depth_place_and_colours(pad: tl.SensorProfile) -> None:
+def test_heights_and_images_hold_depth_place_and_colours(pad):
     press = replace(pressed(), height_error_m=2e-6)
     assert height_error_mm(press, 0.0).total == height_error_mm(press, 0.0).numerical == 2e-3
     read = height_error_mm(press, 0.02)
@@ -122,7 +120,7 @@ def test_heights_and_images_hold_depth_place_and_colours(pad: tl.SensorProfile) 
     assert doubted > 5.0
 
 
-def test_presses_without_anything_in_contact_have_no_share(pad: tl.SensorProfile) -> None:
+def test_presses_without_anything_in_contact_have_no_share(pad):
     found = Presses(-1.0, 0.0, 0.0, 0.0).measured()
     assert found.error.factor == 1.0 and found.error.changes == (0.0, 0.0)
     names = {each.name for each in force_causes(pad, BALL, pressed(force_n=0.0), None)}

@@ -15,14 +15,7 @@ from taccel_lab.ipc.potentials.elements import quadratic_shape
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadratic_kernels
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_law
-from taccel_lab.presses import (
-    PHYSICS,
-    Accuracy,
-    PressEnv,
-    PressPath,
-    PressPhysics,
-    parse_indenter,
-)
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.scene import Material, MaxwellBranch
 from taccel_lab.sensors.press_mesh import press_mesh
 
@@ -52,7 +45,7 @@ def deep_edge(friction: float = 0.0, gel: Material = GEL) -> PressEnv:
     return env
 
 
-def test_a_gentle_press_has_nothing_of_it() -> None:
+def test_a_gentle_press_has_nothing_of_it():
     env = at_rest("sphere:4", 0.2)
     assert env.guard_share()[0] == 0.0
     env.follow(PressPath(0.2))
@@ -62,9 +55,7 @@ def test_a_gentle_press_has_nothing_of_it() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("friction", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_it_is_what_the_force_loses_without_a_guard(
-    friction: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_is_what_the_force_loses_without_a_guard(friction, monkeypatch):
     """A threshold of 0.01 in place of 0.1 leaves next to nothing of the guard: the force of seven
     pins and edges changes by 0.8 to 1.3 times the share."""
     env = deep_edge(friction)
@@ -92,7 +83,7 @@ def test_it_is_what_the_force_loses_without_a_guard(
 
 
 @pytest.mark.thorough
-def test_a_batch_tells_what_each_press_does_alone() -> None:
+def test_a_batch_tells_what_each_press_does_alone():
     fast = PHYSICS[Accuracy.FAST]
     alone = at_rest(TOOL, DEPTH_MM, physics=fast)
     alone.follow(PressPath(DEPTH_MM))
@@ -105,7 +96,7 @@ def test_a_batch_tells_what_each_press_does_alone() -> None:
 
 
 @pytest.mark.slow
-def test_a_gel_that_relaxes_has_it_too() -> None:
+def test_a_gel_that_relaxes_has_it_too():
     """Of branches that are gone in a moment, what the gel without any has; the tangent counts the
     past of the last step."""
     gone = replace(GEL, branches=(MaxwellBranch(0.5, 1e-3),))

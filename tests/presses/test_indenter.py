@@ -28,7 +28,7 @@ def signed_volume(mesh: TriangleMesh) -> float:
 
 
 @given(size=st.floats(0.05, 100.0))
-def test_sizes_are_read_in_mm(size: float) -> None:
+def test_sizes_are_read_in_mm(size):
     shape = parse_indenter(f"sphere:{size!r}").shape
     assert isinstance(shape, Ball)
     assert shape.radius_m == pytest.approx(size * 1e-3)
@@ -64,7 +64,7 @@ def test_sizes_are_read_in_mm(size: float) -> None:
         ("mesh:absent.stl", "absent.stl does not exist"),
     ],
 )
-def test_bad_text(text: str, message: str) -> None:
+def test_bad_text(text, message):
     with pytest.raises(InputError, match=message) as caught:
         parse_indenter(text)
     if not text.startswith("mesh"):
@@ -77,7 +77,7 @@ def save(surface: pyvista.PolyData, path: Path) -> str:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
-def test_a_mesh_file_keeps_its_origin_and_axes(tmp_path: Path, suffix: str) -> None:
+def test_a_mesh_file_keeps_its_origin_and_axes(tmp_path, suffix):
     cone = pyvista.Cone(center=(7, -3, 20), direction=(0, 0, -1), height=4, radius=1.5)
     mesh = parse_indenter(save(cone.triangulate(), tmp_path / f"cone.{suffix}")).shape
     assert isinstance(mesh, TriangleMesh)
@@ -99,9 +99,7 @@ def test_a_mesh_file_keeps_its_origin_and_axes(tmp_path: Path, suffix: str) -> N
         ("-y", (1, 0, 0), (0, 0, -1)),
     ],
 )
-def test_an_axis_of_the_file_points_into_the_gel(
-    tmp_path: Path, axis: str, right: tuple[int, ...], down: tuple[int, ...]
-) -> None:
+def test_an_axis_of_the_file_points_into_the_gel(tmp_path, axis, right, down):
     """And the others turn with it, without a mirror."""
     into = np.eye(3)["xyz".index(axis[1])] * (1 if axis[0] == "+" else -1)
     center = 2 * into + 3.0 * np.array(right) + 1.0 * np.array(down)
@@ -113,7 +111,7 @@ def test_an_axis_of_the_file_points_into_the_gel(
     assert signed_volume(mesh) > 0
 
 
-def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
+def test_faces_that_look_inwards_are_turned(tmp_path):
     points, faces = cube()
     inside_out = pyvista.PolyData(points, faces[:, [0, 1, 3, 2]])
     mesh = parse_indenter(save(inside_out, tmp_path / "cube.stl")).shape
@@ -121,12 +119,12 @@ def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
     assert signed_volume(mesh) == pytest.approx(6e-9)
 
 
-def test_a_file_that_was_inside_out_is_said_to_be(tmp_path: Path) -> None:
+def test_a_file_that_was_inside_out_is_said_to_be(tmp_path):
     """A part beside another as well; a cavity looks inwards, and a good file needs no word."""
     points, faces = cube()
     inwards = faces[:, [0, 1, 3, 2]]
 
-    def read(name: str, *parts: tuple[np.ndarray, np.ndarray]) -> Indenter:
+    def read(name, *parts):
         joined = pyvista.merge([pyvista.PolyData(at, rows) for at, rows in parts])
         return parse_indenter(
             save(joined.extract_surface(algorithm="dataset_surface"), tmp_path / f"{name}.stl")
@@ -190,9 +188,7 @@ def triangles(*rows: tuple[int, int, int]) -> pyvista.PolyData:
         (pyvista.Sphere(radius=2.0, center=(250, 0, 0)), r"reaches 25[12].* mm from its origin"),
     ],
 )
-def test_surfaces_of_no_body_are_refused(
-    surface: pyvista.PolyData, words: str, tmp_path: Path
-) -> None:
+def test_surfaces_of_no_body_are_refused(surface, words, tmp_path):
     with pytest.raises(InputError, match=rf"bad\.obj.*{words}"):
         parse_indenter(save(surface, tmp_path / "bad.obj"))
 
@@ -201,21 +197,21 @@ def test_surfaces_of_no_body_are_refused(
 @pytest.mark.parametrize(
     ("scale", "unit"), [(1e-3, "metres"), (1 / 254, "inches"), (1e3, ""), (1e6, "")]
 )
-def test_mesh_in_another_unit_is_refused(tmp_path: Path, scale: float, unit: str) -> None:
+def test_mesh_in_another_unit_is_refused(tmp_path, scale, unit):
     sphere = pyvista.Sphere(radius=0.4 * scale)
     with pytest.raises(InputError, match=rf"mm across; a size in \[0.1, 100\] mm.*{unit}"):
         parse_indenter(save(sphere, tmp_path / "ball.stl"))
 
 
 @pytest.fixture
-def puck(tmp_path: Path) -> str:
+def puck(tmp_path):
     """0.6 mm across: an object of 0.6 m in metres, or one of 15 mm in inches."""
     return save(
         pyvista.Cylinder(direction=(0, 0, 1), radius=0.3, height=0.4), tmp_path / "puck.stl"
     )
 
 
-def test_part_smaller_than_the_depth_is_refused(puck: str) -> None:
+def test_part_smaller_than_the_depth_is_refused(puck):
     """By whoever meshes a gel for it, with its size in other units."""
     indenter = parse_indenter(puck)
     assert indenter.contact(0.5) is not None
@@ -226,7 +222,7 @@ def test_part_smaller_than_the_depth_is_refused(puck: str) -> None:
         StandardPress("one", (puck,), depth_mm=0.7)
 
 
-def test_part_smaller_than_an_element_is_refused(puck: str) -> None:
+def test_part_smaller_than_an_element_is_refused(puck):
     cells = block_mesh((4, 4, 2), (6e-3, 6e-3, 3e-3))
     for mesh in (cells, block_mesh((20, 20, 2), (6e-3, 6e-3, 3e-3))):
         refused = mesh is cells
@@ -235,7 +231,7 @@ def test_part_smaller_than_an_element_is_refused(puck: str) -> None:
             PressEnv(mesh, Material(1e5, 0.4), parse_indenter(puck), np.zeros((1, 2)))
 
 
-def test_part_of_python_in_millimetres_is_refused() -> None:
+def test_part_of_python_in_millimetres_is_refused():
     box = box_mesh((0.06, 0.06, 0.004))
     tool = Indenter("puck", TriangleMesh(1e3 * box.vertices_m, box.faces))
     with pytest.raises(InputError, match=r"6e\+04 mm across: at most 1000 mm"):
@@ -264,7 +260,7 @@ def assert_closed(mesh: TriangleMesh) -> None:
 
 @settings(max_examples=20)
 @given(radius=sizes, length=sizes)
-def test_roller(radius: float, length: float) -> None:
+def test_roller(radius, length):
     mesh = mesh_of(f"roller:{radius!r}x{length!r}")
     assert_closed(mesh)
     assert 1e9 * signed_volume(mesh) == pytest.approx(math.pi * radius**2 * length, rel=1e-3)
@@ -277,7 +273,7 @@ def test_roller(radius: float, length: float) -> None:
 
 @settings(max_examples=20)
 @given(angle=st.floats(10, 170), length=sizes, radius=st.none() | st.floats(0.05, 0.2))
-def test_edge(angle: float, length: float, radius: float | None) -> None:
+def test_edge(angle, length, radius):
     mesh = mesh_of(f"edge:{angle!r}x{length!r}" + (f"x{radius!r}" if radius else ""))
     assert_closed(mesh)
     assert np.ptp(mesh.vertices_m[:, 1]) * 1e3 == pytest.approx(length)
@@ -292,7 +288,7 @@ def test_edge(angle: float, length: float, radius: float | None) -> None:
     assert section[np.argmin(section[:, 1]), 0] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_rounded_edge_has_its_radius() -> None:
+def test_a_rounded_edge_has_its_radius():
     mesh = edge_mesh(math.degrees(1.2), 5e-3, 0.1e-3)
     low = mesh.vertices_m[:, 2].min()
     tip = mesh.vertices_m[mesh.vertices_m[:, 2] < low + 0.03e-3]
@@ -303,7 +299,7 @@ def test_a_rounded_edge_has_its_radius() -> None:
 
 @settings(max_examples=20)
 @given(pitch=st.floats(0.1, 3.0), ridges=st.integers(2, 12), length=sizes)
-def test_grating(pitch: float, ridges: int, length: float) -> None:
+def test_grating(pitch, ridges, length):
     mesh = mesh_of(f"grating:{pitch!r}x{ridges}x{length!r}")
     assert_closed(mesh)
     vertices = mesh.vertices_m * 1e3
@@ -320,7 +316,7 @@ def test_grating(pitch: float, ridges: int, length: float) -> None:
 
 @settings(max_examples=20)
 @given(radius=sizes, gap=sizes)
-def test_pair(radius: float, gap: float) -> None:
+def test_pair(radius, gap):
     mesh = mesh_of(f"pair:{radius!r}x{gap!r}")
     assert_closed(mesh)
     vertices = mesh.vertices_m * 1e3
@@ -337,7 +333,7 @@ def test_pair(radius: float, gap: float) -> None:
 
 
 @pytest.mark.parametrize(("depth_mm", "radius_mm"), [(0.5, 0.968), (5.0, 2.0)])
-def test_the_radius_of_a_ball_is_hertz(depth_mm: float, radius_mm: float) -> None:
+def test_the_radius_of_a_ball_is_hertz(depth_mm, radius_mm):
     found = parse_indenter("sphere:2.0").contact(depth_mm)
     assert found == pytest.approx(radius_mm, rel=1e-3)
 
@@ -353,7 +349,7 @@ def test_the_radius_of_a_ball_is_hertz(depth_mm: float, radius_mm: float) -> Non
         ("pair:0.25x0.5", 0.4, (0.25 + 0.25 + math.sqrt(0.25**2 - 0.05**2), 0.245)),
     ],
 )
-def test_the_outline_of_a_tool(text: str, depth_mm: float, half_mm: tuple[float, float]) -> None:
+def test_the_outline_of_a_tool(text, depth_mm, half_mm):
     section = parse_indenter(text).contact(depth_mm)
     assert isinstance(section, ToolSection)
     outline = section.outline_mm
@@ -374,7 +370,7 @@ def test_the_outline_of_a_tool(text: str, depth_mm: float, half_mm: tuple[float,
         ("pair:0.25x0.5", 2 * math.pi * 0.06 / (math.pi * 0.06 + 2 * math.sqrt(0.06))),
     ],
 )
-def test_how_much_of_its_outline_a_tool_fills(text: str, filled: float) -> None:
+def test_how_much_of_its_outline_a_tool_fills(text, filled):
     section = parse_indenter(text).contact(0.4)
     assert isinstance(section, ToolSection)
     assert section.filled == pytest.approx(filled, rel=0.02)
@@ -389,8 +385,6 @@ def test_how_much_of_its_outline_a_tool_fills(text: str, filled: float) -> None:
         (np.eye(2), 1.0, 0.0, "above 0 mm"),
     ],
 )
-def test_a_section_is_checked(
-    outline: np.ndarray, filled: float, depth_mm: float, message: str
-) -> None:
+def test_a_section_is_checked(outline, filled, depth_mm, message):
     with pytest.raises(InputError, match=message):
         ToolSection(outline, filled, depth_mm)

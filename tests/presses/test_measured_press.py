@@ -36,25 +36,25 @@ RIMS = TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     ("text", "found"),
     [("fast", Accuracy.FAST), ("3%", 0.03), (" 0.5 % ", 0.005), ("50%", 0.5), (".7%", 0.007)],
 )
-def test_accuracies_are_grades_or_percentages(text: str, found: Accuracy | float) -> None:
+def test_accuracies_are_grades_or_percentages(text, found):
     said = parse_accuracy(text)
     assert isinstance(said, Accuracy) == isinstance(found, Accuracy)
     assert said == (found if isinstance(found, Accuracy) else pytest.approx(found))
 
 
 @pytest.mark.parametrize("text", ["best", "3", "%", "-3%", "3%%", "1e1%", "nan%", "", "3.%x"])
-def test_others_are_refused(text: str) -> None:
+def test_others_are_refused(text):
     with pytest.raises(InputError, match="allowed: fast, default, reference, or the largest error"):
         parse_accuracy(text)
 
 
 @pytest.mark.parametrize("text", ["0%", "0.4%", "51%"])
-def test_so_are_percentages_that_no_press_keeps(text: str) -> None:
+def test_so_are_percentages_that_no_press_keeps(text):
     with pytest.raises(InputError, match=r"not possible; use 0.5% to 50%"):
         parse_accuracy(text)
 
 
-def test_batches_state_what_their_grade_keeps_to() -> None:
+def test_batches_state_what_their_grade_keeps_to():
     depths = np.array([1e-4, DEPTH_M, -1e-5])
     for grade in Accuracy:
         for shape in (BALL, RIMS):
@@ -69,7 +69,7 @@ def test_batches_state_what_their_grade_keeps_to() -> None:
     assert expected_error(coarser, BALL, np.ones(1), np.ones(1)).force_n[0] > LINEAR_SHARE
 
 
-def test_coarser_settings_state_more_and_finer_ones_no_less() -> None:
+def test_coarser_settings_state_more_and_finer_ones_no_less():
     usual = expected_error(DEFAULT, RIMS, np.ones(1), np.full(1, DEPTH_M)).force_n[0]
     coarser = replace(DEFAULT, mesh=PHYSICS[Accuracy.FAST].mesh)
     assert expected_error(coarser, RIMS, np.ones(1), np.full(1, DEPTH_M)).force_n[0] > 1.5 * usual
@@ -88,9 +88,7 @@ def test_coarser_settings_state_more_and_finer_ones_no_less() -> None:
 @pytest.mark.parametrize(
     ("setting", "least", "room"), [("fast", 0.95, 5.0), ("default", 0.95, 3.5)]
 )
-def test_presses_of_the_battery_are_inside_what_they_state(
-    setting: str, least: float, room: float
-) -> None:
+def test_presses_of_the_battery_are_inside_what_they_state(setting, least, room):
     """Measured on a GPU against meshes of twice the elements, docs/evidence/verification.md."""
     rows = [
         row
@@ -180,9 +178,7 @@ def stated(found: MeasuredPress) -> PressOutcome:
     ("mesh", "dhat", "path"),
     [(0.02, 0.01, 0.03), (-0.02, -0.01, 0.02), (0.0, 0.02, 0.0), (0.1, 0.0, 0.0), (0, 0, 0)],
 )
-def test_one_press_beside_it_halves_an_error_and_states_the_rest(
-    mesh: float, dhat: float, path: float, order: float
-) -> None:
+def test_one_press_beside_it_halves_an_error_and_states_the_rest(mesh, dhat, path, order):
     presses = Presses(mesh, dhat, path, order)
     found = presses.measured()
     assert presses.done == [AS_IT_IS, Resolution.of(-1)]
@@ -200,9 +196,7 @@ def test_one_press_beside_it_halves_an_error_and_states_the_rest(
 @pytest.mark.parametrize(
     ("mesh", "dhat", "path"), [(0.04, 0.02, 0.03), (-0.04, -0.02, 0.03), (0.0, 0.0, 0.1)]
 )
-def test_percentages_go_up_until_they_are_kept(
-    mesh: float, dhat: float, path: float, order: float
-) -> None:
+def test_percentages_go_up_until_they_are_kept(mesh, dhat, path, order):
     presses = Presses(mesh, dhat, path, order)
     found = presses.measured(0.02)
     assert found.error.shortfall is None and found.error.share <= 0.02
@@ -213,7 +207,7 @@ def test_percentages_go_up_until_they_are_kept(
     assert len(found.error.changes) == found.error.presses and found.error.changes[-1] == 0
 
 
-def test_where_the_path_does_not_matter_finer_presses_keep_its_steps() -> None:
+def test_where_the_path_does_not_matter_finer_presses_keep_its_steps():
     presses = Presses(0.1, 0.0, 0.0)
     presses.measured(0.01, remembers=False)
     assert [at.steps for at in presses.done[:3]] == [1, 0.5, 1] and len(presses.done) > 3
@@ -224,7 +218,7 @@ def test_where_the_path_does_not_matter_finer_presses_keep_its_steps() -> None:
     }
 
 
-def test_levels_and_failures_are_told_and_the_best_press_is_kept() -> None:
+def test_levels_and_failures_are_told_and_the_best_press_is_kept():
     found = Presses(0.3, 0.0, 0.0, 1.0).measured(0.02, levels=1)
     assert found.error.level == 1 and "--levels 2 takes" in str(found.error.shortfall)
     assert "2 % was not reached: 1 finer presses" in found.error.words()
@@ -239,7 +233,7 @@ def test_levels_and_failures_are_told_and_the_best_press_is_kept() -> None:
         presses.measured()
 
 
-def test_without_a_press_beside_it_the_grade_speaks() -> None:
+def test_without_a_press_beside_it_the_grade_speaks():
     presses = Presses(0.02, 0.0, 0.0)
     presses.fails = lambda at: at.mesh < 1
     found = presses.measured()
@@ -248,7 +242,7 @@ def test_without_a_press_beside_it_the_grade_speaks() -> None:
     assert "rule of thumb" in found.error.words()
 
 
-def test_linear_elements_are_not_measured() -> None:
+def test_linear_elements_are_not_measured():
     """They are tens of per cent too stiff on any mesh, of which two meshes show a part."""
     presses = Presses(0.2, 0.0, 0.0, 1.0)
     linear = replace(DEFAULT, element=Element.LINEAR)
@@ -256,7 +250,7 @@ def test_linear_elements_are_not_measured() -> None:
     assert presses.done == [AS_IT_IS] and found.error.share == LINEAR_SHARE
 
 
-def test_what_the_guard_carries_is_stated_and_said() -> None:
+def test_what_the_guard_carries_is_stated_and_said():
     plain, presses = Presses(0.01, 0.0, 0.0).measured(), Presses(0.01, 0.0, 0.0)
     presses.guard_share = 0.04
     found = presses.measured()
@@ -264,7 +258,7 @@ def test_what_the_guard_carries_is_stated_and_said() -> None:
     assert "guard" in found.error.words() and "guard" not in plain.error.words()
 
 
-def test_meshes_that_contradict_each_other_prove_nothing() -> None:
+def test_meshes_that_contradict_each_other_prove_nothing():
     """Forces of a punch on a thin pad, which came down by 16 % and up by half of one: the next mesh
     was 5.6 % lower still."""
     forces_n = {0.71: 1.0395, 1.0: 0.8739, 1.41: 0.8786, 2.0: 0.8296, 2.83: 0.826, 4.0: 0.825}
@@ -275,10 +269,10 @@ def test_meshes_that_contradict_each_other_prove_nothing() -> None:
         assert abs(force.force_n - 0.825) <= force.force_error_n, asked
 
 
-def test_a_way_back_is_measured_where_it_turned() -> None:
+def test_a_way_back_is_measured_where_it_turned():
     presses = Presses(0.02, 0.0, 0.0)
 
-    def there_and_back(at: Resolution) -> PressOutcome:
+    def there_and_back(at):
         found = presses(at)
         end = replace(found.steps[0], depth_mm=0.0, wrench=np.zeros(6))
         return replace(found, path=replace(found.path, back=True), steps=[*found.steps, end])

@@ -42,7 +42,7 @@ def press_env(
 
 @pytest.mark.thorough(cases=("cylinder:1.0", "sphere:2.0"))
 @pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
-def test_force_grows_with_depth(indenter: str) -> None:
+def test_force_grows_with_depth(indenter):
     env = press_env(indenter, physics=DEFAULT if indenter == "sphere:2.0" else LINEAR)
     assert env.wrench == pytest.approx(np.zeros((1, 6)), abs=0)
     forces = []
@@ -64,7 +64,7 @@ def test_force_grows_with_depth(indenter: str) -> None:
         assert hertz < forces[-1] < 3 * hertz
 
 
-def test_no_force_before_first_touch() -> None:
+def test_no_force_before_first_touch():
     env = press_env()
     # The barrier begins at dhat above touch, and the ball is held back by as much.
     report = env.move_to(-1e-6)
@@ -76,7 +76,7 @@ def test_no_force_before_first_touch() -> None:
 
 
 @pytest.mark.parametrize("at_mm", [(-3.0, 0.0), (0.0, 2.5), (2.0, -2.0)])
-def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
+def test_moment_of_an_off_centre_press(at_mm):
     env = press_env(at_mm=at_mm)
     env.move_to(0.3)
     force, moment = env.wrench[0, :3], env.wrench[0, 3:]
@@ -97,7 +97,7 @@ def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("direction", [(1, 0), (0, -1)])
-def test_shear_is_resisted(direction: tuple[int, int]) -> None:
+def test_shear_is_resisted(direction):
     env = press_env(friction=0.5, physics=DEFAULT)
     env.move_to(0.4)
     normal = env.wrench[0, 2]
@@ -110,7 +110,7 @@ def test_shear_is_resisted(direction: tuple[int, int]) -> None:
     assert env.poses[0, 0, :2] == pytest.approx(np.array(direction) * 5e-5)
 
 
-def test_sliding_keeps_to_coulombs_law() -> None:
+def test_sliding_keeps_to_coulombs_law():
     env = press_env("sphere:2.0", friction=0.1)
     env.follow(PressPath(0.3, (0.8, 0.0), step_mm=0.2))
     forces = env.contact_forces[0]
@@ -121,7 +121,7 @@ def test_sliding_keeps_to_coulombs_law() -> None:
 
 
 @pytest.mark.parametrize("twist", [4.0, -4.0])
-def test_twist_is_resisted(twist: float) -> None:
+def test_twist_is_resisted(twist):
     mesh = pad((0.0, 0.0), 1.41)
     env = PressEnv(
         mesh, GEL, parse_indenter("box:2x2"), CENTRE, friction_coefficient=0.5, physics=LINEAR
@@ -136,7 +136,7 @@ def test_twist_is_resisted(twist: float) -> None:
 
 
 @pytest.mark.thorough
-def test_only_what_failed_is_halved() -> None:
+def test_only_what_failed_is_halved():
     """The deep press of two, where it may take fewer iterations than it needs in one piece."""
     at, tool = np.zeros((2, 2)), parse_indenter("sphere:2.0")
     depths = np.array([0.05, 0.8])
@@ -155,7 +155,7 @@ def test_only_what_failed_is_halved() -> None:
     assert env.depth_m * 1e3 == pytest.approx(depths)
 
 
-def test_a_press_that_never_converges_says_so() -> None:
+def test_a_press_that_never_converges_says_so():
     env = press_env(config=SolverConfig(max_newton_iterations=1))
     with pytest.raises(SimulationError) as caught:
         env.move_to(0.5)
@@ -165,7 +165,7 @@ def test_a_press_that_never_converges_says_so() -> None:
     assert not find_intersections(env.model, env.state)[0]
 
 
-def test_a_press_that_has_spent_its_iterations_is_halved_no_more() -> None:
+def test_a_press_that_has_spent_its_iterations_is_halved_no_more():
     config = SolverConfig(max_newton_iterations=1, max_step_iterations=4)
     env = press_env(config=config)
     with pytest.raises(SimulationError, match="may take 8 halvings and 4 iterations"):
@@ -178,7 +178,7 @@ def test_a_press_that_has_spent_its_iterations_is_halved_no_more() -> None:
     np.testing.assert_array_equal(env.positions, before)
 
 
-def test_reset() -> None:
+def test_reset():
     env = press_env(friction=0.5)
     env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
     first = env.wrench.copy()
@@ -190,7 +190,7 @@ def test_reset() -> None:
 
 
 @pytest.mark.thorough
-def test_batch_equals_single_presses() -> None:
+def test_batch_equals_single_presses():
     places = [(0.0, 0.0), (2.0, -1.0), (-3.0, 1.5)]
     depths = np.array([0.2, 0.35, 0.1])
     meshes = [pad(place) for place in places]
@@ -213,7 +213,7 @@ def test_batch_equals_single_presses() -> None:
 
 
 @pytest.mark.parametrize(("at_mm", "thick_mm"), [((0.0, 0.0), 5.0), ((6.0, 0.0), 4.639)])
-def test_depth_is_limited_by_the_gel_below(at_mm: tuple[float, float], thick_mm: float) -> None:
+def test_depth_is_limited_by_the_gel_below(at_mm, thick_mm):
     env = press_env(at_mm=at_mm)
     with pytest.raises(InputError, match="goes past the gel, which is") as caught:
         env.move_to(0.9 * thick_mm + 0.02)
@@ -234,7 +234,7 @@ def test_depth_is_limited_by_the_gel_below(at_mm: tuple[float, float], thick_mm:
         ((0.0, math.nan), "place of a press must be finite"),
     ],
 )
-def test_a_press_beside_the_gel_is_refused(at_mm: tuple[float, float], message: str) -> None:
+def test_a_press_beside_the_gel_is_refused(at_mm, message):
     with pytest.raises(InputError, match=message):
         PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.array([at_mm]))
 
@@ -249,15 +249,13 @@ def test_a_press_beside_the_gel_is_refused(at_mm: tuple[float, float], message: 
         (0.1, {"twist_deg": math.nan}, "NaN or infinite"),
     ],
 )
-def test_motions_that_no_press_makes_are_refused(
-    depth_mm: float | np.ndarray, motion: dict[str, object], message: str
-) -> None:
+def test_motions_that_no_press_makes_are_refused(depth_mm, motion, message):
     env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.zeros((2, 2)))
     with pytest.raises(InputError, match=message):
         env.move_to(depth_mm, **motion)  # type: ignore[arg-type]
 
 
-def test_a_shear_into_a_bonded_wall_is_refused_before_the_press() -> None:
+def test_a_shear_into_a_bonded_wall_is_refused_before_the_press():
     """Went down first, and then took all iterations of a step and its parts."""
     block = block_mesh((6, 6, 3), (8e-3, 8e-3, 4e-3))
     wall = (block.nodes_m[block.faces][..., 0] > 4e-3 - 1e-9).all(axis=1)
@@ -279,7 +277,7 @@ def test_a_shear_into_a_bonded_wall_is_refused_before_the_press() -> None:
         assert "the way leads through what holds the gel" in env.failure(0, report, 0.5)
 
 
-def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch):
     """Wherever first touch comes from, an overlap at the start is never simulated."""
     monkeypatch.setattr("taccel_lab.presses.press_env.first_touch_m", lambda *_: 1e-3)
     with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside 'gel'"):

@@ -33,7 +33,7 @@ def unit(x: float, y: float, z: float) -> np.ndarray:
 @example(x=1e-12, y=1e-9, z=-1.0)
 @example(x=0.0, y=0.0, z=-1.0)
 @given(x=angles, y=angles, z=st.floats(-1.0, 1.0))
-def test_normal_frame(x: float, y: float, z: float) -> None:
+def test_normal_frame(x, y, z):
     if math.hypot(x, y, z) < 0.1:
         return
     normal = unit(x, y, z)
@@ -54,12 +54,12 @@ def test_normal_frame(x: float, y: float, z: float) -> None:
         ([0, 0], [0, 0, 1], "finite point and normal"),
     ],
 )
-def test_bad_normals(point: list[float], normal: list[float], message: str) -> None:
+def test_bad_normals(point, normal, message):
     with pytest.raises((InputError, ValueError), match=message):
         normal_frame(np.array(point), np.array(normal))
 
 
-def test_bad_frames() -> None:
+def test_bad_frames():
     for frames, message in (
         (np.zeros((1, 7)), "unit length"),
         (np.zeros((2, 7)), r"shape \[1, 7\], got \(2, 7\)"),
@@ -91,7 +91,7 @@ def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: n
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("indenter", ["sphere:2", "edge:90x3"])
-def test_a_press_turns_with_its_frame(indenter: str) -> None:
+def test_a_press_turns_with_its_frame(indenter):
     straight = pressed(pad(), indenter, (0.4, -0.2))
     frame = np.concatenate([[2e-3, -1e-3, 5e-3], [0.3, -0.5, 0.2, 0.0]])
     frame[6] = math.sqrt(1 - (frame[3:6] ** 2).sum())
@@ -110,7 +110,7 @@ def test_a_press_turns_with_its_frame(indenter: str) -> None:
 
 
 @pytest.mark.thorough
-def test_a_press_from_the_side_pushes_sideways() -> None:
+def test_a_press_from_the_side_pushes_sideways():
     """The wall of a block, which is contact face too here, pressed along its normal."""
     block = block_mesh((6, 6, 4), (8e-3, 8e-3, 4e-3))
     regions = np.where(block.face_regions == Region.SIDE, Region.CONTACT, block.face_regions)
@@ -142,7 +142,7 @@ def shell(inner_m: float, outer_m: float) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 @pytest.mark.parametrize("tilt_deg", [10.0, 45.0, 70.0])
-def test_the_gel_of_a_shell_is_its_thickness(tilt_deg: float) -> None:
+def test_the_gel_of_a_shell_is_its_thickness(tilt_deg):
     nodes, outer, inner = shell(10e-3, 12.5e-3)
     tilt = math.radians(tilt_deg)
     normal = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
@@ -151,14 +151,14 @@ def test_the_gel_of_a_shell_is_its_thickness(tilt_deg: float) -> None:
     assert gel_below_m(seen, outer, inner, np.zeros(2)) == pytest.approx(2.5e-3, rel=0.02)
 
 
-def test_gel_without_bond_below_goes_by_the_nearest() -> None:
+def test_gel_without_bond_below_goes_by_the_nearest():
     nodes, outer, inner = shell(10e-3, 12.5e-3)
     # Straight down near the rim the axis misses the inner sphere.
     found = gel_below_m(nodes, outer, inner, np.array([12e-3, 0.0]))
     assert 2.4e-3 < found < 2.7e-3
 
 
-def test_turns_by_rotation_vectors() -> None:
+def test_turns_by_rotation_vectors():
     """A turn about z as an angle and as a vector is the same; a roll turns the body about its
     origin, which stays."""
     frames = PressFrames(None, 2)
@@ -174,7 +174,7 @@ def test_turns_by_rotation_vectors() -> None:
 
 
 @pytest.mark.thorough
-def test_a_ball_that_rolls_keeps_its_force() -> None:
+def test_a_ball_that_rolls_keeps_its_force():
     """Rolling on by radius times angle drags the gel along far less than sliding as far."""
     env = PressEnv(
         pad(), GEL, parse_indenter("sphere:2"), np.zeros((2, 2)), friction_coefficient=0.8,

@@ -36,7 +36,7 @@ def forces(outcome: PressOutcome) -> np.ndarray:
     return np.array([step.wrench[2] for step in outcome.steps])
 
 
-def test_a_hold_is_where_the_indenter_is_and_takes_its_time() -> None:
+def test_a_hold_is_where_the_indenter_is_and_takes_its_time():
     path = replace(PATH, shear_mm=(0.1, 0.0), twist_deg=4.0, hold_s=8.0, back=True, speed_mm_s=0.5)
     points, times = path.waypoints(), path.durations_s()
     assert len(points) == len(times) == 2 * len(path.way_there()) + HOLD_STEPS
@@ -50,7 +50,7 @@ def test_a_hold_is_where_the_indenter_is_and_takes_its_time() -> None:
     assert sum(times[down : held.start]) == pytest.approx(0.8)
 
 
-def test_a_hold_relaxes_and_a_way_back_loses_work() -> None:
+def test_a_hold_relaxes_and_a_way_back_loses_work():
     outcome = pressed(replace(PATH, hold_s=6.0, back=True))
     found, down = forces(outcome), len(PATH.way_there())
     relaxed = forces(pressed(PATH, GEL))[-1]
@@ -70,7 +70,7 @@ def test_a_hold_relaxes_and_a_way_back_loses_work() -> None:
 
 
 @pytest.mark.thorough
-def test_friction_holds_while_the_indenter_rests() -> None:
+def test_friction_holds_while_the_indenter_rests():
     """However long: static friction allows as little sliding in a long step as in a short one."""
     path = replace(PATH, hold_s=60.0)
     found, relaxed = (forces(pressed(path, gel, 1.0))[-1] for gel in (RELAXING, GEL))
@@ -80,7 +80,7 @@ def test_friction_holds_while_the_indenter_rests() -> None:
 
 
 @pytest.mark.thorough
-def test_a_slow_press_is_softer_than_a_fast_one() -> None:
+def test_a_slow_press_is_softer_than_a_fast_one():
     fast, slow = (forces(pressed(replace(PATH, speed_mm_s=speed)))[-1] for speed in (1e3, 1e-3))
     relaxed = forces(pressed(PATH, GEL))[-1]
     assert fast / relaxed == pytest.approx(1.4, rel=2e-3)
@@ -88,7 +88,7 @@ def test_a_slow_press_is_softer_than_a_fast_one() -> None:
 
 
 @pytest.mark.thorough
-def test_a_gel_that_does_not_relax_goes_back_as_it_came() -> None:
+def test_a_gel_that_does_not_relax_goes_back_as_it_came():
     plain = pressed(PATH, GEL)
     outcome = pressed(replace(PATH, back=True), GEL)
     found, down = forces(outcome), len(PATH.way_there())
@@ -109,6 +109,6 @@ def test_a_gel_that_does_not_relax_goes_back_as_it_came() -> None:
         ({"unload": True, "accuracy": "3%"}, "--unload takes away"),
     ],
 )
-def test_what_makes_no_sense_is_refused(options: dict, words: str) -> None:
+def test_what_makes_no_sense_is_refused(options, words):
     with pytest.raises(InputError, match=words):
         tl.press("flat_pad", "sphere:4", depth_mm=0.3, **options)

@@ -52,17 +52,17 @@ def press(
 
 
 @pytest.fixture(scope="module")
-def pressed() -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
+def pressed():
     return press("sphere:2.0")
 
 
 @pytest.fixture(scope="module")
-def outcome(pressed: tuple[PressOutcome, list]) -> PressOutcome:
+def outcome(pressed):
     return pressed[0]
 
 
 @pytest.mark.thorough
-def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
+def test_forces_add_up_to_the_wrench(outcome):
     on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
     wrench = outcome.steps[-1].wrench
     assert wrench == pytest.approx(-on_gel, abs=1e-12)
@@ -80,7 +80,7 @@ def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
 
 
 @pytest.mark.thorough
-def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
+def test_surface_wraps_the_ball(outcome):
     ball = parse_indenter("sphere:2.0").shape
     assert isinstance(ball, Ball)
     x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
@@ -104,7 +104,7 @@ def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
     assert 0.9e-3 < outcome.contact_radius_m < 1.33e-3
 
 
-def test_rest_surface_is_the_dome(outcome: PressOutcome) -> None:
+def test_rest_surface_is_the_dome(outcome):
     x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
     dome = np.sqrt(50e-3**2 - x**2 - y**2) - 50e-3
     # Facets of edge h dip by h^2 / 8 R: 20 um where this coarse mesh is coarsest.
@@ -119,9 +119,7 @@ def test_rest_surface_is_the_dome(outcome: PressOutcome) -> None:
     assert sunk.min() == pytest.approx(-0.5e-3, abs=3e-5)
 
 
-def test_figures_progress_and_pose(
-    pressed: tuple[PressOutcome, list[tuple[int, int, PressStep]]],
-) -> None:
+def test_figures_progress_and_pose(pressed):
     outcome, told = pressed
     assert [t[:2] for t in told] == [(1, 3), (2, 3), (3, 3)]
     assert [t[2] for t in told] == outcome.steps
@@ -148,7 +146,7 @@ def test_figures_progress_and_pose(
 
 
 @pytest.mark.thorough
-def test_flat_indenter_leaves_a_flat_floor() -> None:
+def test_flat_indenter_leaves_a_flat_floor():
     outcome, _ = press("cylinder:1.0", friction=0.0, options=COARSE)
     x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
     away = np.hypot(x - outcome.indenter_pose[0], y - outcome.indenter_pose[1])
@@ -161,7 +159,7 @@ def test_flat_indenter_leaves_a_flat_floor() -> None:
 
 
 @pytest.mark.thorough
-def test_a_flange_far_above_the_gel_does_not_show() -> None:
+def test_a_flange_far_above_the_gel_does_not_show():
     """A stamp on a plate, 10 mm above its face, is the stamp alone."""
     corners = 0.5e-3 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
     sizes = ((3, 0.0), (3, 10e-3), (16, 10e-3), (16, 12e-3))
@@ -194,7 +192,7 @@ def test_a_flange_far_above_the_gel_does_not_show() -> None:
 
 
 @pytest.mark.thorough
-def test_heights_of_a_dome_reach_its_border() -> None:
+def test_heights_of_a_dome_reach_its_border():
     """The mesh of a press has few nodes along it: height maps ended in a polygon."""
     profile = catalogue_profile("rtac", {"width_px": 160, "height_px": 120})
     camera = camera_of(profile)

@@ -31,9 +31,7 @@ lengths = st.floats(-5, 5)
     step_mm=st.floats(0.02, 3),
     step_deg=st.floats(0.1, 30),
 )
-def test_waypoints(
-    depth: float, shear: tuple[float, float], twist: float, step_mm: float, step_deg: float
-) -> None:
+def test_waypoints(depth, shear, twist, step_mm, step_deg):
     path = PressPath(depth, shear, twist, step_mm, step_deg).waypoints()
     assert path[-1] == (depth, shear, twist)
     previous = (0.0, (0.0, 0.0), 0.0)
@@ -51,12 +49,12 @@ def test_waypoints(
     assert len(path) <= max(1, math.ceil(depth / step_mm)) + math.ceil(side)
 
 
-def test_even_steps_are_not_split_by_rounding() -> None:
+def test_even_steps_are_not_split_by_rounding():
     assert len(PressPath(0.6, step_mm=0.2).waypoints()) == 3
     assert len(PressPath(0.2, (0.3, 0.0), step_mm=0.1).waypoints()) == 5
 
 
-def test_motion_is_even() -> None:
+def test_motion_is_even():
     path = PressPath(0.5, (0.3, -0.4), -6.0, step_mm=0.25, step_deg=2.0).waypoints()
     assert [p[0] for p in path] == [0.25, 0.5, 0.5, 0.5, 0.5]
     assert [p[2] for p in path] == [0.0, 0.0, -2.0, -4.0, -6.0]
@@ -81,13 +79,13 @@ def test_motion_is_even() -> None:
         ({"twist_deg": 90.0, "step_deg": 1e-4}, "step_deg 0.0001 make more than 10000 steps"),
     ],
 )
-def test_refused(changes: dict[str, object], message: str) -> None:
+def test_refused(changes, message):
     with pytest.raises(InputError, match=message):
         PressPath(**{"depth_mm": 0.5, **changes})  # type: ignore[arg-type]
 
 
 @given(depth=st.floats(0.1, 2), shear=lengths, twist=st.floats(-20, 20))
-def test_the_way_back_is_the_way_there(depth: float, shear: float, twist: float) -> None:
+def test_the_way_back_is_the_way_there(depth, shear, twist):
     there = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0).waypoints()
     loop = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0, back=True).waypoints()
     assert loop[: len(there)] == there
@@ -119,10 +117,8 @@ class FormulaGel:
 @given(
     st.floats(0.05, 50), st.floats(0.9, 2.1), st.floats(0.0, 3.0), st.floats(0.02, 2.9)
 )  # fmt: skip
-def test_the_depth_of_a_hardening_gel_is_found(
-    stiffness: float, power: float, hardening: float, depth_mm: float
-) -> None:
-    def law(depth: float) -> float:
+def test_the_depth_of_a_hardening_gel_is_found(stiffness, power, hardening, depth_mm):
+    def law(depth):
         return stiffness * depth**power * (1 + hardening * depth**2)
 
     gel = FormulaGel(law)
@@ -133,13 +129,13 @@ def test_the_depth_of_a_hardening_gel_is_found(
     assert len(gel.depths) <= 9
 
 
-def test_a_good_first_depth_needs_one_press() -> None:
+def test_a_good_first_depth_needs_one_press():
     gel = FormulaGel(lambda depth: 2 * depth**1.5)
     press_to_force(2.0, gel.press, 3.0, first_mm=1.001)
     assert gel.depths == [1.001]
 
 
-def test_what_cannot_be_reached_is_said() -> None:
+def test_what_cannot_be_reached_is_said():
     gel = FormulaGel(lambda depth: 2 * depth**1.5)
     with pytest.raises(InputError, match=r"100 N is not reached.* 3 mm, ends at 10.4 N"):
         press_to_force(100.0, gel.press, 3.0)
@@ -151,14 +147,14 @@ def test_what_cannot_be_reached_is_said() -> None:
             press_to_force(force, gel.press, 3.0)
 
 
-def test_a_guess_that_breaks_the_gel_is_taken_back() -> None:
+def test_a_guess_that_breaks_the_gel_is_taken_back():
     """The first press goes too deep; it had passed the force by then."""
     gel = FormulaGel(lambda depth: 2 * depth**1.5, breaks_mm=1.5)
     press_to_force(2.0, gel.press, 3.0, first_mm=2.5)
     assert gel.depths == pytest.approx([2.5, 1.0], rel=1e-3)
 
 
-def test_power_laws_are_exact_between_and_beside_steps() -> None:
+def test_power_laws_are_exact_between_and_beside_steps():
     force = np.array([1.0, 3.0, 7.0])
     for load in (0.2, 1.0, 2.0, 6.5, 12.0):
         assert by_power_law(force, 4 * force**0.6, load) == pytest.approx(4 * load**0.6)
@@ -207,9 +203,7 @@ def in_steps(path: PressPath, branches: list[MaxwellBranch]) -> float:
         (0.6, 10.0, [(5.0, 0.02)]),
     ],
 )
-def test_steps_follow_the_branches(
-    depth_mm: float, speed_mm_s: float, branches: list[tuple[float, float]]
-) -> None:
+def test_steps_follow_the_branches(depth_mm, speed_mm_s, branches):
     law = [MaxwellBranch(*branch) for branch in branches]
     given = PressPath(depth_mm, speed_mm_s=speed_mm_s)
     path = given.bounded(law, 0.0)
@@ -222,13 +216,13 @@ def test_steps_follow_the_branches(
         assert abs(in_steps(coarser, law) - true) > TIME_SHARE * (1 + true), "no more than needed"
 
 
-def test_gels_that_neither_rub_nor_relax_keep_their_steps() -> None:
+def test_gels_that_neither_rub_nor_relax_keep_their_steps():
     path = PressPath(0.2)
     assert path.bounded((), 0.0) is path
     assert len(path.bounded([MaxwellBranch(1.0, 1e6)], 0.0).way_there()) == 2
 
 
-def test_a_rubbing_contact_is_not_laid_down_at_once() -> None:
+def test_a_rubbing_contact_is_not_laid_down_at_once():
     assert [depth for depth, *_ in PressPath(0.1).bounded((), 0.3).waypoints()] == [0.05, 0.1]
     aside = PressPath(0.1, shear_mm=(0.2, 0.0))
     assert aside.bounded((), 0.3).waypoints()[:2] == [(0.05, (0, 0), 0), (0.1, (0, 0), 0)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ def pressed(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("depth_mm", [0.2, 1.0])
-def test_the_default_is_within_three_per_cent_and_says_so(depth_mm: float) -> None:
+def test_the_default_is_within_three_per_cent_and_says_so(depth_mm):
     env = pressed(depth_mm)
     force = env.press_force[0, 2]
     linear = layer_force_n("sphere", np.array([depth_mm]), 4.0, 4.25, 0.45, 0.15e6)
@@ -87,9 +86,7 @@ FLAT, DOME = ("flat_pad", Material(0.15e6, 0.4)), ("rtac", Material(0.055e6, 0.4
         pytest.param(DOME, "roller:2x6", 0.01359, marks=pytest.mark.slow),
     ],
 )
-def test_tools_with_rims_are_too(
-    gel: tuple[str, Material], indenter: str, converged_n: float
-) -> None:
+def test_tools_with_rims_are_too(gel, indenter, converged_n):
     """Even meshes of as many nodes are 13, 24 and 7 per cent off, on the dome 51 and 5."""
     env, _ = rim_pressed(gel, indenter, 0.1)
     assert env.press_force[0, 2] == pytest.approx(converged_n, rel=0.03)
@@ -97,14 +94,14 @@ def test_tools_with_rims_are_too(
 
 
 @pytest.mark.thorough
-def test_a_sharp_edge_goes_deep() -> None:
+def test_a_sharp_edge_goes_deep():
     """Without guards between corners tets below the ends of the blade turn inside out."""
     env, _ = rim_pressed(FLAT, "edge:90x6", 0.6)
     assert env.press_force[0, 2] == pytest.approx(0.3085, rel=0.03)
 
 
 @pytest.mark.slow
-def test_no_tet_turns_inside_out_under_a_flat_pin() -> None:
+def test_no_tet_turns_inside_out_under_a_flat_pin():
     """With guards at points alone one did between them, after convergence, at 0.6 mm."""
     tool = parse_indenter("cylinder:0.5")
     mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.6))
@@ -117,14 +114,14 @@ def test_no_tet_turns_inside_out_under_a_flat_pin() -> None:
 
 
 @pytest.mark.thorough
-def test_friction_under_a_sharp_edge_settles() -> None:
+def test_friction_under_a_sharp_edge_settles():
     """Took 584 iterations in four parts while the way to the edge counted as sliding; 60 now."""
     env, report = rim_pressed(FLAT, "edge:90x6", 0.1, friction=0.5)
     assert report.newton_iterations[0] < 200
     assert env.press_force[0, 2] == pytest.approx(0.0313, rel=0.01)
 
 
-def test_linear_tets_were_far_off_and_would_be_told() -> None:
+def test_linear_tets_were_far_off_and_would_be_told():
     env = pressed(0.2, replace(DEFAULT, element=Element.LINEAR))
     force = env.press_force[0, 2]
     assert force > 1.2 * CONVERGED_N[0.2]
@@ -132,7 +129,7 @@ def test_linear_tets_were_far_off_and_would_be_told() -> None:
 
 
 @pytest.mark.thorough
-def test_force_and_surface_hardly_depend_on_the_contact_range() -> None:
+def test_force_and_surface_hardly_depend_on_the_contact_range():
     near, far = pressed(0.15), pressed(0.15, replace(DEFAULT, dhat_m=2e-5))
     assert far.press_force[0, 2] == pytest.approx(near.press_force[0, 2], rel=0.01)
     assert far.positions == pytest.approx(near.positions, abs=2e-6)
@@ -142,7 +139,7 @@ def test_force_and_surface_hardly_depend_on_the_contact_range() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("indenter", variants(["cylinder:2"], ["cylinder:2", "edge:90x6x0.3"]))
-def test_other_tools_do_not_depend_on_it_either(indenter: str) -> None:
+def test_other_tools_do_not_depend_on_it_either(indenter):
     near = pressed(0.3, replace(DEFAULT, dhat_m=5e-6), indenter)
     far = pressed(0.3, replace(DEFAULT, dhat_m=2e-5), indenter)
     # Without the correction: 5 and 10 per cent.
@@ -150,7 +147,7 @@ def test_other_tools_do_not_depend_on_it_either(indenter: str) -> None:
 
 
 @pytest.mark.thorough
-def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone() -> None:
+def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone():
     env = pressed(0.2)
     assert env.setback_m[0] < 0.95 * DEFAULT.dhat_m
     env.move_to(-0.01)
@@ -160,7 +157,7 @@ def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone() ->
     assert env.depth_m[0] < 0 and env.setback_m[0] == DEFAULT.dhat_m
 
 
-def test_grades_are_ordered() -> None:
+def test_grades_are_ordered():
     fast, default, reference = (PHYSICS[a] for a in Accuracy)
     counts = [p.mesh.core * p.mesh.rings * p.mesh.layers for p in (fast, default, reference)]
     assert counts == sorted(counts) and len(set(counts)) == 3
@@ -196,7 +193,7 @@ def sheared(dhat_m: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_forces_of_a_sheared_press_do_not_depend_on_dhat() -> None:
+def test_forces_of_a_sheared_press_do_not_depend_on_dhat():
     short, long = sheared(2e-6), sheared(2e-5)
     size = np.linalg.norm(short, axis=1)
     assert (short[1:, 0] < -0.1 * size[1:]).all(), "it is sheared"
@@ -204,7 +201,7 @@ def test_forces_of_a_sheared_press_do_not_depend_on_dhat() -> None:
 
 
 @pytest.mark.thorough
-def test_friction_sees_one_step_to_the_corrected_place() -> None:
+def test_friction_sees_one_step_to_the_corrected_place():
     """As a step from where the first one ended, the gel would slide by the correction alone, and
     friction would let go a little."""
     env = press_env(0.5, 2e-5)
@@ -220,7 +217,7 @@ def test_friction_sees_one_step_to_the_corrected_place() -> None:
 
 
 @pytest.mark.thorough
-def test_environments_that_stay_keep_their_friction() -> None:
+def test_environments_that_stay_keep_their_friction():
     env = press_env(0.5, env_count=2)
     env.move_to(0.3, (0.1, 0.0))
     kept = env.positions[1].copy(), env.contact_forces[1].copy(), env.poses[1].copy()
@@ -232,14 +229,12 @@ def test_environments_that_stay_keep_their_friction() -> None:
 
 
 @pytest.mark.thorough
-def test_a_correction_that_fails_leaves_the_environment_where_it_was(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_correction_that_fails_leaves_the_environment_where_it_was(monkeypatch):
     env = press_env(0.5, 2e-5, env_count=2)
     before, held_back, depth_m = env.state.copy(), env.setback_m.copy(), env.depth_m.copy()
     step, rounds = env.solver.step, []
 
-    def fail_again(*args: Any, again: bool = False, **more: Any) -> StepReport:
+    def fail_again(*args, again=False, **more):
         report = step(*args, again=again, **more)
         rounds.append(again)
         if again:
@@ -281,7 +276,7 @@ def plain_force() -> float:
 
 
 @pytest.mark.thorough
-def test_equal_layers_press_like_one() -> None:
+def test_equal_layers_press_like_one():
     mesh = layered_pad()
     field = layered_material([GEL, GEL], mesh)
     assert isinstance(field, MaterialField)
@@ -289,14 +284,14 @@ def test_equal_layers_press_like_one() -> None:
 
 
 @pytest.mark.thorough
-def test_a_stiffer_skin_is_felt() -> None:
+def test_a_stiffer_skin_is_felt():
     mesh = layered_pad()
     soft, stiff = (layered_material([GEL, Material(e, 0.46)], mesh) for e in (5e4, 5e5))
     whole = plain_force()
     assert force(mesh, soft) < 0.9 * whole < 1.1 * whole < force(mesh, stiff)
 
 
-def test_bad_layers() -> None:
+def test_bad_layers():
     assert layered_material([GEL, Material(1e6, 0.4)], pad()) is GEL, "it has one layer"
     with pytest.raises(InputError, match="tets of layer 1, but 1 materials"):
         layered_material([GEL], layered_pad())

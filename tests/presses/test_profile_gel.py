@@ -54,7 +54,7 @@ def pressed():
 
 
 @pytest.mark.thorough
-def test_gel_is_the_profiles(pressed) -> None:
+def test_gel_is_the_profiles(pressed):
     profile, scene, _, _ = pressed
     (gel,) = scene.soft_bodies
     assert gel.material.young_modulus_pa == profile.material.young_modulus_pa
@@ -62,7 +62,7 @@ def test_gel_is_the_profiles(pressed) -> None:
     assert gel.element is Element.LINEAR
 
 
-def test_signals_are_the_profiles(pressed) -> None:
+def test_signals_are_the_profiles(pressed):
     profile, _, solver, state = pressed
     sensor = SignalTactile.from_profile(profile, solver=solver)
     sensor.update(state)
@@ -81,7 +81,7 @@ def test_signals_are_the_profiles(pressed) -> None:
     assert np.abs(markers[0] - where).max() > 0.02
 
 
-def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed) -> None:
+def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed):
     _, _, solver, state = pressed
     wrench = to_torch(Outputs(solver).update(state).soft_wrenches())[:, 0]
     assert tuple(wrench.shape) == (3, 6)
@@ -90,7 +90,7 @@ def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed) -> None:
     assert float(wrench[2, 2]) == pytest.approx(float(wrench[0, 2]), rel=1e-3)
 
 
-def test_options_go_first_and_a_count_is_needed(pressed) -> None:
+def test_options_go_first_and_a_count_is_needed(pressed):
     profile, _, solver, _ = pressed
     assert SignalTactile.from_profile(profile, solver=solver, markers=None).env_count == 3
     with pytest.raises(InputError, match="how many environments"):
@@ -123,7 +123,7 @@ def two_tets(layers: list[int]) -> TetMesh:
     return TetMesh(nodes, tets, faces, np.zeros(len(faces)), tet_layers=np.array(layers))
 
 
-def test_each_tet_has_the_moduli_of_its_layer() -> None:
+def test_each_tet_has_the_moduli_of_its_layer():
     body = two_tets([1, 0])
     found = profile_material(material(SKIN), body)
     assert isinstance(found, MaterialField)
@@ -134,18 +134,18 @@ def test_each_tet_has_the_moduli_of_its_layer() -> None:
 
 
 @pytest.mark.parametrize(("layer", "young"), [(0, 2e5), (1, 9e5)])
-def test_a_mesh_of_one_layer_is_uniform(layer: int, young: float) -> None:
+def test_a_mesh_of_one_layer_is_uniform(layer, young):
     found = profile_material(material(SKIN), two_tets([layer, layer]))
     assert isinstance(found, Material) and found.young_modulus_pa == young
 
 
-def test_all_layers_relax_as_the_gel() -> None:
+def test_all_layers_relax_as_the_gel():
     branch = BranchEntry(relative_modulus=0.2, time_s=3.0)
     block = material(SKIN).replace(branches=(branch,))
     for layers in ([1, 0], [1, 1]):
         assert profile_material(block, two_tets(layers)).branches == (MaxwellBranch(0.2, 3.0),)
 
 
-def test_a_layer_without_material_is_refused() -> None:
+def test_a_layer_without_material_is_refused():
     with pytest.raises(InputError, match="layer 1"):
         profile_material(material(), two_tets([0, 1]))

@@ -51,7 +51,7 @@ FACET_DIP_M = 0.25e-6
 @given(
     at_x=st.floats(-3e-3, 3e-3), at_y=st.floats(-3e-3, 3e-3), radius=st.sampled_from([0.5e-3, 2e-3])
 )
-def test_ball_over_a_dome_off_centre(at_x: float, at_y: float, radius: float) -> None:
+def test_ball_over_a_dome_off_centre(at_x, at_y, radius):
     touch = first_touch_m(Ball(radius), *DOME, np.array([at_x, at_y]))
     expected = math.sqrt((DOME_M + radius) ** 2 - at_x**2 - at_y**2) - DOME_M
     assert expected - FACET_DIP_M <= touch <= expected + 1e-12
@@ -67,7 +67,7 @@ def knife(angle: float, length_m: float = 4e-3) -> TriangleMesh:
 
 
 @given(angle=st.floats(0, math.pi), x=st.floats(-0.9e-3, 0.9e-3), y=st.floats(-0.9e-3, 0.9e-3))
-def test_sharp_edge_between_the_nodes_of_a_ridge(angle: float, x: float, y: float) -> None:
+def test_sharp_edge_between_the_nodes_of_a_ridge(angle, x, y):
     """Edge against edge: neither has a corner near the point of first touch."""
     nodes, faces = grid_surface(np.array([[-1.0, 0.0, -1.0]] * 2) * 1e-3, 6e-3)
     touch = first_touch_m(knife(angle), nodes, faces, np.array([x, y]))
@@ -83,9 +83,7 @@ def test_sharp_edge_between_the_nodes_of_a_ridge(angle: float, x: float, y: floa
     y=st.floats(-2.5e-3, 2.5e-3),
     radius=st.floats(1e-4, 6e-3),
 )
-def test_ball_at_first_touch_is_one_radius_away(
-    heights: list[float], x: float, y: float, radius: float
-) -> None:
+def test_ball_at_first_touch_is_one_radius_away(heights, x, y, radius):
     nodes, faces = grid_surface(np.array(heights).reshape(4, 4), 1e-3)
     touch = first_touch_m(Ball(radius), nodes, faces, np.array([x, y]))
     if touch == -np.inf:
@@ -106,7 +104,7 @@ def barycentric(count: int) -> np.ndarray:
 
 
 @given(data=st.data())
-def test_mesh_against_dense_sampling(data: st.DataObject) -> None:
+def test_mesh_against_dense_sampling(data):
     """No sample of the surface lies above the indenter at first touch, and one nearly touches."""
     coordinate = st.floats(-1.0, 1.0)
     heights = data.draw(st.lists(coordinate, min_size=9, max_size=9))
@@ -137,7 +135,7 @@ def test_mesh_against_dense_sampling(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("text", ["sphere:1", "cylinder:1", "box:2x2"])
 @pytest.mark.parametrize("at_mm", [(7.01, 0.0), (0.0, -7.01), (100.0, 100.0)])
-def test_beside_the_surface(text: str, at_mm: tuple[float, float]) -> None:
+def test_beside_the_surface(text, at_mm):
     nodes, faces = grid_surface(np.zeros((5, 5)), 3e-3)
     shape = parse_indenter(text).shape
     assert first_touch_m(shape, nodes, faces, np.array(at_mm) * 1e-3) == -np.inf

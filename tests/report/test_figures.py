@@ -161,7 +161,7 @@ def area_mm2(view: MeshView) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def test_a_surface_is_drawn_as_it_is() -> None:
+def test_a_surface_is_drawn_as_it_is():
     nodes, faces, regions = box(20)
     view = mesh_view(nodes, faces, regions)
     assert view is not None
@@ -172,7 +172,7 @@ def test_a_surface_is_drawn_as_it_is() -> None:
     assert [name for name, _ in view.legend] == ["contact", "bond"]
 
 
-def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders() -> None:
+def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders():
     coarse, fine = mesh_view(*box(80)), mesh_view(*box(130))
     assert coarse is not None and fine is not None
     assert fine.faces_in_all == 4 * 130**2 > 4 * MOST_FACES
@@ -186,7 +186,7 @@ def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders() -> None:
         assert (np.abs(own[:, :2]).max(axis=1) > 1 - 1e-4).sum() == 4 * 130
 
 
-def test_nothing_to_draw_is_no_view() -> None:
+def test_nothing_to_draw_is_no_view():
     none = np.zeros((0, 3), dtype=int)
     assert mesh_view(np.zeros((3, 3)), none, np.zeros(0, dtype=int)) is None
 
@@ -197,7 +197,7 @@ def test_force_depth_shows_the_curve():
     assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])
 
 
-def test_a_page_answers_while_it_is_open_and_not_after(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_answers_while_it_is_open_and_not_after(capsys):
     pytest.importorskip("viser")
     said: list[str] = []
     with live_page("A page", PageOptions(port=0, browser=False), said.append) as server:
@@ -210,7 +210,7 @@ def test_a_page_answers_while_it_is_open_and_not_after(capsys: pytest.CaptureFix
     assert capsys.readouterr().out == ""
 
 
-def test_a_port_in_use_is_refused_with_what_to_do() -> None:
+def test_a_port_in_use_is_refused_with_what_to_do():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -224,12 +224,12 @@ def test_a_port_in_use_is_refused_with_what_to_do() -> None:
     ("host", "port", "words"),
     [("127.0.0.1", 70000, "does not exist"), ("no.such.host.invalid", 8080, "no address")],
 )
-def test_hosts_and_ports_that_cannot_be(host: str, port: int, words: str) -> None:
+def test_hosts_and_ports_that_cannot_be(host, port, words):
     with pytest.raises(InputError, match=words):
         require_free_port(host, port)
 
 
-def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_viser_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with (
         pytest.raises(InputError, match=r"pip install 'taccel-lab\[view\]'"),
@@ -238,9 +238,9 @@ def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         pass
 
 
-def test_ctrl_c_ends_a_page_as_it_ends_a_command() -> None:
+def test_ctrl_c_ends_a_page_as_it_ends_a_command():
     class Interrupted:
-        def wait(self, _: float) -> bool:
+        def wait(self, _):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

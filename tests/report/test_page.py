@@ -8,10 +8,8 @@ import json
 import re
 import socket
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -36,7 +34,7 @@ from tests.support.synthetic_presses import GRID, tiny_profile
 from tests.viewer.browser import chromium_page
 
 
-def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:
+def test_a_page_shows_its_verdict_and_escapes_text(tmp_path):
     page = Page(
         "Fit <of> things",
         "A summary.",
@@ -53,7 +51,7 @@ def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:
     assert data["x"] == 1.5 and data["remarks"][0]["code"] == "few"
 
 
-def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores() -> None:
+def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores():
     measured = Page(
         "Run", "", headline="3 of 9", tables=[Table("T", ("a",), [("contact_area_mm2",)])]
     )
@@ -64,7 +62,7 @@ def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores(
 
 
 @pytest.mark.thorough
-def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path) -> None:
+def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path):
     profile = catalogue_profile("gelsight_mini")
     material = profile.material.replace(
         young_modulus_pa=2e5,
@@ -92,7 +90,7 @@ def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path)
         assert f"<h2>{key}</h2>" in html
 
 
-def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path: Path) -> None:
+def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path):
     remarks = [
         Remark(Severity.INFO, "a", "just so"),
         Remark(Severity.WARNING, "block_state", "color: usable, with reservations"),
@@ -110,7 +108,7 @@ def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path: Path) -
     assert html.count("<ol>") == 1 and html.count("<li>") == len(remarks)
 
 
-def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path: Path) -> None:
+def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path):
     source = "measured on the bench by a person who writes long sentences, " * 3
     tables = [
         Table("Evidence", ("name", "value", "never known"), [("x", 1, None)], folded=True),
@@ -125,10 +123,10 @@ def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path: Pat
     assert source in html and f"<td>{source}" not in html and '<details class="long">' in html
 
 
-def test_what_several_blocks_remark_is_said_once_and_as_grave_as_it_is() -> None:
+def test_what_several_blocks_remark_is_said_once_and_as_grave_as_it_is():
     profile = catalogue_profile("gelsight_mini")
 
-    def remarking(block: Any) -> Any:
+    def remarking(block):
         where = block.provenance.model_copy(
             update={"remarks": ("warning: the light drifts", "info: as always")}
         )
@@ -140,7 +138,7 @@ def test_what_several_blocks_remark_is_said_once_and_as_grave_as_it_is() -> None
     assert said["material, camera: as always"] == Severity.INFO
 
 
-def test_a_depth_curve_is_drawn(tmp_path: Path) -> None:
+def test_a_depth_curve_is_drawn(tmp_path):
     provenance = Provenance(kind="measured", method="m", source="s", spread={"depth_mm": 0.05})
     block = DepthResponseBlock(drop_levels=(0.0, 40.0), depth_mm=(0.0, 1.2), provenance=provenance)
     write_page(profile_page(tiny_profile(GRID).with_block(block)), tmp_path / "out")
@@ -153,7 +151,7 @@ FOREIGN = "https://elsewhere.example"
 
 
 @pytest.fixture(scope="module")
-def port() -> Iterator[int]:
+def port():
     """Port of a page that is served as by default."""
     with live_page("A page", HERE) as server:
         yield server.get_port()
@@ -208,15 +206,13 @@ REQUESTS: list[tuple[str, str, dict[str, str], bool]] = [
 
 @pytest.mark.parametrize(("path", "headers", "own"), [case[1:] for case in REQUESTS],
                          ids=[case[0] for case in REQUESTS])  # fmt: skip
-def test_pages_answer_their_own_requests_alone(
-    path: str, headers: dict[str, str], own: bool, port: int
-) -> None:
+def test_pages_answer_their_own_requests_alone(path, headers, own, port):
     headers = {name: value.format(port=port) for name, value in headers.items()}
     assert status(port, path, headers) == (200 if own else 403)
     assert socket_answer(port, path, headers) == (101 if own else 403)
 
 
-def test_two_origins_or_hosts_are_none(port: int) -> None:
+def test_two_origins_or_hosts_are_none(port):
     for name, value in (("Origin", f"http://127.0.0.1:{port}"), ("Host", f"127.0.0.1:{port}")):
         with socket.create_connection(("127.0.0.1", port), timeout=10) as asked:
             lines = [f"GET {TOKEN} HTTP/1.1", *[f"{name}: {value}"] * 2]
@@ -225,7 +221,7 @@ def test_two_origins_or_hosts_are_none(port: int) -> None:
             assert b" 403 " in asked.recv(100)
 
 
-def test_what_a_foreign_page_sends_is_not_done(port: int) -> None:
+def test_what_a_foreign_page_sends_is_not_done(port):
     """Such as "Undo last" of a recording: a message on a WebSocket of its own."""
     options: dict[str, Any] = {"subprotocols": [f"viser-v{viser.__version__}"]}
     address = f"ws://127.0.0.1:{port}{TOKEN}"
@@ -237,7 +233,7 @@ def test_what_a_foreign_page_sends_is_not_done(port: int) -> None:
 
 
 @pytest.mark.thorough
-def test_a_page_of_another_origin_is_refused_by_the_browsers_own_socket(port: int) -> None:
+def test_a_page_of_another_origin_is_refused_by_the_browsers_own_socket(port):
     script = """address => new Promise(done => {
         const socket = new WebSocket(address);
         socket.onopen = () => done("open"); socket.onerror = () => done("refused");
@@ -248,7 +244,7 @@ def test_a_page_of_another_origin_is_refused_by_the_browsers_own_socket(port: in
 
 
 @pytest.mark.parametrize(("host", "reached"), [(None, False), ("0.0.0.0", True)])
-def test_pages_listen_on_this_machine_alone_unless_asked(host: str | None, reached: bool) -> None:
+def test_pages_listen_on_this_machine_alone_unless_asked(host, reached):
     options = HERE if host is None else PageOptions(host=host, port=0, browser=False)
     with live_page("A page", options) as server:
         assert page_address(server) == f"http://127.0.0.1:{server.get_port()}{TOKEN}/"
@@ -262,7 +258,7 @@ def test_pages_listen_on_this_machine_alone_unless_asked(host: str | None, reach
             assert status(server.get_port(), "/", headers) == 403
 
 
-def test_a_name_that_was_asked_for_is_ours() -> None:
+def test_a_name_that_was_asked_for_is_ours():
     from websockets.datastructures import Headers
 
     from taccel_lab.report.page_guard import is_own_request
@@ -272,18 +268,18 @@ def test_a_name_that_was_asked_for_is_ours() -> None:
     assert not is_own_request(TOKEN, asked, "127.0.0.1")
 
 
-def test_a_server_that_nobody_guards_is_stopped() -> None:
+def test_a_server_that_nobody_guards_is_stopped():
     unknown = Mock()  # As if viser listened by other means.
     with pytest.raises(RuntimeError, match="pages would be open"):
         start_guarded(lambda: unknown)
     unknown.stop.assert_called_once()
 
 
-def test_pages_of_several_threads_are_all_guarded() -> None:
+def test_pages_of_several_threads_are_all_guarded():
     """Each once: guarded twice, a page would answer nobody."""
     found: list[tuple[int, int]] = []
 
-    def serve() -> None:
+    def serve():
         with live_page("A page", HERE) as server:
             headers = {"Host": "127.0.0.1", "Origin": FOREIGN}
             own = status(server.get_port(), TOKEN, {"Host": "127.0.0.1"})
@@ -338,7 +334,7 @@ def examples(test: object) -> object:
 
 @examples
 @given(st.text(max_size=40) | st.sampled_from(HOSTILE).flatmap(lambda x: st.just(x + x)))
-def test_a_text_shows_itself_and_is_no_markup(text: str) -> None:
+def test_a_text_shows_itself_and_is_no_markup(text):
     escaped = PageText("{}").format(text)
     # Alone, in a paragraph, in a list, in a table, and as HTML inside an attribute and outside.
     for source, tags in (
@@ -356,7 +352,7 @@ def test_a_text_shows_itself_and_is_no_markup(text: str) -> None:
     assert as_html.tags == ["i", "title"] and bare(as_html.text) == bare(text)
 
 
-def test_what_is_ours_stays_markup_and_figures_stay_figures() -> None:
+def test_what_is_ours_stays_markup_and_figures_stay_figures():
     bold = PageText("**{}**, {:.2f} N").format(PageText("<b>x</b>"), -1.5)
     assert bold == "**<b>x</b>**, -1.50 N"
     assert PageText("{}").format("force 1.5 ± 0.2 N (12 %)") == "force 1.5 ± 0.2 N (12 %)"
@@ -365,7 +361,7 @@ def test_what_is_ours_stays_markup_and_figures_stay_figures() -> None:
 
 
 @pytest.mark.parametrize("text", ["<img src=x onerror='alert(1)'>", "![x](/etc/hostname)"])
-def test_notes_escape_what_is_not_said_to_be_markup(text: str) -> None:
+def test_notes_escape_what_is_not_said_to_be_markup(text):
     """The default is the safe one: nobody has to think of it."""
     from types import SimpleNamespace
 

@@ -33,7 +33,7 @@ def random_normals(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def test_forward_pass_by_hand() -> None:
+def test_forward_pass_by_hand():
     config = ColorModelConfig(
         width_px=3, height_px=2, hidden=(1,), inputs=("u", "normal_x", "displacement_mm"),
         input_mean=(0.0, 0.0, 0.5), input_scale=(1.0, 2.0, 4.0), output_scale=10.0,
@@ -65,7 +65,7 @@ def test_forward_pass_by_hand() -> None:
 @pytest.mark.thorough
 @settings(max_examples=20)
 @given(seed=st.integers(0, 999))
-def test_undeformed_pixels_do_not_change(seed: int) -> None:
+def test_undeformed_pixels_do_not_change(seed):
     rest = random_normals((15, 20), seed)
     normals = rest.copy()
     displacement = np.zeros((15, 20))
@@ -77,7 +77,7 @@ def test_undeformed_pixels_do_not_change(seed: int) -> None:
     assert (np.abs(image[moved] - 120.0).sum(axis=-1) > 0).all()
 
 
-def test_chunks_leave_no_seam() -> None:
+def test_chunks_leave_no_seam():
     config = dataclasses.replace(CONFIG, width_px=CHUNK_PIXELS // 100, height_px=130)
     model = random_model(config)
     shape = (130, CHUNK_PIXELS // 100)
@@ -91,7 +91,7 @@ def test_chunks_leave_no_seam() -> None:
     assert some == pytest.approx(whole[idx], abs=1e-4)
 
 
-def test_maps_and_cones_that_are_none_are_refused() -> None:
+def test_maps_and_cones_that_are_none_are_refused():
     model, normals = random_model(), random_normals((15, 20))
     with pytest.raises(InputError, match="background has shape"):
         tactile_image(model, np.zeros((15, 21, 3)), face(normals, np.zeros((15, 20)), normals))
@@ -116,7 +116,7 @@ def leaning(tilt_deg: float, turn_deg: np.ndarray) -> np.ndarray:
     )
 
 
-def test_steeper_than_the_balls_were_is_as_steep_as_they_were() -> None:
+def test_steeper_than_the_balls_were_is_as_steep_as_they_were():
     """By the network alone it is another colour; below the cone nothing changes."""
     whole = random_model()
     model = ColorModel(CONFIG, whole.weights, 50.0)
@@ -136,7 +136,7 @@ def test_steeper_than_the_balls_were_is_as_steep_as_they_were() -> None:
     assert np.abs(beyond - edge).max() > 5.0
 
 
-def test_the_kernel_keeps_to_the_same_cone() -> None:
+def test_the_kernel_keeps_to_the_same_cone():
     slope = np.random.default_rng(2).normal(0, 1.5, (15, 20, 2))
     raw = np.concatenate([-slope, np.ones((15, 20, 1))], axis=-1)
     normals = raw / np.linalg.norm(raw, axis=-1, keepdims=True)

@@ -48,7 +48,7 @@ def of(env: PressEnv, **options: object) -> SignalTactile:
 
 
 @pytest.mark.thorough
-def test_integrals_are_the_wrench() -> None:
+def test_integrals_are_the_wrench():
     """Force and torque, from the pixels alone: traction by area of the surface, at its points."""
     env = dragged()
     signal = of(env)
@@ -78,7 +78,7 @@ def test_integrals_are_the_wrench() -> None:
 
 
 @pytest.mark.thorough
-def test_contact_is_the_solver_s_and_not_a_threshold() -> None:
+def test_contact_is_the_solver_s_and_not_a_threshold():
     """Elements are half as wide as the contact's radius: within a fifth of 6.0 mm2, which
     ``FineSurface`` finds on a mesh of three times as many nodes; pressures that are not zero
     reach over twice of it."""
@@ -91,7 +91,7 @@ def test_contact_is_the_solver_s_and_not_a_threshold() -> None:
     assert (slipping.any(axis=(1, 2)) & ~slipping.all(axis=(1, 2))).all()
 
 
-def test_a_gel_that_is_not_touched_feels_nothing() -> None:
+def test_a_gel_that_is_not_touched_feels_nothing():
     mesh = block_mesh((6, 6, 2), (12e-3, 12e-3, 4e-3))
     env = PressEnv(
         mesh, Material(1e5, 0.4), parse_indenter("sphere:4"), AT_MM[:1], friction_coefficient=0.5
@@ -102,7 +102,7 @@ def test_a_gel_that_is_not_touched_feels_nothing() -> None:
 
 
 @pytest.mark.thorough
-def test_partial_slip_of_cattaneo_and_mindlin() -> None:
+def test_partial_slip_of_cattaneo_and_mindlin():
     """A ball pressed without and moved with friction; ``tests/verification/test_mindlin.py`` says
     where the closed form is from, and checks nodes where this looks at pixels."""
     block, load, full = pressed_block(2)
@@ -149,7 +149,7 @@ def test_partial_slip_of_cattaneo_and_mindlin() -> None:
     assert pressure.sum() == pytest.approx(-total[2], rel=1e-3)
 
 
-def test_chunks_and_chosen_environments_change_nothing() -> None:
+def test_chunks_and_chosen_environments_change_nothing():
     env = dragged()
     whole = [array.numpy().copy() for array in of(env).read(*CONTACT_SIGNALS)]
     signal = of(env, chunk_pixels=1)
@@ -164,7 +164,7 @@ def test_chunks_and_chosen_environments_change_nothing() -> None:
             np.testing.assert_array_equal(array.numpy(), expected[who])
 
 
-def test_what_is_missing_is_said() -> None:
+def test_what_is_missing_is_said():
     env = dragged()
     signal = of(env)
     signal.update(env.state.positions)
@@ -189,7 +189,7 @@ def test_what_is_missing_is_said() -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
-def test_reads_can_be_captured_in_a_graph() -> None:
+def test_reads_can_be_captured_in_a_graph():
     """A graph that was captured at one step reads the next one as a plain read does."""
     env = dragged("cuda:0")
     signal = of(env)

@@ -105,7 +105,7 @@ def _press(name: str) -> _Press:
 
 
 @pytest.fixture(params=variants(["frictionless"], PRESSES))
-def press(request: pytest.FixtureRequest) -> _Press:
+def press(request):
     return _press(request.param)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def shown(env: PressEnv, texture: Texture | None = None, **options: int) -> Sign
 
 
 @pytest.mark.thorough
-def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
+def test_a_smooth_ball_is_a_ball_where_it_touches():
     env = pressed(False)
     signal = shown(env)
     height, contact, pressure, normals = (
@@ -90,7 +89,7 @@ def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
 
 
 @pytest.mark.thorough
-def test_the_texture_shows_where_it_touches_and_nowhere_else() -> None:
+def test_the_texture_shows_where_it_touches_and_nowhere_else():
     env = pressed(True)
     height, contact = (a.numpy() for a in shown(env, WAVES).read("height_m", "contact"))
     x, y = np.meshgrid(1e-3 * GRID.x_mm(), 1e-3 * GRID.y_mm())
@@ -109,7 +108,7 @@ def test_the_texture_shows_where_it_touches_and_nowhere_else() -> None:
     np.testing.assert_allclose(height[0][beside], plain[0][beside], atol=4e-7)
 
 
-def test_a_texture_turns_and_goes_with_its_body() -> None:
+def test_a_texture_turns_and_goes_with_its_body():
     texture = Texture(np.random.default_rng(0).random((16, 24)), 1e-4, 1.2e-3)
     gel = SoftBody(block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3)), Material(1e5, 0.4))
     plate = KinematicBody(box_mesh((6e-3, 6e-3, 1e-3)), name="plate")
@@ -134,7 +133,7 @@ def test_a_texture_turns_and_goes_with_its_body() -> None:
     np.testing.assert_allclose(height[2], height[0].T[:, ::-1], atol=1e-12)
 
 
-def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted() -> None:
+def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted():
     gel = SoftBody(block_mesh((8, 8, 2), (6e-3, 6e-3, 2e-3), jitter=0.1), Material(1e5, 0.45))
     tool = KinematicBody(box_mesh((2e-3, 2e-3, 1e-3)), name="tool")
     link = AffineBody(box_mesh((2e-2, 2e-2, 2e-2)), name="link")
@@ -151,7 +150,7 @@ def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted() -> None:
 
 
 @pytest.mark.thorough
-def test_images_of_many_environments_are_those_of_each() -> None:
+def test_images_of_many_environments_are_those_of_each():
     env = pressed(True)
     whole = [a.numpy().copy() for a in shown(env, WAVES).read("height_m", "depth_m", "contact")]
     parts = shown(env, WAVES, env_count=1)
@@ -169,7 +168,7 @@ def test_images_of_many_environments_are_those_of_each() -> None:
 
 
 @pytest.mark.thorough
-def test_textures_are_checked(tmp_path: Path) -> None:
+def test_textures_are_checked(tmp_path):
     import cv2
 
     levels = np.tile(np.arange(0, 256, 8, dtype=np.uint8), (16, 1))

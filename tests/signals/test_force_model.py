@@ -50,7 +50,7 @@ def picture(seed: int) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
-def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed: int) -> None:
+def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed):
     found = made_up(seed).read(picture(seed), picture(seed + 1))
     np.testing.assert_allclose(found.patch_forces_n.sum(axis=(0, 1)), found.force_n, rtol=1e-9)
     assert (found.sigma[:3] >= 0.19999 * np.abs(found.force_n)).all()
@@ -59,7 +59,7 @@ def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed: i
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 60), st.integers(0, 10))
-def test_markers_come_in_any_order_and_some_are_missing(seed: int, count: int, lost: int) -> None:
+def test_markers_come_in_any_order_and_some_are_missing(seed, count, lost):
     rng = np.random.default_rng(seed)
     model = made_up(markers=True)
     rest, moved = rng.uniform(0, 40, (count, 2)), rng.normal(0, 1, (count, 2))
@@ -83,13 +83,13 @@ def test_markers_come_in_any_order_and_some_are_missing(seed: int, count: int, l
 
 
 @given(st.integers(1, 200), st.integers(1, 200))
-def test_averaging_keeps_the_mean(count: int, wanted: int) -> None:
+def test_averaging_keeps_the_mean(count, wanted):
     matrix = area_matrix(count, wanted)
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-5)
     np.testing.assert_allclose(matrix.sum(axis=0), wanted / count, rtol=1e-4)
 
 
-def test_bytes_are_halved_exactly() -> None:
+def test_bytes_are_halved_exactly():
     config = dataclasses.replace(made_up().config, width_px=32, height_px=24)
     image = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
     wanted = image.reshape(12, 2, 16, 2, 3).astype(np.float64).mean(axis=(1, 3))
@@ -98,7 +98,7 @@ def test_bytes_are_halved_exactly() -> None:
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.integers(0, 2), st.integers(0, 3))
-def test_moments_are_about_the_gels_origin(fx: float, fz: float, row: int, column: int) -> None:
+def test_moments_are_about_the_gels_origin(fx, fz, row, column):
     centers = patch_centers_mm(made_up().config, GRID)
     patches = torch.zeros(1, 3, 3, 4, dtype=torch.float64)
     patches[0, :, row, column] = torch.tensor([fx, 1.0, fz], dtype=torch.float64)
@@ -107,14 +107,14 @@ def test_moments_are_about_the_gels_origin(fx: float, fz: float, row: int, colum
     np.testing.assert_allclose(found, np.cross(arm, [fx, 1.0, fz]), atol=1e-9)
 
 
-def test_patches_lie_over_the_image() -> None:
+def test_patches_lie_over_the_image():
     centers = patch_centers_mm(made_up().config, GRID)
     # The middle of the first of 4 x 3 patches of 10 x 10 px is pixel (4.5, 4.5).
     np.testing.assert_allclose(centers[0, 0], [(4.5 - 18) * 0.1, (4.5 - 15) * 0.12])
     np.testing.assert_allclose(centers[2, 3], [(34.5 - 18) * 0.1, (24.5 - 15) * 0.12])
 
 
-def test_what_lies_beyond_the_training_is_said() -> None:
+def test_what_lies_beyond_the_training_is_said():
     near = made_up().read(picture(0), picture(1))
     assert not near.outside
     for changes, reason in (
@@ -129,7 +129,7 @@ def test_what_lies_beyond_the_training_is_said() -> None:
         assert np.array_equal(found.force_n, near.force_n)
 
 
-def test_colours_reach_as_far_as_their_farthest_place() -> None:
+def test_colours_reach_as_far_as_their_farthest_place():
     levels = torch.zeros(1, 3, 12, 10)
     levels[0, :, 4:7, 2:5] = torch.tensor([30.0, -40.0, 0.0])[:, None, None]
     reach = color_reach(levels)[0].numpy()
@@ -139,7 +139,7 @@ def test_colours_reach_as_far_as_their_farthest_place() -> None:
     np.testing.assert_allclose(reach, np.maximum(directions @ [30.0, -40.0, 0.0], 0.0), atol=1e-4)
 
 
-def test_blocks_without_the_newer_limits_are_read() -> None:
+def test_blocks_without_the_newer_limits_are_read():
     model = made_up()
     values = model.config.to_dict()
     values["most"], values["distance_limits"] = values["most"][:3], values["distance_limits"][:2]

@@ -28,9 +28,7 @@ def plane_of(grid: PixelGrid) -> tuple[np.ndarray, np.ndarray]:
     width=st.integers(2, 40), height=st.integers(2, 40), seed=st.integers(0, 99),
     ratio=st.floats(0.3, 3.0),
 )  # fmt: skip
-def test_second_degree_is_exact_on_oblong_pixels(
-    width: int, height: int, seed: int, ratio: float
-) -> None:
+def test_second_degree_is_exact_on_oblong_pixels(width, height, seed, ratio):
     grid = PixelGrid(width, height, 0.05, 0.05 * ratio)
     a, b, c, d, e = np.random.default_rng(seed).normal(0, [1, 1, 300, 300, 300])
     x, y = plane_of(grid)
@@ -44,7 +42,7 @@ def test_second_degree_is_exact_on_oblong_pixels(
     np.testing.assert_allclose(back, slope[inside], rtol=1e-9, atol=1e-9)
 
 
-def test_smooth_dent_converges_with_second_order() -> None:
+def test_smooth_dent_converges_with_second_order():
     errors = []
     for scale in (0.1, 0.05):
         n = round(6.0 / scale) + 1
@@ -59,7 +57,7 @@ def test_smooth_dent_converges_with_second_order() -> None:
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e6])
-def test_poisoned_masked_slopes_have_no_effect(poison: float) -> None:
+def test_poisoned_masked_slopes_have_no_effect(poison):
     x, y = plane_of(OBLONG)
     truth = 40 * x**2 - 60 * y**2
     slope = np.stack([80 * x, -120 * y], axis=-1)
@@ -76,7 +74,7 @@ def test_poisoned_masked_slopes_have_no_effect(poison: float) -> None:
     assert clean[seen] == pytest.approx((truth - truth[border].mean())[seen], abs=1e-4 * 3e-4)
 
 
-def test_zero_is_where_it_is_asked_for() -> None:
+def test_zero_is_where_it_is_asked_for():
     x, _ = plane_of(OBLONG)
     slope = np.stack([np.full(x.shape, 0.5), np.zeros(x.shape)], axis=-1)
     zero = np.zeros(x.shape, dtype=bool)
@@ -86,7 +84,7 @@ def test_zero_is_where_it_is_asked_for() -> None:
     assert found[0, -1] == pytest.approx(0.5 * 52 * 0.05e-3)
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     slope = np.zeros((41, 53, 2))
     with pytest.raises(InputError, match="the pixel grid asks for"):
         height_from_slopes(np.zeros((40, 53, 2)), OBLONG)
@@ -103,7 +101,7 @@ def test_bad_input_is_refused() -> None:
 GRID = PixelGrid(80, 60, 0.1, 0.1)
 
 
-def test_the_band_holds_errors_of_its_own_kind() -> None:
+def test_the_band_holds_errors_of_its_own_kind():
     rng = np.random.default_rng(5)
     sigma = np.full((60, 80), 0.01)
     sigma[20:40, 30:50] = 0.1
@@ -117,7 +115,7 @@ def test_the_band_holds_errors_of_its_own_kind() -> None:
     assert spread[30, 40] > 1.3 * spread[5, 5]
 
 
-def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
+def test_it_grows_with_the_slopes_and_with_the_reach_of_errors():
     sigma = np.full((60, 80), 0.02)
     one, twice = (HeightUncertainty(GRID, 2.0).sigma_m(f * sigma) for f in (1, 2))
     assert twice == pytest.approx(2 * one)
@@ -125,7 +123,7 @@ def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
     assert (HeightUncertainty(GRID, 2.0).sigma_m(0 * sigma) == 0).all()
 
 
-def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it() -> None:
+def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it():
     """Slopes that may be 10 % too steep all around a dent make it so much too deep."""
     y, x = np.mgrid[0:60, 0:80] * 0.1
     dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
@@ -138,7 +136,7 @@ def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it() ->
     assert other[30, 40] < 0.3 * along[30, 40]
 
 
-def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along() -> None:
+def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along():
     y, x = np.mgrid[0:60, 0:80] * 0.1
     dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
     slope = np.stack(np.gradient(dent, 1e-4)[::-1], axis=-1)
@@ -149,9 +147,7 @@ def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along() 
     np.testing.assert_allclose(along, -dent, atol=5e-5)
 
 
-def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatch):
     sigma = np.full((60, 80), 0.02)
     sigma[10:30, 10:30] = 0.2
     weights = np.ones((60, 80))
@@ -167,7 +163,7 @@ CURVE = DepthResponse("grey", np.array([0.0, 2.0, 20.0, 60.0]), np.array([0.0, 0
 
 
 @given(st.lists(st.floats(0.0, 1.9), min_size=1, max_size=30))
-def test_render_and_read_are_inverse(depths: list[float]) -> None:
+def test_render_and_read_are_inverse(depths):
     depth = np.array([depths])
     background = np.full((1, len(depths), 3), 160.0)
     found = CURVE.read(CURVE.render(depth, background), background)
@@ -175,7 +171,7 @@ def test_render_and_read_are_inverse(depths: list[float]) -> None:
     assert found.height_m == pytest.approx(-1e-3 * depth, abs=1e-12)
 
 
-def test_brightening_reads_as_untouched_and_darkness_saturates() -> None:
+def test_brightening_reads_as_untouched_and_darkness_saturates():
     background = np.full((1, 3, 3), 100.0)
     image = background - np.array([-20.0, 30.0, 61.0])[None, :, None]
     found = CURVE.read(image, background)
@@ -185,13 +181,13 @@ def test_brightening_reads_as_untouched_and_darkness_saturates() -> None:
     assert masked.depth_mm[0] == pytest.approx([0.0, 0.0, 1.9])
 
 
-def test_level_stretch_gives_its_first_drop() -> None:
+def test_level_stretch_gives_its_first_drop():
     level = DepthResponse("red", np.array([0.0, 5.0, 9.0, 12.0]), np.array([0.0, 0.4, 0.4, 0.8]))
     assert level.drop_of(np.array([0.4])) == pytest.approx(5.0)
     assert level.depth_of(np.array([7.0])) == pytest.approx(0.4)
 
 
-def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contacts() -> None:
+def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contacts():
     known = DepthResponse(
         "grey", CURVE.drop_levels, CURVE.depth_mm,
         reading_sigma_mm=0.03, zero_sigma_mm=0.4, depth_share=0.1,
@@ -208,13 +204,13 @@ def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contac
     assert unknown.sigma_mm is None and unknown.reading_sigma_mm is None
 
 
-def test_channels() -> None:
+def test_channels():
     image = np.array([[[10.0, 20.0, 30.0]]])
     assert channel_of(image, "green")[0, 0] == 20.0
     assert channel_of(image, "grey")[0, 0] == pytest.approx(image[0, 0] @ LUMA)
 
 
-def test_bad_curves_are_refused() -> None:
+def test_bad_curves_are_refused():
     with pytest.raises(InputError, match="rising"):
         DepthResponse("grey", np.array([0.0, 0.0]), np.array([0.0, 1.0]))
     with pytest.raises(InputError, match="must not fall"):

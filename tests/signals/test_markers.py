@@ -85,7 +85,7 @@ def test_of_two_layers_the_lower_carries_the_marker():
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
-def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device: str):
+def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device):
     """The same cells, graded otherwise in the second and third environments. On a GPU squares about
     neighbouring dots, which overlap, are painted at the same time."""
     if device != "cpu" and not wp.is_cuda_available():
@@ -165,7 +165,7 @@ def normalized_blur(values: np.ndarray, known: np.ndarray, sigma_px: float = 6.0
 
 
 @pytest.mark.parametrize("move_px", [(0.0, 0.0), (3.0, -2.0), (0.4, 1.7), (-5.5, 5.5), (40.0, 0.0)])
-def test_dots_go_with_the_gel(move_px: tuple[float, float]) -> None:
+def test_dots_go_with_the_gel(move_px):
     """The last motion takes some of them out of the image."""
     move_m = 1e-3 * np.array([*move_px, 0.0]) * VIEW.mm_per_px_x
     found = moved_dots(DOTTED.nodes_m + move_m)
@@ -180,7 +180,7 @@ def test_dots_go_with_the_gel(move_px: tuple[float, float]) -> None:
     assert error < (0.3 if move_px[0] == 40.0 else 0.6) and error < 0.2 * still
 
 
-def test_dots_stretch_as_their_face_does() -> None:
+def test_dots_stretch_as_their_face_does():
     stretch = (1.3, 0.8)
     found = moved_dots(DOTTED.nodes_m * [*stretch, 1.0])
     places = VIEW.pixel_from_gel(PLACES_MM * stretch)
@@ -189,7 +189,7 @@ def test_dots_stretch_as_their_face_does() -> None:
     assert np.abs(drawn(places) - expected).mean() > 2 * np.abs(found - expected).mean()
 
 
-def test_faults_are_told() -> None:
+def test_faults_are_told():
     places = VIEW.pixel_from_gel(PLACES_MM)
     with pytest.raises(InputError, match="radius_px of dots must be above 0"):
         PaintedDots.cut_out(drawn(places), places, 0.0)
@@ -199,7 +199,7 @@ def test_faults_are_told() -> None:
 
 
 @pytest.mark.thorough
-def test_a_real_gel_that_was_sheared() -> None:
+def test_a_real_gel_that_was_sheared():
     """A finger shears a GelSight Mini. Dots of its resting image go where tracking sees them later,
     and hide where they were; judged on pixels of either place, in the light of those between."""
     frames = [read_image(real_data(f"gsmini_markers_video/{n:04d}.png")) for n in (0, 64, 68, 72)]

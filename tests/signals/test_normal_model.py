@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,),
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
+def one_thread():
     torch.set_num_threads(1)
 
 
@@ -53,7 +52,7 @@ def unit(vector: np.ndarray) -> np.ndarray:
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.integers(0, 99))
-def test_rotation_from_z_is_one_and_is_undone(p: float, q: float, seed: int) -> None:
+def test_rotation_from_z_is_one_and_is_undone(p, q, seed):
     rest = unit(np.array([p, q, 1.0]))
     assert rotate_from_z(np.array([0.0, 0.0, 1.0]), rest) == pytest.approx(rest)
     vector = np.random.default_rng(seed).normal(size=3)
@@ -63,14 +62,14 @@ def test_rotation_from_z_is_one_and_is_undone(p: float, q: float, seed: int) -> 
 
 
 @given(st.floats(0, 1.4), st.floats(-3.2, 3.2))
-def test_tilt_is_the_angle_of_the_normal(angle: float, direction: float) -> None:
+def test_tilt_is_the_angle_of_the_normal(angle, direction):
     tilt = angle * np.array([np.cos(direction), np.sin(direction)])
     normal = relative_normals(tilt)
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     assert np.arctan2(np.hypot(normal[0], normal[1]), normal[2]) == pytest.approx(angle, abs=1e-9)
 
 
-def test_the_background_reads_as_rest_exactly() -> None:
+def test_the_background_reads_as_rest_exactly():
     model = random_model()
     background = np.random.default_rng(1).uniform(0, 255, (36, 48, 3)).astype(np.float32)
     found = model.predict(background, background)
@@ -82,7 +81,7 @@ def test_the_background_reads_as_rest_exactly() -> None:
     assert curved.normals == pytest.approx(rest)
 
 
-def test_unchanged_pixels_read_as_rest_exactly_beside_a_press_and_masked_ones() -> None:
+def test_unchanged_pixels_read_as_rest_exactly_beside_a_press_and_masked_ones():
     model = random_model(WIDE)
     image, background = dented(6, 0.0)
     v, u = np.mgrid[:178, :241]
@@ -101,7 +100,7 @@ def by_pixels(model: NormalModel, image: np.ndarray, background: np.ndarray) -> 
     return np.column_stack([tilt, error]).reshape(*features.shape[:2], 3)
 
 
-def test_every_second_row_and_column_reads_as_pixels_of_the_whole_image() -> None:
+def test_every_second_row_and_column_reads_as_pixels_of_the_whole_image():
     grid = PixelGrid(47, 36, 0.05, 0.05)
     model = random_model(dataclasses.replace(CONFIG, width_px=47))
     rng = np.random.default_rng(3)
@@ -142,7 +141,7 @@ def dented(seed: int, noise: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.3, 1.0])
-def test_blocks_read_what_pixels_read(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_read_what_pixels_read(noise, monkeypatch):
     """Heights to 0.005 mm and their deviation to 2 %, by few answers of the networks."""
     model = random_model(dataclasses.replace(WIDE, height_factor=1.0, error_length_px=8.0))
     image, background = dented(4, noise)
@@ -150,7 +149,7 @@ def test_blocks_read_what_pixels_read(noise: float, monkeypatch: pytest.MonkeyPa
     asked = []
     features = FeatureWindows.features
 
-    def counted(level: FeatureWindows, picked: torch.Tensor | None = None) -> torch.Tensor:
+    def counted(level, picked=None):
         found = features(level, picked)
         asked.append(found.shape[1])
         return found
@@ -171,7 +170,7 @@ def test_blocks_read_what_pixels_read(noise: float, monkeypatch: pytest.MonkeyPa
     assert read.sigma_m == pytest.approx(pixels.sigma_m, rel=0.02)
 
 
-def test_fine_texture_and_masked_borders_are_read_by_pixels() -> None:
+def test_fine_texture_and_masked_borders_are_read_by_pixels():
     model = random_model(WIDE)
     image, background = dented(5, 0.3)
     image[120:160, 180:220] += np.where(np.arange(40) % 4 < 2, 30.0, 0.0)[:, None, None]
@@ -190,7 +189,7 @@ def test_fine_texture_and_masked_borders_are_read_by_pixels() -> None:
         assert off[part].max() < np.radians(0.02)
 
 
-def test_several_images_are_read_at_once() -> None:
+def test_several_images_are_read_at_once():
     model = random_model(WIDE)
     pairs = [dented(seed) for seed in (1, 2)]
     background = pairs[0][1]
@@ -206,7 +205,7 @@ def test_several_images_are_read_at_once() -> None:
     np.testing.assert_allclose(on_device.normals, together.normals.normals, atol=1e-6)
 
 
-def test_poisoned_masked_pixels_have_no_effect() -> None:
+def test_poisoned_masked_pixels_have_no_effect():
     model = random_model()
     rng = np.random.default_rng(2)
     background = rng.uniform(0, 255, (36, 48, 3)).astype(np.float32)
@@ -222,14 +221,14 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     assert not np.array_equal(model.predict(poisoned, background).normals, clean.normals)
 
 
-def test_features_follow_a_zoomed_picture() -> None:
+def test_features_follow_a_zoomed_picture():
     """A pattern half as large, at scales half as wide, has the same features."""
 
-    def picture(zoom: float, size: int) -> np.ndarray:
+    def picture(zoom, size):
         v, u = (np.mgrid[:size, :size] - (size - 1) / 2) * zoom
         return np.stack([40 * np.exp(-(u**2 + v**2) / 900), u, 0 * v], -1).astype(np.float32)
 
-    def features(change: np.ndarray, zoom: float) -> np.ndarray:
+    def features(change, zoom):
         size = len(change)
         return local_features(change, (2.0, 6.0), (6.0,), place=pixel_place(size, size), zoom=zoom)[
             size // 2 + 0, size // 2, :-2
@@ -241,17 +240,17 @@ def test_features_follow_a_zoomed_picture() -> None:
 
 
 @pytest.mark.parametrize("name", ["cuda:77", "gpu"])
-def test_devices_that_are_not_there_are_refused(name: str) -> None:
+def test_devices_that_are_not_there_are_refused(name):
     with pytest.raises(InputError, match=f"device '{name}' is not here; devices of torch are cpu"):
         NormalModel(CONFIG, random_model().weights, name)
 
 
-def test_wrong_shapes_are_refused() -> None:
+def test_wrong_shapes_are_refused():
     with pytest.raises(InputError, match="image has shape"):
         random_model().predict(np.zeros((36, 47, 3)), np.zeros((36, 48, 3)))
 
 
-def test_features_of_single_pixels_are_those_of_the_picture() -> None:
+def test_features_of_single_pixels_are_those_of_the_picture():
     rng = np.random.default_rng(3)
     change, background = rng.normal(size=(2, 36, 48, 3)).astype(np.float32)
     config = NormalModelConfig(48, 36, background=True, position_bands=2)
@@ -290,7 +289,7 @@ def weights_of(config: Config, seed: int = 0) -> Weights:
         FORCE,
     ],
 )  # fmt: skip
-def test_settings_go_through_a_dict_and_refuse_other_keys(config: Config) -> None:
+def test_settings_go_through_a_dict_and_refuse_other_keys(config):
     kind, values = type(config), config.to_dict()
     assert kind.from_dict(values) == config
     with pytest.raises(InputError, match=r"unknown.*gamma"):
@@ -331,9 +330,7 @@ def test_settings_go_through_a_dict_and_refuse_other_keys(config: Config) -> Non
         (FORCE, {"most": (5e3, 1, 1, 1)}, "force model.* largest force"),
     ],
 )
-def test_settings_of_no_sensor_are_refused(
-    config: Config, changes: dict[str, object], message: str
-) -> None:
+def test_settings_of_no_sensor_are_refused(config, changes, message):
     with pytest.raises(InputError, match=message):
         dataclasses.replace(config, **changes)  # type: ignore[arg-type]
 
@@ -350,9 +347,7 @@ def test_settings_of_no_sensor_are_refused(
         (ForceModel, FORCE, "hidden.bias", np.full(6, np.nan), "NaN"),
     ],
 )
-def test_weights_that_do_not_fit_are_refused(
-    make: Callable, config: Config, name: str, value: np.ndarray | None, message: str
-) -> None:
+def test_weights_that_do_not_fit_are_refused(make, config, name, value, message):
     changed = weights_of(config) | {name: value}
     if value is None:
         del changed[name]
@@ -360,7 +355,7 @@ def test_weights_that_do_not_fit_are_refused(
         make(config, changed, *([GRID] if make is ForceModel else []))
 
 
-def test_a_tilt_is_less_sure_away_from_the_contacts_that_were_fitted() -> None:
+def test_a_tilt_is_less_sure_away_from_the_contacts_that_were_fitted():
     config = NormalModelConfig(200, 100, presses_px=(40.0, 50.0, 10.0, 60.0, 50.0, 20.0))
     away = config.away()
     assert away.shape == (100, 200)

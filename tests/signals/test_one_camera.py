@@ -60,7 +60,7 @@ def radius_px(profile: SensorProfile) -> float:
 @pytest.mark.thorough
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", variants(["gelsight_mini", "digit"], DOTS))
-def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) -> None:
+def test_signals_lie_where_the_optical_model_shows_them(name, device):
     profile = catalogue_profile(name, DOTS[name])
     design, markers = profile.optical_design(), profile.markers
     assert design is not None and markers is not None
@@ -95,7 +95,7 @@ def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) 
 
 @pytest.mark.thorough(cases=("gelsight_40",))
 @pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40"])
-def test_dots_of_a_colour_model_lie_where_the_markers_are(name: str) -> None:
+def test_dots_of_a_colour_model_lie_where_the_markers_are(name):
     profile = painted(catalogue_profile(name))
     assert camera_of(profile) == profile.grid()
     signal = SignalTactile.from_profile(profile, env_count=2)
@@ -108,7 +108,7 @@ def test_dots_of_a_colour_model_lie_where_the_markers_are(name: str) -> None:
         assert distances_px(found, places[row]).mean() < 0.3
 
 
-def test_camera_that_a_profile_has() -> None:
+def test_camera_that_a_profile_has():
     profile = catalogue_profile("gelsight_mini")
     seen = camera_of(profile)
     assert isinstance(seen, GelCamera)
@@ -131,7 +131,7 @@ def test_camera_that_a_profile_has() -> None:
 
 @pytest.mark.thorough(cases=("rtac",))
 @pytest.mark.parametrize("name", DOTS)
-def test_cameras_are_kept_as_json_and_scaled(name: str) -> None:
+def test_cameras_are_kept_as_json_and_scaled(name):
     profile = catalogue_profile(name, DOTS[name])
     camera = camera_of(profile)
     assert isinstance(camera, GelCamera)
@@ -155,7 +155,7 @@ def test_cameras_are_kept_as_json_and_scaled(name: str) -> None:
     np.testing.assert_allclose(moved, expected, atol=1e-9)
 
 
-def test_colours_take_no_perspective_camera() -> None:
+def test_colours_take_no_perspective_camera():
     profile = painted(catalogue_profile("gelsight_mini"))
     options = SignalTactile.from_profile(profile, env_count=1)
     camera = camera_of(profile.without("color"))

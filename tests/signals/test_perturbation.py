@@ -28,7 +28,7 @@ BLOCK = PerturbationBlock(
 )
 
 
-def test_draws_have_the_stated_spread() -> None:
+def test_draws_have_the_stated_spread():
     draw = draw_perturbation(BLOCK, 20_000, np.random.default_rng(0))
     assert draw.gain.std(axis=0) == pytest.approx(BLOCK.gain_rgb, rel=0.03)
     assert draw.offset.std(axis=0) == pytest.approx(BLOCK.offset_rgb, rel=0.03)
@@ -42,7 +42,7 @@ def test_draws_have_the_stated_spread() -> None:
     )
 
 
-def test_strength_zero_is_the_nominal_sensor() -> None:
+def test_strength_zero_is_the_nominal_sensor():
     draw = draw_perturbation(BLOCK, 3, np.random.default_rng(0), strength=0.0)
     images = np.random.default_rng(2).uniform(0, 255, (3, 6, 8, 3)).astype(np.float32)
     assert np.array_equal(PerturbedSensors(draw).apply(images, np.random.default_rng(3)), images)
@@ -50,7 +50,7 @@ def test_strength_zero_is_the_nominal_sensor() -> None:
     assert draw.grid(grid, 1) == grid
 
 
-def test_an_image_changes_as_the_draw_says() -> None:
+def test_an_image_changes_as_the_draw_says():
     draw = draw_perturbation(BLOCK, 2, np.random.default_rng(0))
     images = np.full((2, 5, 9, 3), 100.0)
     changed = PerturbedSensors(draw).apply(images)
@@ -62,7 +62,7 @@ def test_an_image_changes_as_the_draw_says() -> None:
     assert changed[:, 4, 4] - changed[:, 2, 4] == pytest.approx(draw.gradient[:, 1], abs=eps)
 
 
-def test_torch_gives_what_numpy_gives() -> None:
+def test_torch_gives_what_numpy_gives():
     draw = draw_perturbation(BLOCK, 2, np.random.default_rng(0))
     images = np.random.default_rng(2).uniform(50, 200, (2, 6, 8, 3)).astype(np.float32)
     both = (
@@ -74,7 +74,7 @@ def test_torch_gives_what_numpy_gives() -> None:
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_noise_is_drawn_anew_and_has_its_size(kind: str) -> None:
+def test_noise_is_drawn_anew_and_has_its_size(kind):
     draw = draw_perturbation(BLOCK, 2, np.random.default_rng(0))
     images = np.full((2, 60, 80, 3), 120.0, dtype=np.float32)
     given = images if kind == "numpy" else torch.from_numpy(images)
@@ -85,7 +85,7 @@ def test_noise_is_drawn_anew_and_has_its_size(kind: str) -> None:
     assert (first - second).std() == pytest.approx(1.5 * np.sqrt(2), rel=0.05)
 
 
-def test_bad_arguments_are_refused() -> None:
+def test_bad_arguments_are_refused():
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="at least 1"):
         draw_perturbation(BLOCK, 0, rng)
@@ -111,7 +111,7 @@ def drawn(faults: SensorFaults) -> Perturbation:
 IMAGES = np.random.default_rng(2).uniform(40, 120, (2, 41, 51, 3)).astype(np.float32)
 
 
-def test_dead_pixels_stay_dead_in_all_channels() -> None:
+def test_dead_pixels_stay_dead_in_all_channels():
     draw = drawn(SensorFaults(dead_share=0.1, dead_range=(200.0, 210.0)))
     first, again = (PerturbedSensors(draw).apply(IMAGES) for _ in range(2))
     dead = first != IMAGES
@@ -121,7 +121,7 @@ def test_dead_pixels_stay_dead_in_all_channels() -> None:
     assert not (dead[0] == dead[1]).all()  # Each sensor has its own.
 
 
-def test_gains_of_pixels_spread_and_stay() -> None:
+def test_gains_of_pixels_spread_and_stay():
     draw = drawn(SensorFaults(pixel_gain=0.05))
     taxels = np.ones((2, 60, 80, 1), np.float32)
     gains = PerturbedSensors(draw).apply(taxels)
@@ -131,7 +131,7 @@ def test_gains_of_pixels_spread_and_stay() -> None:
     assert (PerturbedSensors(draw).apply(2 * taxels) == 2 * gains).all()
 
 
-def test_crosstalk_is_the_mean_of_the_neighbours() -> None:
+def test_crosstalk_is_the_mean_of_the_neighbours():
     taxels = np.zeros((2, 21, 25, 1), np.float32)
     taxels[:, 10, 12] = 1.0
     seen = PerturbedSensors(drawn(SensorFaults(crosstalk=0.4, crosstalk_px=1.5))).apply(taxels)
@@ -143,7 +143,7 @@ def test_crosstalk_is_the_mean_of_the_neighbours() -> None:
     assert seen.sum(axis=(1, 2, 3)) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_hysteresis_overshoots_and_fades_as_a_maxwell_branch_does() -> None:
+def test_hysteresis_overshoots_and_fades_as_a_maxwell_branch_does():
     sensors = PerturbedSensors(drawn(SensorFaults(hysteresis=0.5, hysteresis_s=0.2)))
     rest, pressed = (np.full((2, 3, 4, 1), level, np.float32) for level in (1.0, 3.0))
     assert (sensors.apply(rest, step_s=0.05) == rest).all()
@@ -157,7 +157,7 @@ def test_hysteresis_overshoots_and_fades_as_a_maxwell_branch_does() -> None:
     assert after[0] == 1.0 and after[1] < 1.0
 
 
-def test_lamps_dim_and_coatings_wear() -> None:
+def test_lamps_dim_and_coatings_wear():
     draw = drawn(SensorFaults(lamp_dimming=0.2))
     assert (draw.lamps <= 1).all() and np.ptp(draw.lamps) > 0.05
     dimmed = PerturbedSensors(draw).apply(IMAGES)
@@ -170,7 +170,7 @@ def test_lamps_dim_and_coatings_wear() -> None:
         assert image[..., 1] == pytest.approx(100 * expected, abs=1e-3)
 
 
-def test_light_and_camera_leave_taxels_as_they_are() -> None:
+def test_light_and_camera_leave_taxels_as_they_are():
     draw = draw_perturbation(BLOCK, 2, np.random.default_rng(0))
     taxels = IMAGES[..., :2] - 500
     assert (PerturbedSensors(draw).apply(taxels, np.random.default_rng(1)) == taxels).all()

@@ -40,7 +40,7 @@ def encoded_model(bands: int, hidden: tuple[int, ...] = (20, 16), seed: int = 0)
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.integers(0, MAX_BANDS))
-def test_features_are_those_of_the_formula(u: float, v: float, bands: int) -> None:
+def test_features_are_those_of_the_formula(u, v, bands):
     found = dict(
         zip(band_names(bands), encode_position(np.array([u, v]), bands).tolist(), strict=True)
     )
@@ -51,7 +51,7 @@ def test_features_are_those_of_the_formula(u: float, v: float, bands: int) -> No
             assert found[f"cos_{axis}_{k}"] == pytest.approx(np.cos(2**k * np.pi * place))
 
 
-def test_the_network_gets_them_after_its_inputs_unscaled() -> None:
+def test_the_network_gets_them_after_its_inputs_unscaled():
     model = encoded_model(2, hidden=(5,))
     assert model.weights["layer0.weight"].shape == (5, 6 + 8)
     idx, normal, depth = np.array([WIDTH + 4]), np.array([[0.3, -0.2, 0.9]]), np.array([-0.3])
@@ -60,7 +60,7 @@ def test_the_network_gets_them_after_its_inputs_unscaled() -> None:
     for f in (np.pi, 2 * np.pi):
         waves += [np.sin(f * u), np.sin(f * v), np.cos(f * u), np.cos(f * v)]
 
-    def network(n: list[float], d: float) -> np.ndarray:
+    def network(n, d):
         raw = np.array([u, v, *n, d]) - model.config.input_mean
         x = np.array([*(raw / model.config.input_scale), *waves])
         x = model.weights["layer0.weight"] @ x + model.weights["layer0.bias"]
@@ -73,7 +73,7 @@ def test_the_network_gets_them_after_its_inputs_unscaled() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("bands", [0, 1, 4])
-def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
+def test_device_images_are_those_of_the_model(bands, device):
     model = encoded_model(bands)
     rng = np.random.default_rng(1)
     rest = np.concatenate(
@@ -106,7 +106,7 @@ def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
     assert np.array_equal(levels.numpy()[0, :5], background[:5])
 
 
-def test_the_normals_network_has_them_among_its_features() -> None:
+def test_the_normals_network_has_them_among_its_features():
     plain = feature_names((1.0,), (2.0,), True)
     assert feature_names((1.0,), (2.0,), True, 1) == (*plain, "sin_u_0", "sin_v_0", "cos_u_0",
                                                       "cos_v_0")  # fmt: skip
@@ -281,8 +281,7 @@ def test_the_first_layer_keeps_more_than_half_precision():
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("hidden", "activation", "encoded"),
-    [((20, 128), "tanh", False), ((64, 64, 64), "silu", True)],
+    ("hidden", "activation", "encoded"), [((20, 128), "tanh", False), ((64, 64, 64), "silu", True)]
 )
 def test_kernels_compile_for_hopper(hidden, activation, encoded, tmp_path):
     """The CUDA half of the source, which nothing else reads on a machine without a GPU."""

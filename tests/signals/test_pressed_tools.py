@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import pyvista
@@ -31,7 +29,7 @@ DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 
 
 @pytest.mark.thorough
-def test_a_roller_touches_all_between_its_ends() -> None:
+def test_a_roller_touches_all_between_its_ends():
     """Its ends press many times as hard as its middle, which touches as well."""
     tool, physics = parse_indenter("roller:1.5x4"), PHYSICS[Accuracy.FAST]
     mesh = press_mesh("gelsight_mini", {}, AT_MM, tool.contact(DEPTH_MM), physics.mesh)
@@ -58,7 +56,7 @@ def _press(indenter: Indenter, depth_mm: float, grid: PixelGrid) -> PressOutcome
 
 
 @pytest.mark.slow
-def test_the_wall_beside_a_punch_is_even() -> None:
+def test_the_wall_beside_a_punch_is_even():
     """As high everywhere along a side, and higher with every pixel away from it: no facets."""
     grid = PixelGrid(160, 160, 0.06, 0.06, 79.6, 79.7)
     press = _press(parse_indenter("box:4x4"), 0.8, grid)
@@ -80,7 +78,7 @@ def test_the_wall_beside_a_punch_is_even() -> None:
 
 
 @pytest.mark.thorough
-def test_a_side_that_is_not_along_the_pixels_is_straight() -> None:
+def test_a_side_that_is_not_along_the_pixels_is_straight():
     """A punch turned by 17 degrees: where its floor is half of a pixel, on a line to a fifth."""
     grid = PixelGrid(120, 120, 0.08, 0.08)
     box = box_mesh((4e-3, 4e-3, 4e-3))
@@ -105,7 +103,7 @@ def test_a_side_that_is_not_along_the_pixels_is_straight() -> None:
 
 
 @pytest.mark.slow
-def test_facets_of_a_ball_do_not_show() -> None:
+def test_facets_of_a_ball_do_not_show():
     """Chords of 0.5 mm turn by 14 degrees from one to the next, of which nothing is seen but for
     a pixel or two beside their ridges, where the gel's coarse face keeps 4 um away."""
     grid = PixelGrid(120, 120, 0.05, 0.05)
@@ -120,7 +118,7 @@ def test_facets_of_a_ball_do_not_show() -> None:
 
 
 @pytest.mark.thorough
-def test_a_file_lands_where_its_coordinates_say(tmp_path: Path) -> None:
+def test_a_file_lands_where_its_coordinates_say(tmp_path):
     """A peg that stands off the origin of its file on the side of +z, pressed off the middle."""
     box = box_mesh((3e-3, 1e-3, 2e-3))
     path = tmp_path / "peg.ply"
@@ -162,7 +160,7 @@ def ball(grid: PixelGrid, radius_m: float, depth_m: float) -> np.ndarray:
     return np.minimum((x**2 + y**2) / (2 * radius_m), 1e-3) - depth_m
 
 
-def test_a_ball_on_a_thick_layer_is_hertz_s() -> None:
+def test_a_ball_on_a_thick_layer_is_hertz_s():
     """Pressures, contact and force of one depth; a layer 12 contact radii thick is 8 % stiffer
     against the depth, but not between these."""
     grid, radius, depth = PixelGrid(240, 240, 0.012, 0.012), 5e-3, 2e-5
@@ -192,7 +190,7 @@ def test_a_ball_on_a_thick_layer_is_hertz_s() -> None:
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
-def test_a_wave_touches_as_much_as_westergaard_says(share: float) -> None:
+def test_a_wave_touches_as_much_as_westergaard_says(share):
     """Mean pressure over that of full contact, p* = pi E' A / lambda, is sin^2(pi w / 2), w being
     the part of the wave that touches [Westergaard 1939; Johnson 1985, section 13.2]."""
     grid = PixelGrid(256, 8, 0.004, 0.004)
@@ -212,7 +210,7 @@ def test_a_wave_touches_as_much_as_westergaard_says(share: float) -> None:
     assert mean == pytest.approx(np.sin(0.5 * np.pi * part) ** 2, abs=0.02)
 
 
-def test_a_gpu_s_library_finds_the_same() -> None:
+def test_a_gpu_s_library_finds_the_same():
     """Presses on a CPU load no torch: both libraries go through the same lines."""
     grid = PixelGrid(120, 100, 0.03, 0.03)
     compliance = layer_compliance(grid, YOUNG, POISSON, 4e-3).astype(np.float32)
@@ -226,7 +224,7 @@ def test_a_gpu_s_library_finds_the_same() -> None:
     np.testing.assert_allclose(theirs[1].numpy(), pressure, atol=1e-4 * pressure.max())
 
 
-def test_what_is_right_already_stays() -> None:
+def test_what_is_right_already_stays():
     """A coarse solution that meets the object is given back."""
     grid = PixelGrid(96, 96, 0.03, 0.03)
     obj = ball(grid, 5e-3, 1e-4)[None]
@@ -241,7 +239,7 @@ def test_what_is_right_already_stays() -> None:
     np.testing.assert_allclose(again[1], pressure, atol=4e-3 * pressure.max())
 
 
-def test_environments_do_not_know_each_other() -> None:
+def test_environments_do_not_know_each_other():
     """To the bit, in batches of one size: of other sizes some processors round otherwise."""
     grid = PixelGrid(64, 48, 0.03, 0.03)
     objects = np.stack([ball(grid, 5e-3, depth) for depth in (1e-4, -1e-3, 3e-5)])
@@ -254,7 +252,7 @@ def test_environments_do_not_know_each_other() -> None:
 
 
 @pytest.mark.thorough
-def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
+def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact():
     profile = catalogue_profile("gelsight_mini")
     family, grid = sensor_family("gelsight_mini"), profile.grid()
     tool, physics = parse_indenter("sphere:2"), PHYSICS[Accuracy.FAST]
@@ -270,7 +268,7 @@ def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
     truth = family.parameters({}).pad().height_mm(xy) * 1e-3
     far = np.hypot(*xy.transpose(2, 0, 1)) > 5.0
 
-    def rms(height: np.ndarray) -> float:
+    def rms(height):
         return float(np.sqrt(np.nanmean((height - truth)[far] ** 2)))
 
     assert rms(plain.height_m) > 3e-5

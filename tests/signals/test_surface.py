@@ -48,7 +48,7 @@ def test_the_network_of_least_bending_is_found():
         wp.array(surface.ring_nodes, dtype=wp.int32, device=device),
     ).numpy()[0]
 
-    def energy(flat: np.ndarray) -> float:
+    def energy(flat):
         return _bending(flat.reshape(-1, 2), surface.edges, points[:, :2], values)
 
     best = minimize(energy, np.zeros(2 * len(points)), method="L-BFGS-B", options={"maxfun": 10**6})
@@ -95,7 +95,7 @@ def quadratic() -> QuadraticMesh:
 
 
 @pytest.mark.parametrize("mounted", [False, True])
-def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid(mounted: bool) -> None:
+def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid(mounted):
     mesh = quadratic()
     right = bowl(mesh.nodes_m)
     face = mesh.region_nodes(Region.CONTACT)
@@ -114,7 +114,7 @@ def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid(mounted: bool) 
     )
 
 
-def test_a_corner_at_the_rim_of_the_contact_stays() -> None:
+def test_a_corner_at_the_rim_of_the_contact_stays():
     mesh = quadratic()
     moved = bowl(mesh.nodes_m)
     corners = mesh.region_nodes(Region.CONTACT)
@@ -124,7 +124,7 @@ def test_a_corner_at_the_rim_of_the_contact_stays() -> None:
     assert (lifted(moved, right_side, Element.QUADRATIC)[corner] == moved[corner]).all()
 
 
-def test_environments_with_gels_of_their_own_shape() -> None:
+def test_environments_with_gels_of_their_own_shape():
     """The same cells, graded otherwise in the second environment."""
     mesh = quadratic()
     graded = np.sign(BLOCK.nodes_m) * np.abs(BLOCK.nodes_m) ** [1.3, 1.2, 1.0]
@@ -145,7 +145,7 @@ def test_environments_with_gels_of_their_own_shape() -> None:
     assert positions.numpy() == pytest.approx(right, abs=1e-12)
 
 
-def test_linear_elements_have_none() -> None:
+def test_linear_elements_have_none():
     moved = bowl(BLOCK.nodes_m)
     assert (lifted(moved, np.ones(len(moved), bool), Element.LINEAR) == moved).all()
 
@@ -220,7 +220,7 @@ def test_a_face_that_came_from_elsewhere_is_covered():
     assert np.allclose(height, 1e-4, rtol=0, atol=1e-9)
 
 
-def test_each_environment_has_its_own_rest() -> None:
+def test_each_environment_has_its_own_rest():
     """Two pads whose nodes lie elsewhere at rest, in one batch, sunk by the same."""
     mesh = flat_pad(0.3, HALF_MM)
     rest = np.stack([mesh.nodes_m, mesh.nodes_m * [1.1, 0.9, 1.0]])

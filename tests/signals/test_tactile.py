@@ -168,7 +168,7 @@ def test_a_gel_may_be_anywhere_among_the_nodes_and_in_the_world(device):
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("chunk_images", [1, 2, ENV_COUNT])
-def test_some_environments_look_as_among_all(device: str, chunk_images: int) -> None:
+def test_some_environments_look_as_among_all(device, chunk_images):
     """Whole or chunk by chunk, in the world or in the gel frame; a row for each that is shown."""
     mesh = flat_pad(0.4, PAD_HALF_MM)
     positions = on_device(presses(mesh), device)

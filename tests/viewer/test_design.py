@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,12 +24,7 @@ from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import QuadraticMesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.viewer.background_press import BackgroundPress, NewestFirst
-from taccel_lab.viewer.ball_press import (
-    BallPress,
-    PressAnswer,
-    SupersededError,
-    formula_force_n,
-)
+from taccel_lab.viewer.ball_press import BallPress, PressAnswer, SupersededError, formula_force_n
 from taccel_lab.viewer.design_answer import (
     Choice,
     DesignAnswer,
@@ -76,7 +71,7 @@ def pieces_until(
 
 
 @pytest.mark.thorough
-def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() -> None:
+def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known():
     default = sensor_family("flat_pad").parameters()
     stiff = default.values()["young_modulus_mpa"]
     with answers_of("flat_pad") as answers:
@@ -96,9 +91,7 @@ def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() 
 
 
 @pytest.mark.thorough
-def test_the_press_of_the_catalogue_is_kept_between_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_press_of_the_catalogue_is_kept_between_runs(tmp_path, monkeypatch):
     from taccel_lab.viewer.ball_press import kept_press
 
     with answers_of("flat_pad") as answers:
@@ -123,7 +116,7 @@ def test_the_press_of_the_catalogue_is_kept_between_runs(
 
 
 @pytest.mark.thorough
-def test_a_kept_press_knows_all_code_that_makes_it() -> None:
+def test_a_kept_press_knows_all_code_that_makes_it():
     from taccel_lab.viewer.ball_press import SOURCES
 
     code = "import sys, taccel_lab.viewer.design_press; print(*sys.modules, sep='\\n')"
@@ -138,10 +131,10 @@ def test_a_kept_press_knows_all_code_that_makes_it() -> None:
 
 
 @pytest.mark.thorough
-def test_a_newer_wish_ends_the_work_between_steps() -> None:
+def test_a_newer_wish_ends_the_work_between_steps():
     asked = []
 
-    def superseded() -> bool:
+    def superseded():
         asked.append(True)
         return len(asked) > 1
 
@@ -152,13 +145,11 @@ def test_a_newer_wish_ends_the_work_between_steps() -> None:
 
 
 @pytest.mark.thorough
-def test_a_design_without_light_or_a_drawing_has_all_other_pieces(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_design_without_light_or_a_drawing_has_all_other_pieces(monkeypatch):
     from taccel_lab.viewer import design_answer
     from taccel_lab.viewer.design_answer import force_table, stage_words
 
-    def no_drawing(name: str, pad: object) -> np.ndarray:
+    def no_drawing(name, pad):
         raise InputError("the CAD kernel cannot build this pad")
 
     monkeypatch.setattr(design_answer, "_drawing", no_drawing)
@@ -185,7 +176,7 @@ def _modulus(answer: DesignAnswer) -> float:
     return float(answer.parameters.values()["young_modulus_mpa"])
 
 
-def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
+def test_what_is_worked_on_is_said_with_the_steps_of_the_press():
     from taccel_lab.viewer.design_answer import force_table, stage_words
 
     answer = DesignAnswer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
@@ -209,19 +200,19 @@ def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
     assert "| coarse | none | |  |" in force_table(answer)
 
 
-def test_presses_stay_within_the_gel_and_domes_have_no_formula() -> None:
+def test_presses_stay_within_the_gel_and_domes_have_no_formula():
     assert BallPress(3.0, 2.0).limited(1.0).depth_mm == pytest.approx(0.4)
     assert BallPress(3.0, 0.2).limited(1.0).depth_mm == 0.2
     assert np.isnan(formula_force_n(sensor_family("rtac").parameters(), PRESS))
 
 
-def test_refusals_are_those_of_the_family() -> None:
+def test_refusals_are_those_of_the_family():
     with answers_of("digit") as answers, pytest.raises(InputError, match="window_thickness_mm"):
         answers.answer(Choice({"window_thickness_mm": 1e3}), lambda *_: None)
 
 
 @pytest.mark.parametrize("name", sorted(sensor_families()))
-def test_sliders_reach_the_bounds_of_every_parameter(name: str) -> None:
+def test_sliders_reach_the_bounds_of_every_parameter(name):
     for parameter in sensor_family(name).parameters_type.parameters().values():
         if parameter.choices or isinstance(parameter.default, tuple):
             continue
@@ -233,7 +224,7 @@ def test_sliders_reach_the_bounds_of_every_parameter(name: str) -> None:
             assert low <= 0
 
 
-def test_parameters_are_written_below_out_and_read_again(tmp_path: Path) -> None:
+def test_parameters_are_written_below_out_and_read_again(tmp_path):
     family, changed = sensor_family("digit"), {"thickness_mm": 3.2, "thin_crown": "kept"}
     files = export(TOML, family, changed, tmp_path / "out")
     assert all(path.is_relative_to(tmp_path / "out") for path in files.values())
@@ -245,7 +236,7 @@ def test_parameters_are_written_below_out_and_read_again(tmp_path: Path) -> None
     )
 
 
-def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path: Path) -> None:
+def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path):
     (tmp_path / "pad").mkdir()
     files = [tmp_path / "pad" / name for name in ("pad.step", "pad.stl")]
     for file in files:
@@ -258,7 +249,7 @@ def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path: Path) -> N
         assert archive.namelist() == ["pad/pad.step", "pad/pad.stl"]
 
 
-def test_undo_and_redo_take_a_dragged_slider_as_one_step() -> None:
+def test_undo_and_redo_take_a_dragged_slider_as_one_step():
     now = [0.0]
     history = History(0, clock=lambda: now[0])
     for value in (1, 2, 3):
@@ -278,7 +269,7 @@ def test_undo_and_redo_take_a_dragged_slider_as_one_step() -> None:
     assert [history.step(-1), history.step(-1)] == [6, 3]
 
 
-def test_labels_units_and_heading_follow_the_values() -> None:
+def test_labels_units_and_heading_follow_the_values():
     known = sensor_family("gelsight_mini").parameters_type.parameters()
     labels = {
         "mm_per_px": "scale [mm/px]",
@@ -300,7 +291,7 @@ def test_labels_units_and_heading_follow_the_values() -> None:
     assert soft.startswith("Overridden by Shore 00 45: 0.") and " MPa (0." in soft
 
 
-def test_files_of_others_stay(tmp_path: Path) -> None:
+def test_files_of_others_stay(tmp_path):
     (tmp_path / "parameters").mkdir()
     (tmp_path / "parameters" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"notes\.txt"):
@@ -308,7 +299,7 @@ def test_files_of_others_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["x = 1", "sensor = 3", 'sensor = "digit"\nparameters = 1'])
-def test_other_files_are_no_designs(tmp_path: Path, text: str) -> None:
+def test_other_files_are_no_designs(tmp_path, text):
     path = tmp_path / "design.toml"
     path.write_text(text)
     with pytest.raises(InputError, match="is no design"):
@@ -317,7 +308,7 @@ def test_other_files_are_no_designs(tmp_path: Path, text: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "9dtact"])
-def test_the_quick_press_is_as_near_as_the_page_says(name: str) -> None:
+def test_the_quick_press_is_as_near_as_the_page_says(name):
     from taccel_lab.viewer.design_answer import QUICK_PERCENT
 
     parameters = sensor_family(name).parameters()
@@ -328,11 +319,11 @@ def test_the_quick_press_is_as_near_as_the_page_says(name: str) -> None:
     assert quick.force_n == pytest.approx(exact.force_n, rel=QUICK_PERCENT / 100)
 
 
-def test_wishes_between_are_left_out_and_the_work_at_hand_hears_of_it() -> None:
+def test_wishes_between_are_left_out_and_the_work_at_hand_hears_of_it():
     began, go_on = threading.Event(), threading.Event()
     done: list[tuple[int, bool]] = []
 
-    def work(wish: int, superseded: Callable[[], bool]) -> None:
+    def work(wish, superseded):
         if wish == 0:
             began.set()
             assert go_on.wait(10)
@@ -350,10 +341,10 @@ def test_wishes_between_are_left_out_and_the_work_at_hand_hears_of_it() -> None:
     queue.close()
 
 
-def test_closing_tells_the_work_at_hand_and_drops_what_waits() -> None:
+def test_closing_tells_the_work_at_hand_and_drops_what_waits():
     began, heard, wishes = threading.Event(), threading.Event(), []
 
-    def work(wish: int, superseded: Callable[[], bool]) -> None:
+    def work(wish, superseded):
         wishes.append(wish)
         began.set()
         while not superseded():
@@ -396,9 +387,7 @@ def is_alive(process: int) -> bool:
 
 
 @pytest.mark.thorough
-def test_the_newest_press_is_the_one_of_this_process_to_the_bit_and_a_dead_process_is_told() -> (
-    None
-):
+def test_the_newest_press_is_the_one_of_this_process_to_the_bit_and_a_dead_process_is_told():
     beside = BackgroundPress()
     try:
         # Older wishes never come, also those whose press is under way.
@@ -433,7 +422,7 @@ def test_the_newest_press_is_the_one_of_this_process_to_the_bit_and_a_dead_proce
         beside.close()
 
 
-def test_closing_ends_a_press_under_way() -> None:
+def test_closing_ends_a_press_under_way():
     beside = BackgroundPress()
     beside.begin(FLAT, BallPress(3.0, 0.6))
     process = process_of(beside)
