@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,29 +20,24 @@ from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhys
 from taccel_lab.scene import Material, MaxwellBranch
 from taccel_lab.sensors.press_mesh import press_mesh
 
-TOOL, DEPTH_MM = "edge:30x6", 0.6
 GEL = Material(0.15e6, 0.48)
+DEFAULT, FAST = PHYSICS[Accuracy.DEFAULT], PHYSICS[Accuracy.FAST]
 
 
 def at_rest(
-    tool_text: str,
-    depth_mm: float,
-    envs: int = 1,
-    friction: float = 0.0,
-    gel: Material = GEL,
-    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
-) -> PressEnv:
-    tool = parse_indenter(tool_text)
+    indenter: str = "edge:30x6", depth_mm: float = 0.6, envs: int = 1, gel: Material = GEL,
+    physics: PressPhysics = DEFAULT, **options: Any,
+) -> PressEnv:  # fmt: skip
+    tool = parse_indenter(indenter)
     mesh = press_mesh("flat_pad", {}, (0.0, 0.0), tool.contact(depth_mm), physics.mesh)
-    places = np.zeros((envs, 2))
-    return PressEnv(mesh, gel, tool, places, friction_coefficient=friction, physics=physics)
+    return PressEnv(mesh, gel, tool, np.zeros((envs, 2)), physics=physics, **options)
 
 
 @cache
 def deep_edge(friction: float = 0.0, gel: Material = GEL) -> PressEnv:
     """A sharp edge in a gel that is nearly incompressible."""
-    env = at_rest(TOOL, DEPTH_MM, friction=friction, gel=gel)
-    env.follow(PressPath(DEPTH_MM))
+    env = at_rest(gel=gel, friction_coefficient=friction)
+    env.follow(PressPath(0.6))
     return env
 
 
@@ -59,14 +55,14 @@ def test_it_is_what_the_force_loses_without_a_guard(friction, monkeypatch):
     """A threshold of 0.01 in place of 0.1 leaves next to nothing of the guard: the force of seven
     pins and edges changes by 0.8 to 1.3 times the share."""
     env = deep_edge(friction)
-    before, told = env.press_force[0, 2], env.guard_share()[0]
-    assert 1e-3 < told < 0.01
+    before, share = env.press_force[0, 2], env.guard_share()[0]
     # Forces inside the gel would say 54 per cent.
+    assert 1e-3 < share < 0.01
     for module in (volume_bounds, quadratic_shape):
         monkeypatch.setattr(module, "GUARDED_RATIO", wp.constant(wp.float64(0.01)))
     (part,) = env.solver.elastic
     law = replace(elastic_point_law(part.group.law), name="late_guard")
-    own, kept = part.kernels, env.state.copy()
+    own, kept, whole = part.kernels, env.state.copy(), np.ones(1, dtype=bool)
     try:
         part.kernels = create_quadratic_kernels(law)
         env.solver.graph.clear()
@@ -76,18 +72,16 @@ def test_it_is_what_the_force_loses_without_a_guard(friction, monkeypatch):
     finally:
         part.kernels = own
         env.solver.graph.clear()
-        env.state.restore(kept, np.ones(1, dtype=bool))
-        env.solver.refresh_forces(env.state, np.ones(1, dtype=bool))
+        env.state.restore(kept, whole)
+        env.solver.refresh_forces(env.state, whole)
     assert 0 < squeezed < 0.01
-    assert told == pytest.approx(abs(after / before - 1), rel=0.4)
+    assert share == pytest.approx(abs(after / before - 1), rel=0.4)
 
 
 @pytest.mark.thorough
-def test_a_batch_tells_what_each_press_does_alone():
-    fast = PHYSICS[Accuracy.FAST]
-    alone = at_rest(TOOL, DEPTH_MM, physics=fast)
-    alone.follow(PressPath(DEPTH_MM))
-    env = at_rest(TOOL, DEPTH_MM, 2, physics=fast)
+def test_a_batch_says_what_each_press_does_alone():
+    alone, env = (at_rest(envs=envs, physics=FAST) for envs in (1, 2))
+    alone.follow(PressPath(0.6))
     for step in range(1, 4):
         env.move_to(np.array([0.05, 0.2 * step]))
     gentle, hard = env.guard_share()

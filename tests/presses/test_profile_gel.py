@@ -35,13 +35,8 @@ def pressed():
     """Mini, ball, three environments; the middle one is not touched."""
     profile = catalogue_profile("gelsight_mini")
     mesh = gel_mesh(sensor_family("gelsight_mini").parameters().pad(), edge_mm=4)
-    scene = profile_scene(
-        profile,
-        mesh=mesh,
-        gel={"element": Element.LINEAR},
-        kinematic_bodies=KinematicBody(Ball(RADIUS_M)),
-        env_count=3,
-    )
+    bodies = {"gel": {"element": Element.LINEAR}, "kinematic_bodies": KinematicBody(Ball(RADIUS_M))}
+    scene = profile_scene(profile, mesh=mesh, env_count=3, **bodies)
     solver = SolverIPC(scene.finalize("cpu"))
     poses = np.zeros((3, 1, 7))
     poses[..., 6] = 1.0
@@ -79,15 +74,11 @@ def test_signals_are_the_profiles(pressed):
     assert markers.shape == (3, len(where), 2)
     assert np.abs(markers[1] - where).max() < 1e-3
     assert np.abs(markers[0] - where).max() > 0.02
-
-
-def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed):
-    _, _, solver, state = pressed
-    wrench = to_torch(Outputs(solver).update(state).soft_wrenches())[:, 0]
-    assert tuple(wrench.shape) == (3, 6)
-    assert wrench[0, 2] < -0.1
-    assert abs(float(wrench[1, 2])) < 1e-9
-    assert float(wrench[2, 2]) == pytest.approx(float(wrench[0, 2]), rel=1e-3)
+    # The wrench is a tensor that pushes the gel down.
+    wrench = to_torch(Outputs(solver).update(state).soft_wrenches())[:, 0].numpy()
+    assert wrench.shape == (3, 6)
+    assert wrench[0, 2] < -0.1 and abs(wrench[1, 2]) < 1e-9
+    assert wrench[2, 2] == pytest.approx(wrench[0, 2], rel=1e-3)
 
 
 def test_options_go_first_and_a_count_is_needed(pressed):
@@ -103,20 +94,14 @@ def test_options_go_first_and_a_count_is_needed(pressed):
 
 
 SKIN = LayerMaterial(name="skin", young_modulus_pa=9e5, poisson_ratio=0.3, density_kg_m3=1200.0)
+PLAIN = MaterialBlock(
+    young_modulus_pa=2e5, poisson_ratio=0.45, density_kg_m3=1000.0, friction_coefficient=0.5,
+    provenance=Provenance(kind="assumed", method="made up for a test", source="none"),
+)  # fmt: skip
+SKINNED = PLAIN.replace(layers=(SKIN,))
 
 
-def material(*layers: LayerMaterial) -> MaterialBlock:
-    return MaterialBlock(
-        young_modulus_pa=2e5,
-        poisson_ratio=0.45,
-        density_kg_m3=1000.0,
-        friction_coefficient=0.5,
-        layers=layers,
-        provenance=Provenance(kind="assumed", method="made up for a test", source="none"),
-    )
-
-
-def two_tets(layers: list[int]) -> TetMesh:
+def two_tets(*layers: int) -> TetMesh:
     nodes = np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1], [1, 1, 0]]) * 1e-3
     tets = np.array([[0, 2, 1, 3], [0, 1, 2, 4]])
     faces = boundary_faces(tets)
@@ -124,28 +109,21 @@ def two_tets(layers: list[int]) -> TetMesh:
 
 
 def test_each_tet_has_the_moduli_of_its_layer():
-    body = two_tets([1, 0])
-    found = profile_material(material(SKIN), body)
+    found = profile_material(SKINNED, two_tets(1, 0))
     assert isinstance(found, MaterialField)
     assert np.array_equal(found.young_modulus_pa, [9e5, 2e5])
     assert np.array_equal(found.poisson_ratio, [0.3, 0.45])
     assert np.array_equal(found.density_kg_m3, [1200.0, 1000.0])
-    assert SoftBody(body, found, element=Element.LINEAR).material is found
-
-
-@pytest.mark.parametrize(("layer", "young"), [(0, 2e5), (1, 9e5)])
-def test_a_mesh_of_one_layer_is_uniform(layer, young):
-    found = profile_material(material(SKIN), two_tets([layer, layer]))
-    assert isinstance(found, Material) and found.young_modulus_pa == young
+    assert SoftBody(two_tets(1, 0), found, element=Element.LINEAR).material is found
+    # A mesh of one layer is uniform.
+    for layer, young in ((0, 2e5), (1, 9e5)):
+        uniform = profile_material(SKINNED, two_tets(layer, layer))
+        assert isinstance(uniform, Material) and uniform.young_modulus_pa == young
+    with pytest.raises(InputError, match="layer 1"):
+        profile_material(PLAIN, two_tets(0, 1))
 
 
 def test_all_layers_relax_as_the_gel():
-    branch = BranchEntry(relative_modulus=0.2, time_s=3.0)
-    block = material(SKIN).replace(branches=(branch,))
-    for layers in ([1, 0], [1, 1]):
-        assert profile_material(block, two_tets(layers)).branches == (MaxwellBranch(0.2, 3.0),)
-
-
-def test_a_layer_without_material_is_refused():
-    with pytest.raises(InputError, match="layer 1"):
-        profile_material(material(), two_tets([0, 1]))
+    block = SKINNED.replace(branches=(BranchEntry(relative_modulus=0.2, time_s=3.0),))
+    for layers in ((1, 0), (1, 1)):
+        assert profile_material(block, two_tets(*layers)).branches == (MaxwellBranch(0.2, 3.0),)
