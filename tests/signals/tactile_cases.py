@@ -15,7 +15,7 @@ from taccel_lab.signals.color_model import ColorModel
 from tests.networks.weights import random_weights
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.host_colors import host_image
-from tests.signals.pressed_surface import PressedSphere, shaped
+from tests.signals.pressed_surface import pressed_sphere, shaped
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 GRID = PixelGrid(96, 72, 0.05, 0.05)
@@ -47,10 +47,10 @@ def background(grid: PixelGrid) -> np.ndarray:
 def presses(mesh: Any) -> np.ndarray:
     """At rest, pressed, pressed with shear, tilted and stretched, pressed elsewhere."""
     shapes = (
-        PressedSphere(1.0e-3).height,
-        PressedSphere(1.4e-3).height,
+        pressed_sphere(1.0e-3),
+        pressed_sphere(1.4e-3),
         lambda x, y: 0.1 * x - 0.05 * y,
-        PressedSphere(0.7e-3, center_xy_m=(-1e-3, 0.5e-3)).height,
+        pressed_sphere(0.7e-3, (-1e-3, 0.5e-3)),
     )
     positions = np.concatenate([mesh.nodes_m[None], *(shaped(mesh, shape) for shape in shapes)])
     bulge = np.exp(-((positions[2, :, :2] / 1.1e-3) ** 2).sum(axis=-1))[:, None]
