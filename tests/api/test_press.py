@@ -23,8 +23,6 @@ from taccel_lab.processes.process_pool import usable_cores
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.with_error import with_error
 
-# Sensors ------------------------------------------------------------------------------------------
-
 
 @pytest.mark.thorough
 def test_a_catalogue_name_with_parameters():
@@ -71,9 +69,6 @@ def test_the_designed_mesh_is_kept_between_runs(tmp_path, monkeypatch):
     # Without a folder that can be written it is made each time.
     monkeypatch.setenv(CACHE_VARIABLE, "/dev/null/cache")
     assert kept_mesh(pad, lambda _: (made, quality, 0.7))[2] == 0.7
-
-
-# Presses ------------------------------------------------------------------------------------------
 
 
 QUICK = {"depth_mm": 0.3, "accuracy": "fast", "element": "linear"}
@@ -159,9 +154,6 @@ def test_a_percentage_is_kept_against_the_closed_form():
     errors = found.figures()["errors"]
     assert errors["measured"]["share"] <= 0.03
     assert errors["force_n"]["numerical"] == found.force_error_n
-
-
-# What is loaded -----------------------------------------------------------------------------------
 
 
 ROOT = Path(__file__).parents[2]

@@ -97,8 +97,6 @@ def test_presses_are_found_within_their_deviations(tool, at_mm, depth_mm, unit, 
     assert found.force_n == pytest.approx(true.force_n, rel=0.03)
 
 
-# Readings -----------------------------------------------------------------------------------------
-
 GRID = PixelGrid(120, 100, 0.05, 0.05)
 RADIUS_MM = 4.0
 
@@ -153,9 +151,6 @@ def test_on_a_slope_the_place_is_less_certain_along_it():
     assert found[1] == pytest.approx(level[1], rel=0.02)
 
 
-# Rough presses ------------------------------------------------------------------------------------
-
-
 def corrected(run: PressRun, rgb: np.ndarray) -> tuple[PressRun, list[PressRun]]:
     """The press as it is corrected by a rough one that looks like this, and the rough ones."""
     asked = []
@@ -188,9 +183,6 @@ def test_a_rough_press_ends_as_the_photo_does(photo):
     one, other = (replace(each.options, at_mm=(0, 0), depth_mm=0) for each in (found, run))
     assert one == other
     np.testing.assert_allclose(found.options.at_mm, run.options.at_mm, atol=0.01)
-
-
-# Backgrounds and refusals -------------------------------------------------------------------------
 
 
 @pytest.mark.thorough

@@ -128,9 +128,6 @@ def test_resized_camera_sees_the_same():
     np.testing.assert_allclose((full + 0.5) / 2, half + 0.5, atol=1e-9)
 
 
-# Refraction ---------------------------------------------------------------------------------------
-
-
 def snell_angle(angle: float, n_from: float, n_to: float) -> float:
     return math.asin(n_from * math.sin(angle) / n_to)
 

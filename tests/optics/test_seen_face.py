@@ -6,20 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import taccel_lab as tl
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.camera.refraction import DomeMedia, FlatMedia, media_between
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
-from taccel_lab.optics.render import OpticalModel
+from taccel_lab.geometry import quadratic_mesh
 from taccel_lab.optics.surface import GelFace, seen_faces
-from taccel_lab.profile.optical_design import (
-    DesignedCamera,
-    Light,
-    MarkerGrid,
-    OpticalDesign,
-    Window,
-)
+from taccel_lab.profile.optical_design import DesignedCamera, Light, MarkerGrid, Window
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.optics.compare import pressed_top
@@ -29,7 +22,7 @@ PAD = GelPad(
     length_x_mm=16, length_y_mm=14, corner_radius_mm=2, thickness_mm=4, crown_radius_x_mm=30,
     crown_radius_y_mm=40, window_x_mm=12, window_y_mm=10,
 )  # fmt: skip
-DESIGN = OpticalDesign(
+DESIGN = tl.OpticalDesign(
     camera=DesignedCamera(64, 48, 110.0, 110.0, 31.5, 23.5, (0.0, 0.0, -20.0)),
     lights=(
         Light((9.0, 0.0, -6.0), (-0.8, 0.0, 0.6), (1.0, 0.0, 0.0), (4.0, 1.0)),
@@ -45,7 +38,7 @@ def mesh():
     return gel_mesh(PAD, 1.5)
 
 
-def pressed(mesh: TetMesh, at: tuple[float, float], radius: float, ball: float) -> np.ndarray:
+def pressed(mesh: tl.TetMesh, at: tuple[float, float], radius: float, ball: float) -> np.ndarray:
     """Nodes under a ball's dent, the sinking shared out over the gel's depth [m]."""
     nodes = mesh.nodes_m * 1e3
     top = PAD.top_mm(nodes[:, :2] * 0.999)
@@ -83,18 +76,18 @@ def test_mesh_formula_and_ten_node_tets_give_the_same_picture(mesh):
     formula = formula_model(DESIGN, PAD.top_mm, half_size_mm=half, back_z_mm=-PAD.thickness_mm)
     by_mesh, by_formula, by_nodes = (
         optics.render()
-        for optics in (OpticalModel(DESIGN, mesh), formula, OpticalModel(DESIGN, quadratic))
+        for optics in (tl.OpticalModel(DESIGN, mesh), formula, tl.OpticalModel(DESIGN, quadratic))
     )
     assert (by_mesh.mask & by_formula.mask).all()
     assert np.abs(by_mesh.rgb.astype(int) - by_formula.rgb).max() <= 3
     np.testing.assert_allclose(by_mesh.points_mm, by_formula.points_mm, atol=0.01)
     assert np.abs(by_nodes.rgb.astype(int) - by_mesh.rgb).max() <= 6
-    moved = OpticalModel(DESIGN, quadratic).render(quadratic.nodes_m)
+    moved = tl.OpticalModel(DESIGN, quadratic).render(quadratic.nodes_m)
     assert moved.rgb.shape == (48, 64, 3)
 
 
 def test_environments_are_rendered_one_by_one(mesh):
-    model = OpticalModel(DESIGN, mesh)
+    model = tl.OpticalModel(DESIGN, mesh)
     dent = pressed(mesh, (1.0, -1.0), 1.5, 3.0)
     rest = model.render()
     both = model.render(np.stack([mesh.nodes_m, dent]))
@@ -109,7 +102,7 @@ def test_environments_are_rendered_one_by_one(mesh):
 
 def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh):
     """Seen from inside a dent is a bump: its right flank faces the red light on the right."""
-    model = OpticalModel(DESIGN, mesh)
+    model = tl.OpticalModel(DESIGN, mesh)
     dent = model.render(pressed(mesh, (0.0, 0.0), 2.0, 4.0))
     change = dent.linear - model.render().linear
 
@@ -125,8 +118,8 @@ def test_flanks_of_a_dent_take_the_colour_of_their_light(mesh):
 @pytest.mark.thorough
 def test_markers_move_with_the_gel(mesh):
     size = (200, 150)
-    model = OpticalModel(DESIGN, mesh, size_px=size, markers=MarkerGrid(1, 1, 3.0, 3.0, 0.8))
-    plain = OpticalModel(DESIGN, mesh, size_px=size)
+    model = tl.OpticalModel(DESIGN, mesh, size_px=size, markers=MarkerGrid(1, 1, 3.0, 3.0, 0.8))
+    plain = tl.OpticalModel(DESIGN, mesh, size_px=size)
     moved = mesh.nodes_m.copy()
     moved[:, :2] += [0.6e-3, -0.4e-3]
 
@@ -176,7 +169,7 @@ def test_the_skin_is_seen_from_its_inner_side():
     base = gel_mesh(flat, 1.0)
     inner = np.unique(np.round(base.nodes_m[:, 2] * 1e3, 6))[-2]
     skin = (base.nodes_m[base.tets].mean(axis=1)[:, 2] * 1e3 > inner).astype(np.int32)
-    mesh = TetMesh(base.nodes_m, base.tets, base.faces, base.face_regions, skin)
+    mesh = tl.TetMesh(base.nodes_m, base.tets, base.faces, base.face_regions, skin)
     seen = mesh.nodes_m[seen_faces(mesh)] * 1e3
     np.testing.assert_allclose(seen[..., 2], inner, atol=1e-6)
     normals = np.cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
@@ -192,28 +185,30 @@ def test_media_of_flat_and_domed_backs():
 
     def seen_from(z_mm, window):
         camera = DesignedCamera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, z_mm))
-        return OpticalDesign(camera, DESIGN.lights, window=window)
+        return tl.OpticalDesign(camera, DESIGN.lights, window=window)
 
     inside = seen_from(-16.0, Window(2.0, (27.0, 27.0), 1.41, "dome", 13.5))
     wanted = DomeMedia((0.0, 0.0, -15.0), (11.5, 13.5), (1.0, 1.41, 1.41))
     assert media_between(inside, dome) == wanted
-    with pytest.raises(InputError, match="off the dome window's sphere"):
+    with pytest.raises(tl.InputError, match="off the dome window's sphere"):
         media_between(inside, dome * [1.2, 1, 1])
-    with pytest.raises(InputError, match="the window is a plate"):
+    with pytest.raises(tl.InputError, match="the window is a plate"):
         media_between(DESIGN, dome)
     # A camera cast into the gel looks through no interface.
     assert media_between(seen_from(-2.0, None), flat) == FlatMedia((), (1.41,))
 
 
 def test_faces_that_are_not_there(mesh):
-    bare = TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(Region.SIDE)))
+    bare = tl.TetMesh(
+        mesh.nodes_m, mesh.tets, mesh.faces, np.full(len(mesh.faces), int(tl.Region.SIDE))
+    )
     broken = mesh.nodes_m.copy()
     broken[seen_faces(mesh)[0, 0]] = np.nan
     for call, given, words in (
         (GelFace, bare, "CONTACT"),
         (GelFace(mesh).at, mesh.nodes_m[:-1], "positions must have shape"),
         (GelFace(mesh).at, broken, "NaN"),
-        (OpticalModel(DESIGN, mesh).render, np.zeros((0, 3, 3)), r"\[env, node, 3\]"),
+        (tl.OpticalModel(DESIGN, mesh).render, np.zeros((0, 3, 3)), r"\[env, node, 3\]"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(tl.InputError, match=words):
             call(given)

@@ -81,9 +81,6 @@ def test_light_inside_the_window_bends_at_the_gel_only():
     np.testing.assert_allclose(same.irradiance()[..., 0], expected, rtol=1e-3)
 
 
-# Shadows, coatings, exposure ----------------------------------------------------------------------
-
-
 @pytest.mark.thorough
 def test_a_step_throws_its_shadow():
     step, edge, source_x, depth = 1.0, 1.0, 9.0, 6.0

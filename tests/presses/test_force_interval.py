@@ -124,9 +124,6 @@ def test_presses_without_anything_in_contact_have_no_share(pad):
     assert "numerical" not in {each.name for each in force_causes(pad, BALL, pressed(0.0), None)}
 
 
-# Ranges of parameters -----------------------------------------------------------------------------
-
-
 def calibrated(**tables: Any) -> Provenance:
     return Provenance(
         kind="calibrated", method="a test", source="a test", inputs={"file": "0" * 64},

@@ -91,9 +91,6 @@ def test_presses_of_the_battery_are_inside_what_they_state(setting, room):
     assert np.mean(off) < 0.8 * np.mean(solved), "what is taken off makes forces better"
 
 
-# Presses beside each other ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("order", [2.0, 3.0, 4.0])
 @pytest.mark.parametrize(
     ("mesh", "dhat", "path"),

@@ -79,9 +79,6 @@ def test_paths_that_no_press_takes_are_refused(changes, message):
         PressPath(**{"depth_mm": 0.5, **changes})
 
 
-# Depths for a force -------------------------------------------------------------------------------
-
-
 @dataclasses.dataclass
 class FormulaGel:
     """A gel that feels ``law(depth)`` and breaks beyond a depth."""
@@ -142,9 +139,6 @@ def test_power_laws_are_exact_between_and_beside_steps():
     force = np.array([1.0, 3.0, 7.0])
     for load in (0.2, 1.0, 2.0, 6.5, 12.0):
         assert by_power_law(force, 4 * force**0.6, load) == pytest.approx(4 * load**0.6)
-
-
-# Steps in time of gels that relax, against the exact hereditary integral -------------------------
 
 
 def exact(path: PressPath, branches: list[MaxwellBranch]) -> float:

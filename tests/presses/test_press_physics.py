@@ -1,36 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a press gives by default: near the converged force, free of the contact layer, honest."""
+"""What a press gives by default: near the converged force, free of the contact layer, honest; and
+what differs from the physics of a profile's fit."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import TetMesh
+import taccel_lab as tl
+from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
-from taccel_lab.presses import (
-    PHYSICS,
-    Accuracy,
-    PressEnv,
-    PressPath,
-    PressPhysics,
-    layered_material,
-    parse_indenter,
-)
+from taccel_lab.presses import PHYSICS, PressPhysics, layered_material, physics_difference
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.press_env import SETBACK_TOLERANCE
-from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
+from taccel_lab.profile import FittedWith, MaterialBlock, Provenance
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
 from tests.support.coarse_pads import GEL, pad
 from tests.support.variants import variants
 
-DEFAULT = PHYSICS[Accuracy.DEFAULT]
+DEFAULT = PHYSICS[tl.Accuracy.DEFAULT]
 PAD = {"length_x_mm": 25.25, "length_y_mm": 20.75, "thickness_mm": 4.25}
 CONVERGED_N = {0.2: 0.0566, 1.0: 0.8868}
 """Ball of 4 mm on that gel: twice the elements along every side, dhat 1.25 um; 1.41 times as many
@@ -39,11 +31,11 @@ give 0.0565 and 0.8855."""
 
 def pressed(
     depth_mm: float, physics: PressPhysics = DEFAULT, indenter: str = "sphere:4"
-) -> PressEnv:
-    tool = parse_indenter(indenter)
+) -> tl.PressEnv:
+    tool = tl.parse_indenter(indenter)
     mesh = press_mesh("flat_pad", PAD, (0.0, 0.0), tool.contact(depth_mm), physics.mesh)
-    env = PressEnv(mesh, Material(0.15e6, 0.45), tool, np.zeros((1, 2)), physics=physics)
-    env.follow(PressPath(depth_mm, step_mm=0.5))
+    env = tl.PressEnv(mesh, tl.Material(0.15e6, 0.45), tool, np.zeros((1, 2)), physics=physics)
+    env.follow(tl.PressPath(depth_mm, step_mm=0.5))
     return env
 
 
@@ -59,16 +51,16 @@ def test_the_default_is_within_three_per_cent_and_says_so(depth_mm):
 
 
 def rim_pressed(
-    gel: tuple[str, Material], indenter: str, depth_mm: float, friction: float = 0.0
-) -> tuple[PressEnv, StepReport]:
+    gel: tuple[str, tl.Material], indenter: str, depth_mm: float, friction: float = 0.0
+) -> tuple[tl.PressEnv, tl.StepReport]:
     """A press beside the middle of a sensor's gel."""
-    tool, at_mm = parse_indenter(indenter), (0.7, -0.4)
+    tool, at_mm = tl.parse_indenter(indenter), (0.7, -0.4)
     mesh = press_mesh(gel[0], {}, at_mm, tool.contact(depth_mm))
-    env = PressEnv(mesh, gel[1], tool, np.array([at_mm]), friction_coefficient=friction)
-    return env, env.follow(PressPath(depth_mm))[-1]
+    env = tl.PressEnv(mesh, gel[1], tool, np.array([at_mm]), friction_coefficient=friction)
+    return env, env.follow(tl.PressPath(depth_mm))[-1]
 
 
-FLAT, DOME = ("flat_pad", Material(0.15e6, 0.4)), ("rtac", Material(0.055e6, 0.46))
+FLAT, DOME = ("flat_pad", tl.Material(0.15e6, 0.4)), ("rtac", tl.Material(0.055e6, 0.46))
 
 
 @pytest.mark.thorough
@@ -109,18 +101,18 @@ def test_friction_under_a_sharp_edge_settles():
 @pytest.mark.slow
 def test_no_tet_turns_inside_out_under_a_flat_pin():
     """With guards at points alone one did between them, after convergence, at 0.6 mm."""
-    tool = parse_indenter("cylinder:0.5")
+    tool = tl.parse_indenter("cylinder:0.5")
     mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.6))
     layers = sensor_family("gelsight_mini").parameters().layer_materials()
-    material = layered_material([Material(m.young_modulus_pa, 0.46) for m in layers], mesh)
-    env = PressEnv(mesh, material, tool, np.zeros((1, 2)), friction_coefficient=0.5)
-    env.follow(PressPath(0.6))
+    material = layered_material([tl.Material(m.young_modulus_pa, 0.46) for m in layers], mesh)
+    env = tl.PressEnv(mesh, material, tool, np.zeros((1, 2)), friction_coefficient=0.5)
+    env.follow(tl.PressPath(0.6))
     assert env.depth_m[0] == pytest.approx(0.6e-3)
     assert 0 < smallest_ratios(env.solver.elastic, env.state.positions)[0] < 0.1
 
 
 def test_linear_tets_are_far_off_and_say_so():
-    env = pressed(0.2, replace(DEFAULT, element=Element.LINEAR))
+    env = pressed(0.2, replace(DEFAULT, element=tl.Element.LINEAR))
     force = env.press_force[0, 2]
     assert force > 1.2 * CONVERGED_N[0.2]
     assert env.error_estimate().force_n[0] > 0.2 * force
@@ -155,21 +147,18 @@ def test_an_indenter_that_leaves_is_not_held_back_by_a_contact_that_is_gone():
 
 
 def test_grades_are_ordered():
-    fast, default, reference = (PHYSICS[a] for a in Accuracy)
+    fast, default, reference = (PHYSICS[a] for a in tl.Accuracy)
     counts = [p.mesh.core * p.mesh.rings * p.mesh.layers for p in (fast, default, reference)]
     assert counts == sorted(counts) and len(set(counts)) == 3
     assert reference.dhat_m < default.dhat_m == default.solver().dhat_m
-    assert all(p.element is Element.QUADRATIC for p in PHYSICS.values())
+    assert all(p.element is tl.Element.QUADRATIC for p in PHYSICS.values())
     assert default.record()["mesh"]["rings"] == default.mesh.rings
 
 
-# Steps that are taken again for the gap -----------------------------------------------------------
-
-
-def press_env(dhat_m: float = 1e-5, env_count: int = 1) -> PressEnv:
-    return PressEnv(
-        pad(), GEL, parse_indenter("sphere:2.0"), np.zeros((env_count, 2)),
-        friction_coefficient=0.5, config=SolverConfig(dhat_m=dhat_m),
+def press_env(dhat_m: float = 1e-5, env_count: int = 1) -> tl.PressEnv:
+    return tl.PressEnv(
+        pad(), GEL, tl.parse_indenter("sphere:2.0"), np.zeros((env_count, 2)),
+        friction_coefficient=0.5, config=tl.SolverConfig(dhat_m=dhat_m),
     )  # fmt: skip
 
 
@@ -214,7 +203,7 @@ def test_environments_that_stay_keep_their_friction():
     env.move_to(0.3, (0.1, 0.0))
     kept = env.positions[1].copy(), env.contact_forces[1].copy(), env.poses[1].copy()
     report = env.try_to(0.5, (0.2, 0.0), stay=np.array([False, True]))
-    assert report.status.tolist() == [EnvStatus.CONVERGED, EnvStatus.SKIPPED]
+    assert report.status.tolist() == [tl.EnvStatus.CONVERGED, tl.EnvStatus.SKIPPED]
     for before, now in zip(kept, (env.positions, env.contact_forces, env.poses), strict=True):
         np.testing.assert_array_equal(now[1], before)
     assert env.depth_m == pytest.approx([0.5e-3, 0.3e-3])
@@ -230,7 +219,7 @@ def test_a_correction_that_fails_leaves_the_environment_where_it_was(monkeypatch
         report = step(*args, again=again, **more)
         rounds.append(again)
         if again:
-            report.status[0] = EnvStatus.NO_CONVERGENCE
+            report.status[0] = tl.EnvStatus.NO_CONVERGENCE
         return report
 
     monkeypatch.setattr(env.solver, "step", fail_again)
@@ -244,47 +233,86 @@ def test_a_correction_that_fails_leaves_the_environment_where_it_was(monkeypatch
     assert not env.wrench[0].any() and env.wrench[1, 2] > 0, "forces are those of then"
 
 
-# Layers -------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def layered():
     """The coarse pad, its upper elements a skin."""
     mesh = pad()
     centres = mesh.nodes_m[mesh.tets].mean(axis=1)[:, 2]
     skin = (centres > np.median(centres)).astype(np.int32)
-    return TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, skin)
+    return tl.TetMesh(mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, skin)
 
 
-def force(mesh: TetMesh, material: Material | MaterialField) -> float:
-    env = PressEnv(mesh, material, parse_indenter("sphere:2"), np.zeros((1, 2)))
+def force(mesh: tl.TetMesh, material: tl.Material | tl.MaterialField) -> float:
+    env = tl.PressEnv(mesh, material, tl.parse_indenter("sphere:2"), np.zeros((1, 2)))
     env.move_to(0.3)
     return float(env.wrench[0, 2])
 
 
-@cache
-def plain_force() -> float:
-    return force(pad(), GEL)
-
-
 @pytest.mark.thorough
-def test_equal_layers_press_like_one(layered):
-    field = layered_material([GEL, GEL], layered)
-    assert isinstance(field, MaterialField)
-    assert force(layered, field) == pytest.approx(plain_force(), rel=1e-3)
-
-
-@pytest.mark.thorough
-def test_a_stiffer_skin_is_felt(layered):
-    soft, stiff = (layered_material([GEL, Material(e, 0.46)], layered) for e in (5e4, 5e5))
-    assert force(layered, soft) < 0.9 * plain_force()
-    assert force(layered, stiff) > 1.1 * plain_force()
+def test_equal_layers_press_like_one_and_a_stiffer_skin_is_felt(layered):
+    fields = [layered_material([GEL, tl.Material(e, 0.46)], layered) for e in (5e4, 1.5e5, 5e5)]
+    assert isinstance(fields[1], tl.MaterialField)
+    soft, equal, stiff = (force(layered, field) for field in fields)
+    plain = force(pad(), GEL)
+    assert equal == pytest.approx(plain, rel=1e-3)
+    assert soft < 0.9 * plain < 1.1 * plain < stiff
 
 
 def test_bad_layers(layered):
-    assert layered_material([GEL, Material(1e6, 0.4)], pad()) is GEL, "it has one layer"
-    with pytest.raises(InputError, match="tets of layer 1, but 1 materials"):
+    assert layered_material([GEL, tl.Material(1e6, 0.4)], pad()) is GEL, "it has one layer"
+    with pytest.raises(tl.InputError, match="tets of layer 1, but 1 materials"):
         layered_material([GEL], layered)
-    other = Material(1e5, 0.4, model=MaterialModel.STABLE_NEO_HOOKEAN)
-    with pytest.raises(InputError, match="layers of one gel must share model"):
+    other = tl.Material(1e5, 0.4, model=tl.MaterialModel.STABLE_NEO_HOOKEAN)
+    with pytest.raises(tl.InputError, match="layers of one gel must share model"):
         layered_material([GEL, other], layered)
+
+
+FITTED = FittedWith(
+    physics=to_jsonable(DEFAULT.record()),
+    friction_coefficient=0.3,
+    friction_measured=False,
+    indenters=("sphere:7.5",),
+    touch_shift_mm={"press.csv": -0.02},
+)
+
+
+def block(fitted: FittedWith | None, **provenance: Any) -> MaterialBlock:
+    about = {"kind": "assumed", "method": "test", "source": "test", **provenance}
+    return MaterialBlock(
+        young_modulus_pa=2e5, poisson_ratio=0.47, density_kg_m3=1000.0, friction_coefficient=0.3,
+        fitted_with=fitted, provenance=Provenance(**about),
+    )  # fmt: skip
+
+
+def test_a_press_like_those_of_the_fit_says_nothing():
+    assert physics_difference(block(FITTED), DEFAULT, 0.3) is None
+    assert physics_difference(block(None), DEFAULT, 0.3) is None
+
+
+@pytest.mark.parametrize(
+    ("physics", "friction", "words"),
+    [
+        (DEFAULT, 0.8, "friction 0.3 (this press: 0.8)"),
+        (PHYSICS[tl.Accuracy.FAST], 0.3, "accuracy default (this press: fast)"),
+        (replace(DEFAULT, dhat_m=2e-5), 0.3, "contact range in metres 1e-05 (this press: 2e-05)"),
+        (
+            replace(DEFAULT, mesh=replace(DEFAULT.mesh, rings=7)),
+            0.3,
+            f"mesh.rings {DEFAULT.mesh.rings} (this press: 7)",
+        ),
+    ],
+)
+def test_what_differs_is_named(physics, friction, words):
+    said = physics_difference(block(FITTED), physics, friction)
+    assert words in said and said.count("this press:") == 1
+
+
+def test_an_older_calibration_is_said_to_be_unknown():
+    old = block(
+        None, kind="calibrated", inputs={"press.csv": "ab" * 32},
+        residuals={"indentation_worst_relative": 0.01}, spread={"young_modulus_pa": 1e3},
+        valid_region={"depth_mm": (0.1, 1.0)},
+    )  # fmt: skip
+    assert "not recorded" in physics_difference(old, DEFAULT, 0.3)
+    friction_only = old.provenance.replace(spread={"friction_coefficient": 0.01})
+    assert physics_difference(old.replace(provenance=friction_only), DEFAULT, 0.3) is None

@@ -139,9 +139,6 @@ def test_a_depth_curve_is_drawn(tmp_path):
     assert (tmp_path / "out" / "depth_response.png").stat().st_size > 5000
 
 
-# Served pages -------------------------------------------------------------------------------------
-
-
 HERE = PageOptions(port=0, browser=False)
 TOKEN = f"/{run_token()}"
 FOREIGN = "https://elsewhere.example"

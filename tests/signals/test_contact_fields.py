@@ -9,29 +9,26 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
+import taccel_lab as tl
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.outputs import Outputs
-from taccel_lab.presses import PressEnv, parse_indenter
-from taccel_lab.scene import Material
-from taccel_lab.signals import SignalTactile
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.verification.test_mindlin import BALL, DEPTH, MU, RADIUS, pressed_block, sliding
 
-GRID = PixelGrid(100, 80, 0.06, 0.06)
+GRID = tl.PixelGrid(100, 80, 0.06, 0.06)
 PIXEL_M2 = 0.06e-3**2
 AT_MM = np.array([[0.0, 0.0], [0.5, 0.3]])
 
 
-def block_env(cells: int, size_mm: float, envs: int = 1, **options: object) -> PressEnv:
+def block_env(cells: int, size_mm: float, envs: int = 1, **options: object) -> tl.PressEnv:
     """A block 4 mm thick under a ball of 4 mm."""
     mesh = block_mesh((cells, cells, max(2, cells // 4)), (size_mm * 1e-3, size_mm * 1e-3, 4e-3))
-    return PressEnv(mesh, Material(1e5, 0.45), parse_indenter("sphere:4"), AT_MM[:envs], **options)
+    return tl.PressEnv(
+        mesh, tl.Material(1e5, 0.45), tl.parse_indenter("sphere:4"), AT_MM[:envs], **options
+    )
 
 
 @lru_cache
-def dragged(device: str = "cpu") -> PressEnv:
+def dragged(device: str = "cpu") -> tl.PressEnv:
     """The ball 0.4 mm deep in two places, then dragged until its rim slips."""
     env = block_env(12, 9.0, 2, friction_coefficient=0.5, device=device)
     env.move_to(0.4)
@@ -39,8 +36,8 @@ def dragged(device: str = "cpu") -> PressEnv:
     return env
 
 
-def of(env: PressEnv, **options: object) -> SignalTactile:
-    signal = SignalTactile.from_solver(env.solver, GRID, **options)
+def of(env: tl.PressEnv, **options: object) -> tl.SignalTactile:
+    signal = tl.SignalTactile.from_solver(env.solver, GRID, **options)
     signal.update(env.state)
     return signal
 
@@ -55,7 +52,7 @@ def test_integrals_are_the_wrench():
     )
     force = traction * (PIXEL_M2 / normals[..., 2:])
     total = force.sum(axis=(1, 2))
-    wrench = Outputs(env.solver).update(env.state).soft_wrenches().numpy()[:, 0]
+    wrench = tl.Outputs(env.solver).update(env.state).soft_wrenches().numpy()[:, 0]
     # Curved faces stand for flat ones between their nodes.
     most = np.abs(wrench[:, 2]).max()
     np.testing.assert_allclose(total, wrench[:, :3], atol=0.01 * most)
@@ -101,7 +98,7 @@ def test_partial_slip_of_cattaneo_and_mindlin():
     stick = (1 - block.friction_n[:, 0].sum() / (MU * load)) ** (1 / 3)
     assert 0.6 < stick < 0.8
 
-    read = Outputs(block.solver).update(block.state).sliding
+    read = tl.Outputs(block.solver).update(block.state).sliding
     limits, slips = read.limits.numpy()[0, :count], read.slips.numpy()[0, :count]
     assert limits.sum() == pytest.approx(MU * load, rel=2e-3)
     behind = (block.positions_m - before)[:, 0] - 0.6 * full
@@ -109,8 +106,8 @@ def test_partial_slip_of_cattaneo_and_mindlin():
     np.testing.assert_allclose(slips[limits > 0, 0], behind[limits > 0], atol=2e-3 * full)
 
     pitch_mm = 1e3 * a / 40
-    grid = PixelGrid(121, 121, pitch_mm, pitch_mm)
-    signal = SignalTactile.from_solver(block.solver, grid)
+    grid = tl.PixelGrid(121, 121, pitch_mm, pitch_mm)
+    signal = tl.SignalTactile.from_solver(block.solver, grid)
     signal.update(block.state)
     names = ("contact", "slipping", "slip_m", "traction_pa", "pressure_pa")
     contact, slipping, slip, traction, pressure = (a.numpy()[0] for a in signal.read(*names))
@@ -150,12 +147,12 @@ def test_what_is_missing_is_said():
     env = dragged()
     stateless = of(env)
     stateless.update(env.state.positions)
-    bare = SignalTactile(env.mesh, GRID, env_count=len(AT_MM))
+    bare = tl.SignalTactile(env.mesh, GRID, env_count=len(AT_MM))
     bare.update(env.state)
     smooth = block_env(4, 12.0)
     smooth.move_to(0.1)
     assert of(smooth).contact.numpy().any()
-    outputs = Outputs(smooth.solver).update(smooth.state)
+    outputs = tl.Outputs(smooth.solver).update(smooth.state)
     for call, words in (
         (lambda: stateless.read("contact"), r"contact needs the state of the solver: update\(st"),
         (lambda: bare.read("traction_pa"), "traction_pa needs the forces of a solver"),
@@ -163,7 +160,7 @@ def test_what_is_missing_is_said():
         (lambda: of(smooth).read("slip_m"), "slip_m needs friction"),
         (lambda: outputs.sliding, "sliding needs friction"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(tl.InputError, match=words):
             call()
 
 

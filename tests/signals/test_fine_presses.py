@@ -231,9 +231,6 @@ def test_contact_radius_is_that_of_the_nodes(press):
     assert (np.diff([at.contact_radius_m for at in press]) > 0).all()
 
 
-# Contact radii ------------------------------------------------------------------------------------
-
-
 CONVERGED = 0.1075060, 8.92353e-4
 """Force [N] and contact radius [m] on a fine mesh with a short contact range."""
 

@@ -11,29 +11,14 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
+import taccel_lab as tl
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.presses import PressEnv, parse_indenter
-from taccel_lab.scene import (
-    AffineBody,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
-from taccel_lab.signals import SignalTactile
-from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.object_heights import ObjectHeights
 from taccel_lab.signals.texture import Texture
-from taccel_lab.solvers import SolverIPC
-from taccel_lab.state import initial_state
 from tests.signals.pressed_surface import pixel_xy
 from tests.support.blocks import pose
 
-GRID = PixelGrid(64, 56, 0.06, 0.06)
+GRID = tl.PixelGrid(64, 56, 0.06, 0.06)
 X, Y = pixel_xy(GRID)
 WAVES = Texture(
     0.5 + 0.5 * np.cos(2 * np.pi * np.arange(32) / 16)[None].repeat(8, axis=0), 4e-6, 1.2e-3
@@ -42,27 +27,27 @@ WAVES = Texture(
 
 
 @lru_cache
-def pressed(textured: bool) -> PressEnv:
+def pressed(textured: bool) -> tl.PressEnv:
     """A ball of 4 mm, 0.3 mm deep in three places of elements of 0.75 mm; the last
     is not touched."""
-    env = PressEnv(
+    env = tl.PressEnv(
         block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3)),
-        Material(1e5, 0.45),
-        parse_indenter("sphere:4", WAVES if textured else None),
+        tl.Material(1e5, 0.45),
+        tl.parse_indenter("sphere:4", WAVES if textured else None),
         np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]),
     )
     env.move_to(np.array([0.3, 0.3, -0.5]))
     return env
 
 
-def shown(env: PressEnv, texture: Texture | None = None, **options: int) -> SignalTactile:
-    fine = FineSurface(env.solver, "sphere:4", GRID, texture=texture, **options)
-    signal = SignalTactile.from_solver(env.solver, GRID, fine=fine)
+def shown(env: tl.PressEnv, texture: Texture | None = None, **options: int) -> tl.SignalTactile:
+    fine = tl.FineSurface(env.solver, "sphere:4", GRID, texture=texture, **options)
+    signal = tl.SignalTactile.from_solver(env.solver, GRID, fine=fine)
     signal.update(env.state)
     return signal
 
 
-def ball_of(env: PressEnv, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ball_of(env: tl.PressEnv, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Its centre, heights where it would be without the gap that the barrier keeps, and distances
     from its axis."""
     center = env.poses[i, 0, :3] - [0, 0, env.setback_m[i]]
@@ -109,12 +94,12 @@ def test_the_texture_shows_where_it_touches_and_nowhere_else():
 
 def test_a_texture_turns_and_goes_with_its_body():
     texture = Texture(np.random.default_rng(0).random((16, 24)), 1e-4, 1.2e-3)
-    gel = SoftBody(block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3)), Material(1e5, 0.4))
-    plate = KinematicBody(box_mesh((6e-3, 6e-3, 1e-3)), name="plate")
-    model = Scene(gel, plate, 3).finalize("cpu")
+    gel = tl.SoftBody(block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3)), tl.Material(1e5, 0.4))
+    plate = tl.KinematicBody(tl.box_mesh((6e-3, 6e-3, 1e-3)), name="plate")
+    model = tl.Scene(gel, plate, 3).finalize("cpu")
     poses = [pose(0, 0, 1e-3), pose(0.12e-3, -0.18e-3, 1e-3), pose(0, 0, 1e-3, (0, 0, 1), 90)]
-    state = initial_state(model, np.array(poses)[:, None])
-    seen = ObjectHeights(model, "plate", PixelGrid(41, 41, 0.03, 0.03), rows=3, texture=texture)
+    state = tl.initial_state(model, np.array(poses)[:, None])
+    seen = ObjectHeights(model, "plate", tl.PixelGrid(41, 41, 0.03, 0.03), rows=3, texture=texture)
     none = wp.empty(0, dtype=wp.transformd, device="cpu")
     envs = wp.array([0, 1, 2], dtype=wp.int32, device="cpu")
     height, smooth = (array.numpy() for array in seen.read(state, none, envs)[:2])
@@ -127,14 +112,14 @@ def test_a_texture_turns_and_goes_with_its_body():
 
 
 def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted():
-    gel = SoftBody(block_mesh((8, 8, 2), (6e-3, 6e-3, 2e-3), jitter=0.1), Material(1e5, 0.45))
-    tool = KinematicBody(box_mesh((2e-3, 2e-3, 1e-3)), name="tool")
-    link = AffineBody(box_mesh((2e-2, 2e-2, 2e-2)), name="link")
+    gel = tl.SoftBody(block_mesh((8, 8, 2), (6e-3, 6e-3, 2e-3), jitter=0.1), tl.Material(1e5, 0.45))
+    tool = tl.KinematicBody(tl.box_mesh((2e-3, 2e-3, 1e-3)), name="tool")
+    link = tl.AffineBody(tl.box_mesh((2e-2, 2e-2, 2e-2)), name="link")
     turned = replace(gel, mount="link", mount_pose=pose(0, 0, 1e-2, (1, 2, -1), 70))
-    moving = Scene(turned, tool, affine_bodies=link, time=TimeStepping(quasi_static=False))
+    moving = tl.Scene(turned, tool, affine_bodies=link, time=tl.TimeStepping(quasi_static=False))
     drawn, mounted = (
-        FineSurface(SolverIPC(scene.finalize("cpu")), "tool", GRID).rest_samples.numpy()
-        for scene in (Scene(gel, tool), moving)
+        tl.FineSurface(tl.SolverIPC(scene.finalize("cpu")), "tool", GRID).rest_samples.numpy()
+        for scene in (tl.Scene(gel, tool), moving)
     )
     assert np.isfinite(drawn).all()
     np.testing.assert_allclose(mounted, drawn, atol=1e-12)
@@ -166,7 +151,7 @@ def test_textures_are_checked(tmp_path):
     assert ramp.heights.shape == (16, 32) and ramp.depth_m == 1e-4 and ramp.width_m == 3.2e-3
     assert ramp.relief_m().mean() == pytest.approx(0.0, abs=1e-12)
     assert ramp.mean_depth_m == pytest.approx(1e-4 * 124 / 255)
-    env, gel_3 = pressed(False), partial(FineSurface, gel=3)
+    env, gel_3 = pressed(False), partial(tl.FineSurface, gel=3)
     signal = shown(env)
     signal.update(env.state.positions)
     depth = r"depth_m of a texture must lie in \[1e-07, 0.01\] m, got -1"
@@ -175,9 +160,9 @@ def test_textures_are_checked(tmp_path):
         (Texture, (np.eye(4), -1.0, 1e-3), depth),
         (Texture, (2 * np.eye(4), 1e-4, 1e-3), "lie between 0 and 1"),
         (Texture, (np.full((4, 4), np.nan), 1e-4, 1e-3), "a map of finite heights"),
-        (FineSurface, (env.solver, "tool", GRID), r"no rigid body 'tool'; there are 'sphere:4'"),
+        (tl.FineSurface, (env.solver, "tool", GRID), r"no rigid body 'tool'; there are 'sphere:4'"),
         (gel_3, (env.solver, "sphere:4", GRID), "there is no soft body 3"),
         (signal.read, ("height_m",), "a fine surface needs the state of the solver"),
     ):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(tl.InputError, match=words):
             call(*given)

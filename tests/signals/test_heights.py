@@ -90,9 +90,6 @@ def test_bad_slopes_are_refused(slope, options, words):
         height_from_slopes(slope, OBLONG, **options)
 
 
-# Spread -------------------------------------------------------------------------------------------
-
-
 GRID = PixelGrid(80, 60, 0.1, 0.1)
 ROWS, COLUMNS = np.mgrid[0:60, 0:80] * 0.1
 DENT = -1e-3 * np.exp(-((COLUMNS - 4) ** 2 + (ROWS - 3) ** 2))
@@ -146,9 +143,6 @@ def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatc
     assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.5
 
 
-# Grey drops ---------------------------------------------------------------------------------------
-
-
 CURVE = DepthResponse("grey", np.array([0.0, 2.0, 20.0, 60.0]), np.array([0.0, 0.1, 0.5, 1.9]))
 
 
@@ -168,9 +162,7 @@ def test_brightening_reads_as_untouched_and_darkness_saturates():
     assert found.saturated.tolist() == [[False, False, True]]
     masked = CURVE.read(image, background, np.array([[True, False, True]]))
     assert masked.depth_mm[0] == pytest.approx([0.0, 0.0, 1.9])
-
-
-def test_level_stretch_gives_its_first_drop():
+    # A level stretch gives its first drop.
     level = DepthResponse("red", np.array([0.0, 5.0, 9.0, 12.0]), np.array([0.0, 0.4, 0.4, 0.8]))
     assert level.drop_of(np.array([0.4])) == pytest.approx(5.0)
     assert level.depth_of(np.array([7.0])) == pytest.approx(0.4)

@@ -109,25 +109,6 @@ def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device):
         assert np.abs(image[1:] - image[0]).max() < 1e-2
 
 
-def test_markers_that_fit_no_face_or_no_gel_are_refused():
-    for points, message in (
-        (np.array([[0.0, 0.0], [9.0, 0.0]]), r"marker 1 .* beside"),
-        (np.array([0.0, 0.0]), "xy_mm"),
-        (np.array([[np.nan, 0.0]]), "xy_mm"),
-    ):
-        with pytest.raises(InputError, match=message):
-            MarkerLayout.from_points(MESH, points)
-    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
-    layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
-    signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
-    signal.update(on_device(MESH.nodes_m[None].repeat(3, 0)))
-    with pytest.raises(InputError, match="markers of 2 gels, but there are 3"):
-        _ = signal.markers_px
-
-
-# Painted ------------------------------------------------------------------------------------------
-
-
 VIEW = PixelGrid(120, 90, 0.1, 0.1)
 DOTTED = block_mesh((12, 9, 2), (14e-3, 11e-3, 3e-3), jitter=0.2, seed=2)
 RADIUS_PX = 3.0
@@ -174,12 +155,22 @@ def test_dots_stretch_as_their_face_does():
     assert np.abs(drawn(places) - expected).mean() > 2 * np.abs(found - expected).mean()
 
 
-def test_dots_that_fit_no_layout_are_refused():
-    with pytest.raises(InputError, match="radius_px of dots must be above 0"):
-        PaintedDots.cut_out(drawn(PLACES), PLACES, 0.0)
+def test_markers_and_dots_that_fit_no_gel_are_refused():
+    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
+    layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
+    signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
+    signal.update(on_device(MESH.nodes_m[None].repeat(3, 0)))
     dots = PaintedDots.cut_out(drawn(PLACES), PLACES[:3], RADIUS_PX)
-    with pytest.raises(InputError, match="3 dots for 12 markers"):
-        DotPainter(dots, LAYOUT, DOTTED, VIEW)
+    for call, given_, message in (
+        (MarkerLayout.from_points, (MESH, [[0.0, 0.0], [9.0, 0.0]]), r"marker 1 .* beside"),
+        (MarkerLayout.from_points, (MESH, [0.0, 0.0]), "xy_mm"),
+        (MarkerLayout.from_points, (MESH, [[np.nan, 0.0]]), "xy_mm"),
+        (signal.read, ("markers_px",), "markers of 2 gels, but there are 3"),
+        (PaintedDots.cut_out, (drawn(PLACES), PLACES, 0.0), "radius_px of dots must be above 0"),
+        (DotPainter, (dots, LAYOUT, DOTTED, VIEW), "3 dots for 12 markers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call(*(np.array(each) if isinstance(each, list) else each for each in given_))
 
 
 @pytest.mark.thorough

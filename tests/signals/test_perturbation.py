@@ -86,9 +86,6 @@ def test_light_and_camera_leave_taxels_as_they_are():
     assert (PerturbedSensors(draw()).apply(taxels, np.random.default_rng(1)) == taxels).all()
 
 
-# Faults -------------------------------------------------------------------------------------------
-
-
 IMAGES = np.random.default_rng(2).uniform(40, 120, (2, 41, 51, 3)).astype(np.float32)
 
 

@@ -102,9 +102,6 @@ def test_the_normals_network_has_them_among_its_features():
     assert np.abs(tilts[1] - tilts[0]).max() > 1e-2
 
 
-# Packed weights -----------------------------------------------------------------------------------
-
-
 LANES = np.arange(32)
 GROUP, THREAD = LANES // 4, LANES % 4
 

@@ -8,17 +8,8 @@ import pytest
 import pyvista
 import torch
 
-from taccel_lab.geometry import PixelGrid
-from taccel_lab.presses import (
-    PHYSICS,
-    Accuracy,
-    Indenter,
-    PressOutcome,
-    PressPath,
-    parse_indenter,
-    simulate_press,
-)
-from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh, sphere_mesh
+import taccel_lab as tl
+from taccel_lab.presses import PHYSICS, Indenter, simulate_press
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
@@ -27,27 +18,27 @@ from taccel_lab.signals.rest_surface import rest_surface
 
 
 def press(
-    indenter: Indenter, depth_mm: float, grid: PixelGrid, sensor: str = "flat_pad",
+    indenter: Indenter, depth_mm: float, grid: tl.PixelGrid, sensor: str = "flat_pad",
     at_mm: tuple[float, float] = (0.0, 0.0), friction: float = 0.0,
-    accuracy: Accuracy = Accuracy.FAST, **more: object,
-) -> PressOutcome:  # fmt: skip
+    accuracy: tl.Accuracy = tl.Accuracy.FAST, **more: object,
+) -> tl.PressOutcome:  # fmt: skip
     physics = PHYSICS[accuracy]
     mesh = press_mesh(sensor, {}, at_mm, indenter.contact(depth_mm), physics.mesh)
     return simulate_press(
-        mesh, Material(1.5e5, 0.48), indenter, at_mm, PressPath(depth_mm), grid,
+        mesh, tl.Material(1.5e5, 0.48), indenter, at_mm, tl.PressPath(depth_mm), grid,
         friction_coefficient=friction, physics=physics, **more,
     )  # fmt: skip
 
 
-def sunk_mm(press: PressOutcome) -> np.ndarray:
+def sunk_mm(press: tl.PressOutcome) -> np.ndarray:
     return 1e3 * (press.height_m - press.rest_height_m)
 
 
 @pytest.mark.thorough
 def test_a_roller_touches_all_between_its_ends():
     """Its ends press many times as hard as its middle, which touches as well."""
-    grid = PixelGrid(198, 148, 0.0872, 0.0872)
-    found = press(parse_indenter("roller:1.5x4"), 0.5, grid, "gelsight_mini", (1.2, -0.8), 0.3)
+    grid = tl.PixelGrid(198, 148, 0.0872, 0.0872)
+    found = press(tl.parse_indenter("roller:1.5x4"), 0.5, grid, "gelsight_mini", (1.2, -0.8), 0.3)
     rows, columns = np.nonzero(found.contact_mask)
     assert len(rows) > 0.9 * (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
     assert 4.0 <= (np.ptp(rows) + 1) * grid.mm_per_px_y < 4.2
@@ -58,8 +49,10 @@ def test_a_roller_touches_all_between_its_ends():
 @pytest.mark.slow
 def test_the_wall_beside_a_punch_is_even():
     """As high everywhere along a side, and higher with every pixel away from it: no facets."""
-    grid = PixelGrid(160, 160, 0.06, 0.06, 79.6, 79.7)
-    found = press(parse_indenter("box:4x4"), 0.8, grid, friction=0.4, accuracy=Accuracy.DEFAULT)
+    grid = tl.PixelGrid(160, 160, 0.06, 0.06, 79.6, 79.7)
+    found = press(
+        tl.parse_indenter("box:4x4"), 0.8, grid, friction=0.4, accuracy=tl.Accuracy.DEFAULT
+    )
     x_mm, y_mm = np.meshgrid(grid.x_mm(), grid.y_mm())
     floor = np.maximum(np.abs(x_mm), np.abs(y_mm)) < 1.9
     assert np.ptp(sunk_mm(found)[floor]) < 1e-3
@@ -79,11 +72,11 @@ def test_the_wall_beside_a_punch_is_even():
 @pytest.mark.thorough
 def test_a_side_that_is_not_along_the_pixels_is_straight():
     """A punch turned by 17 degrees: where its floor is half of a pixel, on a line to a fifth."""
-    grid, box = PixelGrid(120, 120, 0.08, 0.08), box_mesh((4e-3, 4e-3, 4e-3))
+    grid, box = tl.PixelGrid(120, 120, 0.08, 0.08), tl.box_mesh((4e-3, 4e-3, 4e-3))
     c, s = np.cos(np.radians(17.0)), np.sin(np.radians(17.0))
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    turned = Indenter("turned box", TriangleMesh(box.vertices_m @ rotation.T, box.faces))
-    found = press(turned, 0.5, grid, friction=0.4, accuracy=Accuracy.DEFAULT)
+    turned = Indenter("turned box", tl.TriangleMesh(box.vertices_m @ rotation.T, box.faces))
+    found = press(turned, 0.5, grid, friction=0.4, accuracy=tl.Accuracy.DEFAULT)
     right = grid.x_mm() > 0
     off_px = []
     for row in range(45, 75):
@@ -102,10 +95,10 @@ def test_a_side_that_is_not_along_the_pixels_is_straight():
 def test_facets_of_a_ball_do_not_show():
     """Chords of 0.5 mm turn by 14 degrees from one to the next, of which nothing is seen but for
     a pixel or two beside their ridges, where the gel's coarse face keeps 4 um away."""
-    grid = PixelGrid(120, 120, 0.05, 0.05)
+    grid = tl.PixelGrid(120, 120, 0.05, 0.05)
     ball, facets = (
-        press(Indenter("ball", shape), 0.6, grid, friction=0.4, accuracy=Accuracy.DEFAULT)
-        for shape in (Ball(2e-3), sphere_mesh(2e-3, 0.5e-3))
+        press(Indenter("ball", shape), 0.6, grid, friction=0.4, accuracy=tl.Accuracy.DEFAULT)
+        for shape in (tl.Ball(2e-3), tl.sphere_mesh(2e-3, 0.5e-3))
     )
     x_mm, y_mm = np.meshgrid(grid.x_mm(), grid.y_mm())
     contact = np.hypot(x_mm, y_mm) < 0.85e3 * ball.contact_radius_m
@@ -118,10 +111,10 @@ def test_facets_of_a_ball_do_not_show():
 @pytest.mark.thorough
 def test_a_file_lands_where_its_coordinates_say(tmp_path):
     """A peg that stands off the origin of its file on the side of +z, pressed off the middle."""
-    box, path = box_mesh((3e-3, 1e-3, 2e-3)), tmp_path / "peg.ply"
+    box, path = tl.box_mesh((3e-3, 1e-3, 2e-3)), tmp_path / "peg.ply"
     pyvista.make_tri_mesh(1e3 * box.vertices_m + [2.0, -1.5, 9.0], box.faces).save(path)
-    grid = PixelGrid(160, 120, 0.1, 0.1)
-    found = press(parse_indenter(f"mesh:{path}@+z"), 0.3, grid, at_mm=(-1.0, 0.5))
+    grid = tl.PixelGrid(160, 120, 0.1, 0.1)
+    found = press(tl.parse_indenter(f"mesh:{path}@+z"), 0.3, grid, at_mm=(-1.0, 0.5))
     rows, columns = np.nonzero(found.contact_mask)
     x, y = grid.x_mm()[columns], grid.y_mm()[rows]
     assert (x.mean(), y.mean()) == pytest.approx((1.0, 2.0), abs=0.06)
@@ -130,7 +123,7 @@ def test_a_file_lands_where_its_coordinates_say(tmp_path):
 
 @pytest.mark.thorough
 def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact():
-    profile, tool = catalogue_profile("gelsight_mini"), parse_indenter("sphere:2")
+    profile, tool = catalogue_profile("gelsight_mini"), tl.parse_indenter("sphere:2")
     grid = profile.grid()
     plain, corrected = (
         press(tool, 0.1, grid, "gelsight_mini", designed_rest=rest)
@@ -155,18 +148,17 @@ def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact():
     assert corrected.height_m[touched] == pytest.approx(plain.height_m[touched], abs=1e-12)
 
 
-# Contacts of pixels -------------------------------------------------------------------------------
-
-
 YOUNG, POISSON, THICKNESS_M = 1.5e5, 0.46, 4e-3
 PLANE = YOUNG / (1 - POISSON**2)
 
 
-def compliance_of(grid: PixelGrid) -> np.ndarray:
+def compliance_of(grid: tl.PixelGrid) -> np.ndarray:
     return layer_compliance(grid, YOUNG, POISSON, THICKNESS_M).astype(np.float32)
 
 
-def solved(grid: PixelGrid, obj: np.ndarray, iterations: int = 20) -> tuple[np.ndarray, np.ndarray]:
+def solved(
+    grid: tl.PixelGrid, obj: np.ndarray, iterations: int = 20
+) -> tuple[np.ndarray, np.ndarray]:
     """Height [m] and pressures [Pa] of a flat gel under an object."""
     under = obj.astype(np.float32)
     flat = np.zeros_like(under)
@@ -174,7 +166,7 @@ def solved(grid: PixelGrid, obj: np.ndarray, iterations: int = 20) -> tuple[np.n
     return found[0].astype(float), found[1].astype(float)
 
 
-def ball(grid: PixelGrid, radius_m: float, depth_m: float) -> np.ndarray:
+def ball(grid: tl.PixelGrid, radius_m: float, depth_m: float) -> np.ndarray:
     x, y = np.meshgrid(1e-3 * grid.x_mm(), 1e-3 * grid.y_mm())
     return np.minimum((x**2 + y**2) / (2 * radius_m), 1e-3) - depth_m
 
@@ -182,7 +174,7 @@ def ball(grid: PixelGrid, radius_m: float, depth_m: float) -> np.ndarray:
 def test_a_ball_on_a_thick_layer_is_hertz_s():
     """Pressures, contact and force of one depth; a layer 12 contact radii thick is 8 % stiffer
     against the depth, but not between these."""
-    grid, radius, depth = PixelGrid(240, 240, 0.012, 0.012), 5e-3, 2e-5
+    grid, radius, depth = tl.PixelGrid(240, 240, 0.012, 0.012), 5e-3, 2e-5
     under, pixel = ball(grid, radius, depth), (0.012e-3) ** 2
     (height,), (pressure,) = solved(grid, under[None])
     force = pressure.sum() * pixel
@@ -204,7 +196,7 @@ def test_a_ball_on_a_thick_layer_is_hertz_s():
 def test_a_wave_touches_as_much_as_westergaard_says(share, open_m):
     """Mean pressure over that of full contact, p* = pi E' A / lambda, is sin^2(pi w / 2), w being
     the part of the wave that touches [Westergaard 1939; Johnson 1985, section 13.2]."""
-    grid, wave, amplitude = PixelGrid(256, 8, 0.004, 0.004), 256 * 0.004e-3, 5e-6
+    grid, wave, amplitude = tl.PixelGrid(256, 8, 0.004, 0.004), 256 * 0.004e-3, 5e-6
     full = np.pi * PLANE * amplitude / wave
     k = 3 - 4 * POISSON
     squeezed = 8 * THICKNESS_M * (k - 1) / ((k + 1) ** 2 * PLANE)
@@ -219,7 +211,7 @@ def test_a_wave_touches_as_much_as_westergaard_says(share, open_m):
 
 def test_a_gpu_s_library_finds_the_same():
     """Presses on a CPU load no torch: both libraries go through the same lines."""
-    grid = PixelGrid(120, 100, 0.03, 0.03)
+    grid = tl.PixelGrid(120, 100, 0.03, 0.03)
     under = ball(grid, 2e-3, 1e-4)[None].astype(np.float32)
     coarse = np.where(under < 0, 1e3, 0.0).astype(np.float32)
     given = (compliance_of(grid), under, np.zeros_like(under), coarse)
@@ -232,7 +224,7 @@ def test_a_gpu_s_library_finds_the_same():
 
 def test_what_is_right_already_stays():
     """A coarse solution that meets the object is given back."""
-    grid = PixelGrid(96, 96, 0.03, 0.03)
+    grid = tl.PixelGrid(96, 96, 0.03, 0.03)
     obj = ball(grid, 5e-3, 1e-4)[None]
     height, pressure = solved(grid, obj, iterations=100)
     given = [compliance_of(grid), *(a.astype(np.float32) for a in (obj, height, pressure))]
@@ -246,7 +238,7 @@ def test_what_is_right_already_stays():
 
 def test_environments_do_not_know_each_other():
     """To the bit, in batches of one size: of other sizes some processors round otherwise."""
-    grid = PixelGrid(64, 48, 0.03, 0.03)
+    grid = tl.PixelGrid(64, 48, 0.03, 0.03)
     objects = np.stack([ball(grid, 5e-3, depth) for depth in (1e-4, -1e-3, 3e-5)])
     together = solved(grid, objects)
     for env, obj in enumerate(objects):

@@ -50,9 +50,6 @@ def test_the_network_of_least_bending_is_found():
     assert np.abs(gradients).max() > 0.5
 
 
-# Hanging corners ----------------------------------------------------------------------------------
-
-
 BLOCK = block_mesh((8, 8, 2), (4e-3, 4e-3, 1e-3), jitter=0.2, seed=1)
 SOFT = SoftBody(BLOCK, Material(1e5, 0.45))
 MESH = SOFT.nodal_mesh
@@ -121,9 +118,6 @@ def test_environments_with_gels_of_their_own_shape():
     assert lifted(moved, ON_FACE, soft) == pytest.approx(right, abs=1e-12)
 
 
-# Walls and shear ----------------------------------------------------------------------------------
-
-
 GRID = PixelGrid(120, 90, 0.05, 0.05)
 X, Y = pixel_xy(GRID)
 HALF_MM = (4.2, 3.4)
@@ -176,10 +170,7 @@ def test_slopes_are_those_over_the_image():
     assert covered.mean() > 0.8
     assert np.abs(height - (0.3 * X - 0.2 * Y + 1e-4))[covered].max() < 1e-8
     assert np.abs(slope - [0.3, -0.2])[covered].max() < 1e-4
-
-
-def test_a_face_that_came_from_elsewhere_is_covered():
-    """Slid by 1.5 mm: what the image shows lay beside it at rest."""
+    # Slid by 1.5 mm: what the image shows lay beside it at rest.
     mesh = flat_pad(0.3, (8.0, 8.0))
     rest = nodes_of(mesh)
     assert np.isfinite(seen(mesh, rest)[0]).all()

@@ -210,9 +210,6 @@ def test_bad_calls_are_refused(device):
             call(*given)
 
 
-# Awkward faces ------------------------------------------------------------------------------------
-
-
 def folded(half_mm: tuple[float, float], env: int) -> tuple[TetMesh, np.ndarray]:
     """The node in the middle of one environment's face is past its neighbours."""
     mesh = flat_pad(0.3, half_mm, seed=2)

@@ -211,9 +211,6 @@ def test_the_quick_press_is_as_near_as_the_page_says(name):
     assert quick.force_n == pytest.approx(exact.force_n, rel=QUICK_PERCENT / 100)
 
 
-# Sliders and exports ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", sorted(sensor_families()))
 def test_sliders_reach_the_bounds_of_every_parameter(name):
     for parameter in sensor_family(name).parameters_type.parameters().values():
@@ -299,9 +296,6 @@ def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path):
     assert name == "pad.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.namelist() == ["pad/pad.step", "pad/pad.stl"]
-
-
-# Work beside the page -----------------------------------------------------------------------------
 
 
 def test_wishes_between_are_left_out_and_the_work_at_hand_hears_of_it():

@@ -84,9 +84,6 @@ def test_another_gel_is_drawn_once_and_shows_the_field_that_was_chosen_before(mo
         assert view.sensor._image.image.max() == 128
 
 
-# Arrows and colours -------------------------------------------------------------------------------
-
-
 @given(seed=st.integers(0, 2**32 - 1), patches=st.integers(1, 40))
 def test_forces_of_patches_add_up_to_those_of_the_nodes(seed, patches):
     rng = np.random.default_rng(seed)
@@ -177,9 +174,6 @@ def test_values_meet_the_ends_of_the_colour_map():
         assert words in text
 
 
-# Sections against the closed form of a box cut by a plane -----------------------------------------
-
-
 SIZE = np.array([0.03, 0.02, 0.01])
 component = st.floats(0.05, 1.0).flatmap(lambda v: st.sampled_from([v, -v]))
 
@@ -238,9 +232,6 @@ def test_ten_node_tets_fall_into_eight_of_the_same_volume():
     volumes = tet_volumes(whole.nodes_m, parts)
     assert len(parts) == 8 * len(whole.tets) and (volumes > 0).all()
     assert volumes.sum() == pytest.approx(0.5, rel=1e-12)
-
-
-# Texts of others ----------------------------------------------------------------------------------
 
 
 def seen(page: Any) -> int:

@@ -96,9 +96,6 @@ def test_what_a_link_leads_to_is_not_looked_at(name, tmp_path):
     assert "secret" not in str(found.value)
 
 
-# Presses, studies and touches as they were written ------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("press")
@@ -217,9 +214,6 @@ def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path):
     depths = data.read("depth_mm", rows)
     assert np.abs(states.moved_mm[0]).max() < 0.01
     assert -np.nanmax(depths[-1]) <= states.moved_mm[-1, :, 2].min() < -0.05
-
-
-# Damaged ones -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
