@@ -178,16 +178,16 @@ def test_the_command_draws_in_a_process_beside(tmp_path):
     assert (tmp_path / "out" / "height_map.png").exists()
 
 
-@pytest.mark.thorough(cases=("sensors.profile",))
-@pytest.mark.parametrize("module", ["api.press_picture", "report.figures", "sensors.profile"])
-def test_what_draws_loads_no_solver(module):
-    assert loaded_by(f"import taccel_lab.{module}", *HEAVY, *DRAWING, "warp", "scipy") == "set()"
+KERNELS = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
 
 
-@pytest.mark.thorough
-def test_a_plan_loads_no_kernels():
-    kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
-    assert loaded_by("import taccel_lab.api.press_run", *HEAVY, *kernels, "scipy") == "set()"
+@pytest.mark.thorough(cases=("sensors.profile", "api.press_run"))
+@pytest.mark.parametrize(
+    "module", ["api.press_picture", "report.figures", "sensors.profile", "api.press_run"]
+)
+def test_what_draws_or_plans_loads_no_solver(module):
+    absent = KERNELS if module == "api.press_run" else (*DRAWING, "warp")
+    assert loaded_by(f"import taccel_lab.{module}", *HEAVY, *absent, "scipy") == "set()"
 
 
 @pytest.mark.thorough

@@ -148,26 +148,18 @@ def test_levels_and_failures_are_said_and_the_best_press_is_kept():
         presses.measured(BALL)
 
 
-def test_without_a_press_beside_it_the_grade_speaks():
+def test_what_is_not_measured_is_stated_by_the_grade_and_the_guard():
     presses = Presses(0.02)
     presses.fails = lambda at: at.mesh < 1
     found = presses.measured(BALL)
     assert found.below is None and found.error.factor == 1.0
     assert found.error.share == FORCE_SHARE[Accuracy.DEFAULT].smooth
     assert "rule of thumb" in found.error.words()
-
-
-def test_linear_elements_are_not_measured():
-    """They are tens of per cent too stiff on any mesh, of which two meshes show a part."""
+    # Linear elements are tens of per cent too stiff on any mesh, of which two show a part.
     presses = Presses(0.2, order=1.0)
     found = measured_press(presses, LINEAR, BALL, remembers=True)
     assert presses.done == [AS_IT_IS] and found.error.share == LINEAR_SHARE
-
-
-def test_what_the_guard_carries_is_stated_and_said():
-    plain, guarded = (
-        Presses(0.01, guard_share=share).measured(BALL).error for share in (0.0, 0.04)
-    )
+    plain, guarded = (Presses(0.01, guard_share=g).measured(BALL).error for g in (0.0, 0.04))
     assert guarded.share == pytest.approx(plain.share + 0.04)
     assert "guard" in guarded.words() and "guard" not in plain.words()
 

@@ -139,41 +139,28 @@ def press(request):
 
 
 @pytest.mark.thorough
-def test_outside_the_contact_it_is_the_surface_through_the_nodes(press):
-    """Of the same nodes, interpolated over their places at rest and over their places now."""
+def test_it_is_the_ball_inside_the_contact_and_the_surface_through_the_nodes_outside(press):
+    """Of the same nodes, interpolated over their places at rest and over their places now; without
+    spikes, also at the silhouette."""
     for at in press:
-        _, rim, element = at.rim()
-        outside = at.distance() > rim + 1.25 * element
-        difference = (at.height_m - at.plain.height_m[0])[outside]
+        least, rim, element = at.rim()
+        r, fine, plain = at.distance(), at.height_m, at.plain.height_m[0]
+        assert np.array_equal(np.isnan(fine), np.isnan(plain)), "beside the pad in both"
+        assert np.isfinite(at.slope[np.isfinite(fine)]).all()
+        outside = r > rim + 1.25 * element
+        assert np.nanmax(np.abs(fine - plain)[outside]) < 0.01 * at.depth_mm * 1e-3 + 3e-6
         angle = angle_deg(at.normals, at.plain.normals[0])[outside]
-        assert np.nanmax(np.abs(difference)) < 0.01 * at.depth_mm * 1e-3 + 3e-6
         # Slivers far out let the two differ by up to 5 degrees, in a hundredth of the image.
-        assert np.nanmax(angle[at.distance()[outside] < rim + 8 * element]) < 2.5
+        assert np.nanmax(angle[r[outside] < rim + 8 * element]) < 2.5
         assert np.sqrt(np.nanmean(angle**2)) < 0.3
-
-
-@pytest.mark.thorough
-def test_inside_it_is_the_ball_where_it_is_pressed_to(press):
-    for at in press:
-        rim, _, element = at.rim()
-        r = at.distance()
-        inside = r < rim - element
+        inside = r < least - element
         below = np.sqrt(BALL_M**2 - np.minimum(r, 0.99 * BALL_M) ** 2)
         ball = at.center_m[2] - at.gap_m - below
         # Measured up to 1.02e-6 m, an element within the rim, after ten iterations.
-        assert np.abs(at.height_m - ball)[inside].max() < 1.5e-6
-        steepness = np.linalg.norm(at.slope, axis=-1)
-        assert np.degrees(np.abs(np.arctan(steepness) - np.arctan(r / below)))[inside].max() < 0.05
-
-
-@pytest.mark.thorough
-def test_it_stays_near_the_nodes_and_below_the_ball(press):
-    """No spikes, also at the silhouette."""
-    for at in press:
-        fine, plain = at.height_m, at.plain.height_m[0]
-        assert np.array_equal(np.isnan(fine), np.isnan(plain)), "beside the pad in both"
-        assert np.isfinite(at.slope[np.isfinite(fine)]).all()
-        r = at.distance()
+        assert np.abs(fine - ball)[inside].max() < 1.5e-6
+        steepness = np.arctan(np.linalg.norm(at.slope, axis=-1))
+        assert np.degrees(np.abs(steepness - np.arctan(r / below)))[inside].max() < 0.05
+        # Near the nodes and below the ball everywhere.
         seen = r < np.sin(np.radians(75)) * BALL_M
         across = np.sqrt(np.maximum(1 - (r / BALL_M) ** 2, 0))
         assert (np.abs(fine - plain) * across)[seen].max() < 20e-6
@@ -211,19 +198,14 @@ def test_no_ring_around_the_contact(press):
 
 
 @pytest.mark.thorough
-def test_slope_is_the_derivative_of_the_height(press):
+def test_slopes_are_the_heights_and_the_contact_radius_the_nodes(press):
+    """Between the nodes with half of the pressure and those with any: the barrier acts a little
+    beyond the edge."""
     for at in press:
         by_pixels = normals_from_height(at.height_m, GRID)
         error = angle_deg(at.normals, by_pixels)[at.distance() < 3e-3]
         # Across the edge of contact the slope turns by degrees a pixel.
         assert np.quantile(error, 0.99) < (1.5 if at.depth_mm < 2 else 6.0)
-
-
-@pytest.mark.thorough
-def test_contact_radius_is_that_of_the_nodes(press):
-    """Between the nodes with half of the pressure and those with any: the barrier acts a little
-    beyond the edge."""
-    for at in press:
         most = at.radius_of(at.gaps()[1])
         least = at.radius_of(at.pressures_pa > 0.5 * at.pressures_pa.max())
         assert least < at.contact_radius_m < 1.02 * most
