@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
@@ -161,6 +161,8 @@ def march_spheres(
     return x * e1 + y * e2, math.cos(heading) * e1 + math.sin(heading) * e2
 
 
+# Newton's steps end at rounding.
+@example(across=3.0, azimuth=0.5, air=0.5, window=0.5, gel=0.5, n_window=1.5, n_gel=1.4)
 @given(
     across=st.floats(0.01, 15), azimuth=st.floats(-math.pi, math.pi), air=st.floats(0.5, 20),
     window=st.floats(0.3, 8), gel=st.floats(0.3, 8), n_window=st.floats(1.3, 1.8),

@@ -72,8 +72,10 @@ def test_contact_is_the_solver_s_and_not_a_threshold():
     """Elements are half as wide as the contact's radius: within a fifth of 6.0 mm2, which
     ``FineSurface`` finds on a mesh of three times as many nodes; pressures that are not zero
     reach over twice of it."""
-    names = ("contact", "pressure_pa", "slipping")
-    contact, pressure, slipping = (array.numpy() for array in of(dragged()).read(*names))
+    signal = of(dragged())
+    slipping, contact, pressure = (
+        signal.read(name)[0].numpy() for name in ("slipping", "contact", "pressure_pa")
+    )
     np.testing.assert_allclose(contact.sum(axis=(1, 2)) * PIXEL_M2 * 1e6, 6.0, rtol=0.2)
     assert ((pressure > 0).sum(axis=(1, 2)) * PIXEL_M2 * 1e6 > 10).all()
     assert not (slipping & ~contact).any()
