@@ -106,9 +106,13 @@ def test_an_axis_of_the_file_points_into_the_gel(axis, right, down, tmp_path):
     assert volume_mm3(mesh) > 0
 
 
-CUBE = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
-POINTS, FACES = np.asarray(CUBE.points), CUBE.faces.reshape(-1, 4)
-"""Corners [mm] and rows (3, a, b, c) of the faces of a cuboid."""
+def cuboid() -> tuple[np.ndarray, np.ndarray]:
+    """Corners [mm] and rows (3, a, b, c) of the faces."""
+    found = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
+    return np.array(found.points), np.array(found.faces.reshape(-1, 4))
+
+
+POINTS, FACES = cuboid()
 INWARDS = FACES[:, [0, 1, 3, 2]]
 BESIDE = POINTS + np.array([5.0, 0, 0])
 
@@ -140,7 +144,11 @@ def triangles(*rows: tuple[int, int, int]) -> pyvista.PolyData:
 
 FIN = np.vstack([FACES, [3, FACES[0, 1], FACES[0, 2], len(POINTS)]])
 BOTH_WAYS = np.where(np.arange(12)[:, None] == 4, INWARDS, FACES)
-ONE, TWO = (pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k in range(2))
+
+
+def crossing() -> pyvista.PolyData:
+    one, two = (pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k in range(2))
+    return one.append_polydata(two)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +159,7 @@ ONE, TWO = (pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k
             "is not manifold: 1 edges belong to more than two faces",
         ),
         (pyvista.PolyData(POINTS, BOTH_WAYS), "neighbouring faces are oriented differently"),
-        (ONE.append_polydata(TWO), r"intersects itself: \d+ times an edge passes"),
+        (crossing(), r"intersects itself: \d+ times an edge passes"),
         (triangles((0, 1, 2)), r"is not closed: 3 edges belong to one face only"),
         (triangles(*[(0, 1, 2)] * 4), r"3 edges belong to more than two faces"),
         (
