@@ -36,7 +36,7 @@ def title(figure: Any) -> str:
     return figure.get_suptitle()
 
 
-def test_a_simulation_describes_itself() -> None:
+def test_a_simulation_describes_itself():
     mesh = free_block((2, 2, 2), 1e-3)
     ball = tl.KinematicBody(tl.Ball(4e-3))
     scene = tl.Scene(
@@ -53,7 +53,7 @@ def test_a_simulation_describes_itself() -> None:
     assert "env_count = 3" in repr(signals)
 
 
-def test_a_calibration_draws_the_figure_of_a_block() -> None:
+def test_a_calibration_draws_the_figure_of_a_block():
     blocks = tuple(
         BlockOutcome(name, BlockState.DONE, "good", page=page(name)) for name in ("scale", "color")
     )
@@ -63,13 +63,13 @@ def test_a_calibration_draws_the_figure_of_a_block() -> None:
         found.plot("depth")
 
 
-def test_pages_without_figures_are_named() -> None:
+def test_pages_without_figures_are_named():
     assert title(first_figure([Page("bare", ""), page("drawn")])) == "drawn"
     with pytest.raises(tl.InputError, match="nothing was measured"):
         first_figure([Page("bare", "")])
 
 
-def test_a_profile_draws_its_untouched_image_or_its_mesh() -> None:
+def test_a_profile_draws_its_untouched_image_or_its_mesh():
     starter = tl.load_sensor("gelsight_mini")
     image = starter.plot().axes[0].images[0]
     left, right, bottom, top = image.get_extent()
@@ -83,6 +83,6 @@ def test_a_profile_draws_its_untouched_image_or_its_mesh() -> None:
     assert "contact face" in bare.plot().axes[0].get_title()
 
 
-def test_a_study_s_result_is_its_outcome() -> None:
+def test_a_study_s_result_is_its_outcome():
     assert [f.name for f in fields(StudyResult)] == [f.name for f in fields(StudyOutcome)]
     assert callable(StudyResult.plot)

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 OCTANTS = 8
 _RING = (0.3, 0.9)
@@ -20,11 +21,10 @@ _RING = (0.3, 0.9)
 uncertain."""
 
 
-@dataclass(frozen=True)
-class BackgroundMatch:
+class BackgroundMatch(NamedTuple):
     """How like two untouched images are."""
 
-    correlation: tuple[float, float, float]
+    correlation: tuple[float, ...]
     """Of the low-pass images by channel."""
     psnr_db: float
     """Of the low-pass model after a gain and an offset per channel."""
@@ -32,11 +32,10 @@ class BackgroundMatch:
     """The same for one colour in place of the model: what gain and offset reach by themselves."""
 
 
-@dataclass(frozen=True)
-class PressMatch:
+class PressMatch(NamedTuple):
     """How like two ball presses are inside the contact."""
 
-    correlation: tuple[float, float, float]
+    correlation: tuple[float, ...]
     """Of the change against the background by channel, inside the contact circle."""
     octant_cosine: tuple[float, ...]
     """Cosine between the colour changes of real and model, octant by octant from +x towards +y."""
@@ -53,14 +52,12 @@ def compare_backgrounds(
 ) -> BackgroundMatch:
     """Compare two untouched images [H, W, 3] on the pixels of ``mask``, after a low-pass filter of
     this standard deviation: dust and the coating's texture are not modelled."""
-    real = _low_pass(real_rgb, mask, blur_px)[mask]
-    model = _low_pass(model_rgb, mask, blur_px)[mask]
-    fitted = np.stack([_gain_offset_fit(model[:, c], real[:, c]) for c in range(3)], axis=1)
-    return BackgroundMatch(
-        correlation=_correlations(model, real),
-        psnr_db=_psnr_db(fitted - real),
-        flat_psnr_db=_psnr_db(real.mean(axis=0) - real),
+    real, model = (_low_pass(rgb, mask, blur_px)[mask] for rgb in (real_rgb, model_rgb))
+    fitted = np.stack(
+        [np.polyval(np.polyfit(*c, 1), c[0]) for c in zip(model.T, real.T, strict=True)], axis=1
     )
+    flat = _psnr_db(real.mean(axis=0) - real)
+    return BackgroundMatch(_correlations(model, real), _psnr_db(fitted - real), flat)
 
 
 def compare_press(
@@ -70,27 +67,20 @@ def compare_press(
     radius_px: float,
 ) -> PressMatch:
     """Compare two ball presses, each background and press, at one contact circle (u, v)."""
-    height, width = real[0].shape[:2]
-    v, u = np.mgrid[:height, :width]
+    v, u = np.indices(real[0].shape[:2])
     du, dv = u - center_px[0], v - center_px[1]
     distance = np.hypot(du, dv) / radius_px
     octant = np.floor(np.arctan2(dv, du) / (2 * math.pi / OCTANTS) + 0.5).astype(int) % OCTANTS
-    change_real = real[1].astype(np.float64) - real[0]
-    change_model = model[1].astype(np.float64) - model[0]
+    of_real, of_model = (after.astype(np.float64) - before for before, after in (real, model))
     inside = distance < _RING[1]
-    ring = inside & (distance > _RING[0])
     cosines = []
     for k in range(OCTANTS):
-        here = ring & (octant == k)
-        a, b = change_real[here].mean(axis=0), change_model[here].mean(axis=0)
+        here = inside & (distance > _RING[0]) & (octant == k)
+        a, b = of_real[here].mean(axis=0), of_model[here].mean(axis=0)
         cosines.append(float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12)))
-    return PressMatch(
-        correlation=_correlations(change_model[inside], change_real[inside]),
-        octant_cosine=tuple(cosines),
-        contrast=float(
-            np.linalg.norm(change_model[inside]) / max(np.linalg.norm(change_real[inside]), 1e-12)
-        ),
-    )
+    a, b = of_real[inside], of_model[inside]
+    contrast = float(np.linalg.norm(b) / max(np.linalg.norm(a), 1e-12))
+    return PressMatch(_correlations(b, a), tuple(cosines), contrast)
 
 
 def pressed_top(
@@ -129,27 +119,17 @@ def pressed_top(
 
 def _low_pass(image: np.ndarray, mask: np.ndarray, blur_px: float) -> np.ndarray:
     """Gaussian low-pass that takes nothing from outside the mask."""
-    from scipy.ndimage import gaussian_filter
-
     weight = gaussian_filter(mask.astype(np.float64), blur_px, mode="nearest")
     values = image.astype(np.float64) * mask[..., None]
     blurred = gaussian_filter(values, (blur_px, blur_px, 0), mode="nearest")
     return blurred / np.maximum(weight, 1e-6)[..., None]
 
 
-def _gain_offset_fit(model: np.ndarray, real: np.ndarray) -> np.ndarray:
-    matrix = np.stack([model, np.ones_like(model)], axis=1)
-    return matrix @ np.linalg.lstsq(matrix, real, rcond=None)[0]
-
-
-def _correlations(model: np.ndarray, real: np.ndarray) -> tuple[float, float, float]:
+def _correlations(model: np.ndarray, real: np.ndarray) -> tuple[float, ...]:
     """Pearson's correlation by channel; 0 where one of the two is constant."""
-    values = []
-    for c in range(3):
-        a, b = model[:, c] - model[:, c].mean(), real[:, c] - real[:, c].mean()
-        norm = np.linalg.norm(a) * np.linalg.norm(b)
-        values.append(float(a @ b / norm) if norm > 0 else 0.0)
-    return values[0], values[1], values[2]
+    a, b = model - model.mean(axis=0), real - real.mean(axis=0)
+    norm = np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
+    return tuple(np.divide((a * b).sum(axis=0), norm, out=np.zeros(3), where=norm > 0).tolist())
 
 
 def _psnr_db(error: np.ndarray) -> float:

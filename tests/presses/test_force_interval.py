@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a press states of its force, heights and image by all that is uncertain."""
+"""What a press states of its force, heights and image by all that is uncertain, and the ranges of
+parameters that a profile gives for it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import taccel_lab as tl
+from taccel_lab.errors import InputError
 from taccel_lab.presses import PressOutcome, parse_indenter
 from taccel_lab.presses.force_interval import (
     FRICTION_SHARE,
@@ -17,20 +20,22 @@ from taccel_lab.presses.force_interval import (
     ForceInterval,
     force_causes,
     force_power,
+    measured_ranges,
 )
 from taccel_lab.presses.measured_press import height_error_mm, image_error_levels
-from tests.presses.test_measured_press import DEPTH_M, Presses, Resolution, outcome
+from taccel_lab.profile import PerturbationBlock, Provenance
+from tests.presses.formula_presses import DEPTH_M, Presses, Resolution, outcome
 
 BALL = parse_indenter("sphere:4")
 
 
 @pytest.fixture(scope="module")
-def pad() -> tl.SensorProfile:
+def pad():
     return tl.load_sensor("flat_pad")
 
 
-def pressed(share: float = 0.02, force_n: float = 2.0) -> PressOutcome:
-    return replace(outcome(Resolution.of(0), force_n), force_error_n=share * force_n)
+def pressed(force_n: float = 2.0) -> PressOutcome:
+    return replace(outcome(Resolution.of(0), force_n), force_error_n=0.02 * force_n)
 
 
 def causes(pad: tl.SensorProfile, **known: float) -> dict[str, Cause]:
@@ -38,15 +43,12 @@ def causes(pad: tl.SensorProfile, **known: float) -> dict[str, Cause]:
     return {each.name: each for each in found}
 
 
-def fitted(pad: tl.SensorProfile, pa: tuple[float, float]) -> tl.SensorProfile:
-    material = pad.material
-    known = material.provenance.model_copy(
-        update={"kind": "measured", "interval": {"young_modulus_pa": pa}}
-    )
-    return pad.with_block(material.replace(provenance=known))
+def of_measured(pad: tl.SensorProfile, **tables: Any) -> tl.SensorProfile:
+    known = pad.material.provenance.model_copy(update={"kind": "measured", **tables})
+    return pad.with_block(pad.material.replace(provenance=known))
 
 
-def test_independent_causes_add_by_squares_of_logarithms() -> None:
+def test_independent_causes_add_by_squares_of_logarithms():
     one, two = Cause("a", 0.5, 2.0), Cause("b", 1 / 1.1, 1.1)
     found = ForceInterval.of(3.0, (one, two))
     off = math.hypot(math.log(2), math.log(1.1))
@@ -57,7 +59,7 @@ def test_independent_causes_add_by_squares_of_logarithms() -> None:
     assert found.words().index("a x 0.5 to 2") < found.words().index("b -9.1 to +10 %")
 
 
-def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad: tl.SensorProfile) -> None:
+def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad):
     found = causes(pad)
     assert (found["Young's modulus"].low, found["Young's modulus"].high) == (0.5, 2.0)
     assert found["numerical"].high == pytest.approx(1.02)
@@ -67,63 +69,121 @@ def test_a_gel_that_nobody_tested_may_be_twice_as_stiff(pad: tl.SensorProfile) -
     assert "depth" not in found and "Poisson's ratio" not in found
 
 
-def test_what_is_known_makes_the_interval_smaller(pad: tl.SensorProfile) -> None:
+def test_what_is_known_makes_the_interval_smaller(pad):
     pa = pad.material.young_modulus_pa
-    known = fitted(pad, (0.9 * pa, 1.2 * pa))
+    known = of_measured(pad, interval={"young_modulus_pa": (0.9 * pa, 1.2 * pa)})
     found = causes(known, slippery=0.96)
-    assert found["Young's modulus"].low == pytest.approx(0.9)
-    assert found["Young's modulus"].high == pytest.approx(1.2)
-    assert found["friction"].low == pytest.approx(0.96)
-    assert found["friction"].high == pytest.approx(1.02)
+    for name, ends in (("Young's modulus", (0.9, 1.2)), ("friction", (0.96, 1.02))):
+        assert (found[name].low, found[name].high) == pytest.approx(ends)
     assert "friction" not in causes(known, friction=0.5)
     wide, narrow = (ForceInterval.of(2.0, tuple(causes(p).values())) for p in (pad, known))
     assert wide.low_n < narrow.low_n < 2.0 < narrow.high_n < wide.high_n
 
 
-def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad: tl.SensorProfile) -> None:
-    material, pa = pad.material, pad.material.young_modulus_pa
-    wild = {"young_modulus_pa": pa, "poisson_ratio": 0.1, "friction_coefficient": 0.1}
-    known = material.provenance.model_copy(update={"kind": "measured", "spread": wild})
-    found = causes(pad.with_block(material.replace(provenance=known)))
+def test_a_spread_that_no_gel_has_is_no_reason_to_refuse_a_press(pad):
+    wild = {"young_modulus_pa": pad.material.young_modulus_pa, "poisson_ratio": 0.1}
+    found = causes(of_measured(pad, spread={**wild, "friction_coefficient": 0.1}))
     assert found["Young's modulus"].low == 0.5, "a spread as large as its value says nothing"
     assert found["Poisson's ratio"].low < 1.0 < found["Poisson's ratio"].high
     assert 1 - FRICTION_SHARE < found["friction"].low < 1.0
 
 
-def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(
-    pad: tl.SensorProfile,
-) -> None:
+def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(pad):
     press = pressed()
     assert force_power(press) == 1.5
-    steps = [
-        replace(press.steps[0], depth_mm=d, wrench=2.0 * d**2 * np.eye(6)[2]) for d in (0.25, 0.5)
-    ]
+    (step,) = press.steps
+    steps = [replace(step, depth_mm=d, wrench=2.0 * d**2 * np.eye(6)[2]) for d in (0.25, 0.5)]
     press = replace(press, steps=steps, path=replace(press.path, step_mm=0.25))
     assert force_power(press) == pytest.approx(2.0)
     found = force_causes(pad, BALL, press, None, depth_sigma_mm=0.05)[-1]
     assert (found.low, found.high) == pytest.approx((0.8**2, 1.2**2))
 
 
-def test_heights_and_images_hold_depth_place_and_colours(pad: tl.SensorProfile) -> None:
+def test_heights_and_images_hold_depth_place_and_colours(pad):
     press = replace(pressed(), height_error_m=2e-6)
     assert height_error_mm(press, 0.0).total == height_error_mm(press, 0.0).numerical == 2e-3
-    read = height_error_mm(press, 0.02)
-    moved_mm = 1e3 * DEPTH_M
+    read, moved_mm = height_error_mm(press, 0.02), 1e3 * DEPTH_M
     assert read.total == pytest.approx(math.hypot(2e-3, moved_mm * 2 * 0.02 / moved_mm), rel=1e-6)
     rgb = np.full((4, 5, 3), 100.0)
     rgb[:, 2:] = 130.0
-    colours = pad.material.provenance.model_copy(update={"residuals": {}})
-    plain = image_error_levels(press, rgb, rgb - 1.0, 0 * rgb + 90.0, colours, 0.0, 0.0)
+
+    def error(residuals, *sigmas):
+        colours = pad.material.provenance.model_copy(update={"residuals": residuals})
+        return image_error_levels(press, rgb, rgb - 1.0, 0 * rgb + 90.0, colours, *sigmas)
+
+    plain = error({}, 0.0, 0.0)
     assert plain.numerical == plain.total == pytest.approx(1.0)
-    seen = colours.model_copy(update={"residuals": {"heldout_crop_psnr_db": 40.0}})
-    total = image_error_levels(press, rgb, rgb - 1.0, 0 * rgb + 90.0, seen, 0.0, 0.0).total
-    assert total == pytest.approx(math.hypot(1.0, 2.55))
-    doubted = image_error_levels(press, rgb, rgb - 1.0, 0 * rgb + 90.0, seen, 0.01, 0.5).total
-    assert doubted > 5.0
+    seen = {"heldout_crop_psnr_db": 40.0}
+    assert error(seen, 0.0, 0.0).total == pytest.approx(math.hypot(1.0, 2.55))
+    assert error(seen, 0.01, 0.5).total > 5.0
 
 
-def test_presses_without_anything_in_contact_have_no_share(pad: tl.SensorProfile) -> None:
-    found = Presses(-1.0, 0.0, 0.0, 0.0).measured()
+def test_presses_without_anything_in_contact_have_no_share(pad):
+    found = Presses(-1.0, order=0.0).measured(BALL.shape)
     assert found.error.factor == 1.0 and found.error.changes == (0.0, 0.0)
-    names = {each.name for each in force_causes(pad, BALL, pressed(force_n=0.0), None)}
-    assert "numerical" not in names
+    assert "numerical" not in {each.name for each in force_causes(pad, BALL, pressed(0.0), None)}
+
+
+def calibrated(**tables: Any) -> Provenance:
+    return Provenance(
+        kind="calibrated", method="a test", source="a test", inputs={"file": "0" * 64},
+        residuals={"force_n": 0.1}, valid_region={"depth_mm": (0.0, 1.0)}, **tables,
+    )  # fmt: skip
+
+
+def with_fit(pad: tl.SensorProfile, between: dict | None = None, **tables: Any) -> tl.SensorProfile:
+    """With a material of 100 kPa, 0.45 and 0.8 that was fitted, and a spread between units."""
+    values = {"young_modulus_pa": 1e5, "poisson_ratio": 0.45, "friction_coefficient": 0.8}
+    profile = pad.with_block(pad.material.replace(**values, provenance=calibrated(**tables)))
+    block = PerturbationBlock(**(between or {}), provenance=calibrated())
+    return profile.with_block(block) if between else profile
+
+
+def ends(profile: tl.SensorProfile) -> dict[str, tuple[float, float]]:
+    return {name: (item.low, item.high) for name, item in measured_ranges(profile).items()}
+
+
+def test_an_interval_is_taken_as_it_is(pad):
+    interval = {"young_modulus_pa": (9e4, 1.3e5), "poisson_ratio": (0.44, 0.47)}
+    profile = with_fit(pad, interval=interval, spread={"young_modulus_pa": 1.0})
+    assert ends(profile) == {
+        name: pytest.approx(each, rel=1e-12) for name, each in interval.items()
+    }
+    said = {item.rests_on for item in measured_ranges(profile).values()}
+    assert said == {"the calibration's 95 % interval"}
+
+
+def test_two_standard_deviations_stand_in_for_an_interval(pad):
+    found = ends(with_fit(pad, spread={"friction_coefficient": 0.05, "density_kg_m3": 1.0}))
+    assert found == {"friction_coefficient": pytest.approx((0.7, 0.9))}
+
+
+def test_the_spread_between_units_counts_beside_that_of_the_fit(pad):
+    """3 and 4 make 5, below the value; 12 and 5 make 13 above it."""
+    units = {"young_modulus_relative": 0.02, "friction_coefficient": 0.1}
+    profile = with_fit(pad, units, interval={"young_modulus_pa": (9.7e4, 1e5 + 4800)})
+    found = ends(profile)
+    assert found["young_modulus_pa"] == pytest.approx((9.5e4, 1e5 + np.hypot(4800, 4000)))
+    assert found["friction_coefficient"] == pytest.approx((0.6, 1.0))
+    assert "between units" in measured_ranges(profile)["young_modulus_pa"].rests_on
+    # Friction cannot be negative; 0 is a gel that slips.
+    slippery = ends(with_fit(pad, {"friction_coefficient": 0.6}))
+    assert slippery["friction_coefficient"] == pytest.approx((0.0, 2.0))
+
+
+def test_what_was_not_measured_has_no_spread(pad):
+    assert ends(pad) == {}
+    guessed = Provenance(kind="assumed", method="a guess", source="none")
+    block = PerturbationBlock(young_modulus_relative=0.2, provenance=guessed)
+    assert ends(pad.with_block(block)) == {}
+    spread = guessed.model_copy(update={"spread": {"young_modulus_pa": 1e4}})
+    assert ends(pad.with_block(pad.material.replace(provenance=spread))) == {}
+
+
+def test_ranges_that_no_gel_has_are_refused(pad):
+    for profile, words in (
+        (with_fit(pad, {"young_modulus_relative": 1.0}), "reaches from -100000 to 300000"),
+        (with_fit(pad, spread={"poisson_ratio": 0.03}), r"spread of poisson_ratio .* to 0.51"),
+    ):
+        with pytest.raises(InputError, match=f"{words}, which no gel has"):
+            measured_ranges(profile)

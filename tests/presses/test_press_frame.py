@@ -20,105 +20,80 @@ from taccel_lab.presses.touch import gel_below_m
 from taccel_lab.solvers import SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad
 
-angles = st.floats(-1.0, 1.0)
+BALL = parse_indenter("sphere:2")
+UP = np.array([0.0, 0.0, 1.0])
 
 
-def unit(x: float, y: float, z: float) -> np.ndarray:
-    vector = np.array([x, y, z])
-    return vector / np.linalg.norm(vector)
-
-
-@example(x=0.0, y=1e-8, z=-0.5)
-@example(x=0.0, y=1e-170, z=-1.0)
-@example(x=1e-12, y=1e-9, z=-1.0)
-@example(x=0.0, y=0.0, z=-1.0)
-@given(x=angles, y=angles, z=st.floats(-1.0, 1.0))
-def test_normal_frame(x: float, y: float, z: float) -> None:
-    if math.hypot(x, y, z) < 0.1:
-        return
-    normal = unit(x, y, z)
+@example((0.0, 1e-8, -0.5))
+@example((0.0, 1e-170, -1.0))
+@example((1e-12, 1e-9, -1.0))
+@example((0.0, 0.0, -1.0))
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda way: math.hypot(*way) >= 0.1))
+def test_normal_frame(way):
+    normal = np.array(way) / np.linalg.norm(way)
     pose = normal_frame(np.array([1e-3, -2e-3, 3e-3]), normal)
     assert pose[:3].tolist() == [1e-3, -2e-3, 3e-3]
     assert np.linalg.norm(pose[3:]) == pytest.approx(1)
-    assert rotate(pose[3:], np.array([0.0, 0.0, 1.0])) == pytest.approx(normal, abs=1e-9)
+    assert rotate(pose[3:], UP) == pytest.approx(normal, abs=1e-9)
     # The least turn leaves the axis across both where it is.
-    across = np.cross([0.0, 0.0, 1.0], normal)
+    across = np.cross(UP, normal)
     assert rotate(pose[3:], across) == pytest.approx(across, abs=1e-9)
 
 
+def env_in(frames: list | np.ndarray) -> PressEnv:
+    return PressEnv(pad(), GEL, BALL, np.zeros((1, 2)), gel_from_press=np.array(frames))
+
+
 @pytest.mark.parametrize(
-    ("point", "normal", "message"),
+    ("make", "given", "message"),
     [
-        ([0, 0, np.nan], [0, 0, 1], "finite point and normal"),
-        ([0, 0, 0], [0, 0, 2], "unit length, got 2"),
-        ([0, 0], [0, 0, 1], "finite point and normal"),
+        (normal_frame, ([0, 0, np.nan], [0, 0, 1]), "finite point and normal"),
+        (normal_frame, ([0, 0, 0], [0, 0, 2]), "unit length, got 2"),
+        (normal_frame, ([0, 0], [0, 0, 1]), "finite point and normal"),
+        (env_in, (np.zeros((1, 7)),), "unit length"),
+        (env_in, (np.zeros((2, 7)),), r"shape \[1, 7\], got \(2, 7\)"),
+        (env_in, (np.full((1, 7), np.nan),), "finite"),
     ],
 )
-def test_bad_normals(point: list[float], normal: list[float], message: str) -> None:
+def test_bad_normals_and_frames(make, given, message):
     with pytest.raises((InputError, ValueError), match=message):
-        normal_frame(np.array(point), np.array(normal))
+        make(*map(np.array, given))
 
 
-def test_bad_frames() -> None:
-    for frames, message in (
-        (np.zeros((1, 7)), "unit length"),
-        (np.zeros((2, 7)), r"shape \[1, 7\], got \(2, 7\)"),
-        (np.full((1, 7), np.nan), "finite"),
-    ):
-        with pytest.raises(InputError, match=message):
-            PressEnv(
-                pad(), GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frames
-            )
-
-
-TIGHT = SolverConfig(relative_tolerance=1e-8)
-
-
-def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: np.ndarray):
+def pressed(mesh: TetMesh, indenter: str, **frame: np.ndarray) -> PressEnv:
     env = PressEnv(
-        mesh,
-        GEL,
-        parse_indenter(indenter),
-        np.array([at_mm]),
-        friction_coefficient=0.4,
-        physics=LINEAR,
-        config=TIGHT,
-        **frame,
-    )
+        mesh, GEL, parse_indenter(indenter), np.array([[0.4, -0.2]]), friction_coefficient=0.4,
+        physics=LINEAR, config=SolverConfig(relative_tolerance=1e-8), **frame,
+    )  # fmt: skip
     env.follow(PressPath(0.3, (0.05, 0.02), 3.0, step_mm=0.3, step_deg=3.0))
     return env
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("indenter", ["sphere:2", "edge:90x3"])
-def test_a_press_turns_with_its_frame(indenter: str) -> None:
-    straight = pressed(pad(), indenter, (0.4, -0.2))
-    frame = np.concatenate([[2e-3, -1e-3, 5e-3], [0.3, -0.5, 0.2, 0.0]])
-    frame[6] = math.sqrt(1 - (frame[3:6] ** 2).sum())
-    mesh = pad()
-    turned_mesh = TetMesh(
-        rotate(frame[3:], mesh.nodes_m) + frame[:3], mesh.tets, mesh.faces, mesh.face_regions
-    )
-    turned = pressed(turned_mesh, indenter, (0.4, -0.2), gel_from_press=frame[None])
+def test_a_press_turns_with_its_frame(indenter):
+    mesh, turn = pad(), np.array([0.3, -0.5, 0.2, math.sqrt(0.62)])
+    at = np.array([2e-3, -1e-3, 5e-3])
+    straight = pressed(mesh, indenter)
+    turned_mesh = TetMesh(rotate(turn, mesh.nodes_m) + at, mesh.tets, mesh.faces, mesh.face_regions)
+    turned = pressed(turned_mesh, indenter, gel_from_press=np.concatenate([at, turn])[None])
     assert turned.touch_m == pytest.approx(straight.touch_m, abs=1e-12)
     assert turned.thickness_m == pytest.approx(straight.thickness_m, abs=1e-12)
     force = straight.wrench[0, :3]
     assert turned.press_force[0] == pytest.approx(force, abs=1e-5 * force[2])
-    assert turned.wrench[0, :3] == pytest.approx(rotate(frame[3:], force), abs=1e-5 * force[2])
-    expected = rotate(frame[3:], straight.positions[0]) + frame[:3]
+    assert turned.wrench[0, :3] == pytest.approx(rotate(turn, force), abs=1e-5 * force[2])
+    expected = rotate(turn, straight.positions[0]) + at
     assert turned.positions[0] == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.thorough
-def test_a_press_from_the_side_pushes_sideways() -> None:
+def test_a_press_from_the_side_pushes_sideways():
     """The wall of a block, which is contact face too here, pressed along its normal."""
     block = block_mesh((6, 6, 4), (8e-3, 8e-3, 4e-3))
     regions = np.where(block.face_regions == Region.SIDE, Region.CONTACT, block.face_regions)
     mesh = TetMesh(block.nodes_m, block.tets, block.faces, regions)
     frame = normal_frame(np.array([4e-3, 0.0, -2e-3]), np.array([1.0, 0.0, 0.0]))
-    env = PressEnv(
-        mesh, GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frame[None]
-    )
+    env = PressEnv(mesh, GEL, BALL, np.zeros((1, 2)), gel_from_press=frame[None])
     assert env.poses[0, 0, 0] > 6e-3
     env.move_to(0.3)
     assert env.poses[0, 0, :3] == pytest.approx([5.7e-3 + env.setback_m[0], 0, -2e-3], abs=1e-9)
@@ -133,57 +108,44 @@ def shell(inner_m: float, outer_m: float) -> tuple[np.ndarray, np.ndarray, np.nd
     a, b = np.meshgrid(polar, turn, indexing="ij")
     sphere = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], -1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(14), np.arange(40), indexing="ij")
-    k = (i * 40 + j).ravel()
-    n = (i * 40 + (j + 1) % 40).ravel()
-    faces = np.concatenate(
-        [np.stack([k, k + 40, n + 40], axis=1), np.stack([k, n + 40, n], axis=1)]
-    )
+    k, n = (i * 40 + j).ravel(), (i * 40 + (j + 1) % 40).ravel()
+    faces = np.concatenate([np.stack([k, k + 40, n + 40], 1), np.stack([k, n + 40, n], 1)])
     return np.concatenate([outer_m * sphere, inner_m * sphere]), faces, faces + 600
 
 
-@pytest.mark.parametrize("tilt_deg", [10.0, 45.0, 70.0])
-def test_the_gel_of_a_shell_is_its_thickness(tilt_deg: float) -> None:
+def test_the_gel_of_a_shell_is_its_thickness():
     nodes, outer, inner = shell(10e-3, 12.5e-3)
-    tilt = math.radians(tilt_deg)
-    normal = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
-    frame = normal_frame(12.5e-3 * normal, normal)
-    seen = rotate(frame[3:] * [-1, -1, -1, 1], nodes - frame[:3])
-    assert gel_below_m(seen, outer, inner, np.zeros(2)) == pytest.approx(2.5e-3, rel=0.02)
+    for tilt in np.radians([10.0, 45.0, 70.0]):
+        normal = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+        frame = normal_frame(12.5e-3 * normal, normal)
+        seen = rotate(frame[3:] * [-1, -1, -1, 1], nodes - frame[:3])
+        assert gel_below_m(seen, outer, inner, np.zeros(2)) == pytest.approx(2.5e-3, rel=0.02)
+    # Straight down near the rim the axis misses the inner sphere: the nearest bond counts.
+    assert 2.4e-3 < gel_below_m(nodes, outer, inner, np.array([12e-3, 0.0])) < 2.7e-3
 
 
-def test_gel_without_bond_below_goes_by_the_nearest() -> None:
-    nodes, outer, inner = shell(10e-3, 12.5e-3)
-    # Straight down near the rim the axis misses the inner sphere.
-    found = gel_below_m(nodes, outer, inner, np.array([12e-3, 0.0]))
-    assert 2.4e-3 < found < 2.7e-3
-
-
-def test_turns_by_rotation_vectors() -> None:
+def test_turns_by_rotation_vectors():
     """A turn about z as an angle and as a vector is the same; a roll turns the body about its
     origin, which stays."""
-    frames = PressFrames(None, 2)
-    place = np.array([[1e-3, 2e-3, 3e-3], [0.0, 0.0, 1e-3]])
+    frames, place = PressFrames(None, 2), np.array([[1e-3, 2e-3, 3e-3], [0.0, 0.0, 1e-3]])
     angles = np.array([0.3, -1.2])
-    vectors = np.column_stack([np.zeros(2), np.zeros(2), angles])
+    vectors = angles[:, None] * UP
     assert frames.poses_in_gel(place, vectors) == pytest.approx(frames.poses_in_gel(place, angles))
     rolled = frames.poses_in_gel(place, np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]))
     assert rolled[:, :3].tolist() == place.tolist()
-    top = rotate(rolled[:, 3:], np.array([0.0, 0.0, 1.0]))
+    top = rotate(rolled[:, 3:], UP)
     assert top[0] == pytest.approx([math.sin(0.5), 0.0, math.cos(0.5)])
     assert top[1].tolist() == [0.0, 0.0, 1.0]
 
 
 @pytest.mark.thorough
-def test_a_ball_that_rolls_keeps_its_force() -> None:
+def test_a_ball_that_rolls_keeps_its_force():
     """Rolling on by radius times angle drags the gel along far less than sliding as far."""
-    env = PressEnv(
-        pad(), GEL, parse_indenter("sphere:2"), np.zeros((2, 2)), friction_coefficient=0.8,
-        physics=LINEAR,
-    )  # fmt: skip
+    options = {"friction_coefficient": 0.8, "physics": LINEAR}
+    env = PressEnv(pad(), GEL, BALL, np.zeros((2, 2)), **options)
     env.move_to(0.2)
-    on_mm = 2.0 * math.radians(6.0)
-    turn = np.array([[0.0, 6.0, 0.0], [0.0, 0.0, 0.0]])
-    report = env.try_to(0.2, np.array([[on_mm, 0.0], [on_mm, 0.0]]), turn)
+    shear = np.array([[2.0 * math.radians(6.0), 0.0]] * 2)
+    report = env.try_to(0.2, shear, np.array([[0.0, 6.0, 0.0], [0.0, 0.0, 0.0]]))
     assert report.converged.all()
-    across = np.hypot(*env.press_force[:, :2].T)
-    assert across[0] < 0.2 * across[1]
+    rolled, slid = np.hypot(*env.press_force[:, :2].T)
+    assert rolled < 0.2 * slid

@@ -71,17 +71,17 @@ MAKERS: tuple[Callable[[Path], None], ...] = (
 
 
 @pytest.fixture(scope="module")
-def cut_texts() -> list[str]:
+def cut_texts():
     """Texts of figures that do not fit into them, of all pages."""
     return []
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory, cut_texts: list[str]) -> Iterator[list[Path]]:
+def pages(tmp_path_factory, cut_texts):
     folder = tmp_path_factory.mktemp("pages")
     save = page_module.save_figure_to
 
-    def watched(figure: Figure, *rest: object) -> None:
+    def watched(figure, *rest):
         save(figure, *rest)  # type: ignore[arg-type]
         cut_texts.extend(_cut(figure))
 
@@ -105,7 +105,7 @@ def _cut(figure: Figure) -> Iterator[str]:
 
 
 @pytest.mark.thorough
-def test_no_page_runs_over_on_screens_nor_on_paper(pages: list[Path]) -> None:
+def test_no_page_runs_over_on_screens_nor_on_paper(pages):
     assert len(pages) >= len(MAKERS)
     found: list[str] = []
     with chromium_page("about:blank", (1280, 900)) as page:
@@ -121,5 +121,5 @@ def test_no_page_runs_over_on_screens_nor_on_paper(pages: list[Path]) -> None:
 
 
 @pytest.mark.thorough
-def test_texts_of_figures_are_whole(pages: list[Path], cut_texts: list[str]) -> None:
+def test_texts_of_figures_are_whole(pages, cut_texts):
     assert pages and not cut_texts

@@ -5,18 +5,18 @@ from __future__ import annotations
 
 import base64
 import socket
-import struct
 import sys
 import urllib.request
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+import pyvista as pv
 
 from taccel_lab.calibration.profile_page import disc_normals
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import eight_bit
+from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.report.figures import (
     draw_contact_forces,
@@ -39,12 +39,6 @@ pytestmark = pytest.mark.rasterised
 GRID = PixelGrid(80, 60, 0.1, 0.1, 39.5, 29.5)
 
 
-def _png_size(path: Path) -> tuple[int, int]:
-    head = path.read_bytes()[:24]
-    assert head.startswith(b"\x89PNG\r\n\x1a\n")
-    return struct.unpack(">II", head[16:24])
-
-
 @pytest.mark.thorough
 def test_height_map_is_drawn_in_millimetres_over_the_gel(tmp_path):
     height = np.full((60, 80), np.nan)
@@ -55,38 +49,37 @@ def test_height_map_is_drawn_in_millimetres_over_the_gel(tmp_path):
     assert np.nanmin(image.get_array().filled(np.nan)) == pytest.approx(-0.5)
     assert image.get_extent() == pytest.approx((-4.0, 4.0, 3.0, -3.0))
     save_figure(figure, tmp_path / "h.png")
-    width, tall = _png_size(tmp_path / "h.png")
+    tall, width, _ = read_image(tmp_path / "h.png").shape
     assert width > 500 and tall > 300
     # A flat one has no contours to draw.
     save_figure(draw_height_map(np.zeros((60, 80)), GRID), tmp_path / "flat.png")
     assert (tmp_path / "flat.png").stat().st_size > 1000
 
 
-def test_normals_and_image_are_drawn(tmp_path):
+def test_normals_image_and_force_are_drawn(tmp_path):
+    before = dict(mpl.rcParams)
     figure = draw_normals(np.broadcast_to([0.5, 0.0, 0.866], (60, 80, 3)), GRID)
     assert figure.axes[0].images[0].get_array()[0, 0, 2] == pytest.approx(0.933, abs=1e-3)
-    rgb = np.full((60, 80, 3), 100.0)
+    rgb, depth = np.full((60, 80, 3), 100.0), np.array([0.2, 0.4])
     save_figure(draw_image(rgb, GRID), tmp_path / "rgb.png")
     with pytest.raises(InputError, match="rgb"):
         draw_image(rgb[:-1], GRID)
     with pytest.raises(InputError, match="height_m"):
         draw_height_map(np.zeros((60, 81)), GRID)
+    figure = draw_force_depth(depth, depth * 3, "simulation")
+    assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])
+    draw_height_map(np.zeros((60, 80)), GRID)
+    assert dict(mpl.rcParams) == before, "the caller's settings are left alone"
 
 
 def test_contact_pressure_is_force_over_area():
     """A uniform pressure on a flat face, given as its consistent nodal forces."""
     x, y = np.meshgrid(np.linspace(-1e-3, 1e-3, 5), np.linspace(-1e-3, 1e-3, 5))
     nodes = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
-    corner = np.arange(20).reshape(4, 5)[:, :4].ravel()
-    faces = np.concatenate(
-        [
-            np.stack([corner, corner + 1, corner + 6], axis=1),
-            np.stack([corner, corner + 6, corner + 5], axis=1),
-        ]
-    )
-    area = np.zeros(25)
-    np.add.at(area, faces.ravel(), 0.5 * (0.5e-3) ** 2 / 3)
-    forces = np.column_stack([0 * area, 0 * area, -50e3 * area])
+    corner = np.arange(20).reshape(4, 5)[:, :4].ravel()[:, None]
+    faces = np.concatenate([corner + [0, 1, 6], corner + [0, 6, 5]])
+    area = np.bincount(faces.ravel(), minlength=25) * 0.5 * (0.5e-3) ** 2 / 3
+    forces = area[:, None] * [0, 0, -50e3]
     figure = draw_contact_forces(nodes, faces, forces, np.full(25, 50e3))
     assert np.allclose(figure.axes[0].collections[0].get_array(), 50.0)
     assert "0.2 N" in figure.axes[0].get_title()
@@ -100,12 +93,6 @@ def test_disc_normals_are_unit_and_oriented():
     assert normals[16, 32] == pytest.approx([0.8, 0.0, 0.6])
     assert normals[32, 16] == pytest.approx([0.0, 0.8, 0.6])
     assert not inside[0, 0]
-
-
-def test_drawing_leaves_the_callers_settings_alone():
-    before = dict(mpl.rcParams)
-    draw_height_map(np.zeros((60, 80)), GRID)
-    assert dict(mpl.rcParams) == before
 
 
 def test_bytes_are_rounded_and_clipped():
@@ -134,18 +121,12 @@ def test_names_of_any_script_and_control_characters_are_drawn_without_a_warning(
 
 def box(cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Surface of a pad of 20 x 20 x 4 mm with a bump: nodes [m], faces, regions."""
-    import pyvista as pv
-
-    cells = max(cells, 2)
     sheet = pv.Plane(i_size=0.02, j_size=0.02, i_resolution=cells, j_resolution=cells).triangulate()
-    top = np.array(sheet.points, dtype=float)
+    top, faces = np.array(sheet.points, dtype=float), sheet.regular_faces
     top[:, 2] = 0.001 * np.exp(-(top[:, :2] ** 2).sum(axis=1) / 0.004**2)
-    bottom = top * [1, 1, 0] - [0, 0, 0.004]
-    faces = sheet.regular_faces
-    nodes = np.concatenate([top, bottom])
+    nodes = np.concatenate([top, top * [1, 1, 0] - [0, 0, 0.004]])
     both = np.concatenate([faces, faces[:, ::-1] + len(top)])
-    regions = np.repeat([int(Region.CONTACT), int(Region.BOND)], len(faces))
-    return nodes, both, regions
+    return nodes, both, np.repeat([int(Region.CONTACT), int(Region.BOND)], len(faces))
 
 
 def drawn(view: MeshView) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -161,20 +142,19 @@ def area_mm2(view: MeshView) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def test_a_surface_is_drawn_as_it_is() -> None:
+def test_a_surface_is_drawn_as_it_is():
     nodes, faces, regions = box(20)
     view = mesh_view(nodes, faces, regions)
-    assert view is not None
     assert view.drawn_faces == view.faces_in_all == len(faces)
     seen, shown, kinds = drawn(view)
     assert np.array_equal(kinds, regions) and len(seen) == len(nodes) and shown.max() < len(seen)
     assert view.size_mm == pytest.approx((20, 20, 5), abs=0.1)
     assert [name for name, _ in view.legend] == ["contact", "bond"]
+    assert mesh_view(nodes, faces[:0], regions[:0]) is None, "there is nothing to draw"
 
 
-def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders() -> None:
+def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders():
     coarse, fine = mesh_view(*box(80)), mesh_view(*box(130))
-    assert coarse is not None and fine is not None
     assert fine.faces_in_all == 4 * 130**2 > 4 * MOST_FACES
     assert 0.5 * MOST_FACES < fine.drawn_faces <= MOST_FACES
     assert fine.size_mm == pytest.approx(coarse.size_mm, rel=1e-3)
@@ -186,18 +166,7 @@ def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders() -> None:
         assert (np.abs(own[:, :2]).max(axis=1) > 1 - 1e-4).sum() == 4 * 130
 
 
-def test_nothing_to_draw_is_no_view() -> None:
-    none = np.zeros((0, 3), dtype=int)
-    assert mesh_view(np.zeros((3, 3)), none, np.zeros(0, dtype=int)) is None
-
-
-def test_force_depth_shows_the_curve():
-    depth = np.array([0.2, 0.4])
-    figure = draw_force_depth(depth, depth * 3, "simulation")
-    assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])
-
-
-def test_a_page_answers_while_it_is_open_and_not_after(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_answers_while_it_is_open_and_not_after(capsys):
     pytest.importorskip("viser")
     said: list[str] = []
     with live_page("A page", PageOptions(port=0, browser=False), said.append) as server:
@@ -210,26 +179,22 @@ def test_a_page_answers_while_it_is_open_and_not_after(capsys: pytest.CaptureFix
     assert capsys.readouterr().out == ""
 
 
-def test_a_port_in_use_is_refused_with_what_to_do() -> None:
+def test_ports_and_hosts_that_cannot_be_are_refused_with_what_to_do():
+    require_free_port("127.0.0.1", 0)
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        port = other.getsockname()[1]
-        with pytest.raises(InputError, match=rf"port {port} of 127.0.0.1 .*--port 0"):
-            require_free_port("127.0.0.1", port)
-    require_free_port("127.0.0.1", 0)
+        used = other.getsockname()[1]
+        for host, port, words in (
+            ("127.0.0.1", used, rf"port {used} of 127.0.0.1 .*--port 0"),
+            ("127.0.0.1", 70000, "does not exist"),
+            ("no.such.host.invalid", 8080, "no address"),
+        ):
+            with pytest.raises(InputError, match=words):
+                require_free_port(host, port)
 
 
-@pytest.mark.parametrize(
-    ("host", "port", "words"),
-    [("127.0.0.1", 70000, "does not exist"), ("no.such.host.invalid", 8080, "no address")],
-)
-def test_hosts_and_ports_that_cannot_be(host: str, port: int, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        require_free_port(host, port)
-
-
-def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_viser_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with (
         pytest.raises(InputError, match=r"pip install 'taccel-lab\[view\]'"),
@@ -238,9 +203,9 @@ def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         pass
 
 
-def test_ctrl_c_ends_a_page_as_it_ends_a_command() -> None:
+def test_ctrl_c_ends_a_page_as_it_ends_a_command():
     class Interrupted:
-        def wait(self, _: float) -> bool:
+        def wait(self, _):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -74,65 +73,27 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2, 0, 1)))
 
 
-@dataclass(frozen=True)
-class PressedSphere:
-    """A ball pressed to a contact radius, with a skirt that leaves it as in Hertz contact.
+def pressed_sphere(
+    contact_radius_m: float, center_xy_m: tuple[float, float] = (0.13e-3, -0.07e-3)
+) -> HeightFunction:
+    """Heights [m] under a ball of 2 mm, with a skirt that leaves it as in Hertz contact.
 
     Outside, the slope falls like the derivative of Johnson's (1985) equation 3.42a, scaled to the
     slope of the ball at the edge, times ``exp(-d / decay)`` as in a layer of finite thickness. Its
     curvature is infinite at the edge: the hard case for any interpolation.
     """
+    a, ball_m, decay_m = contact_radius_m, 2e-3, 0.8e-3
+    at = a + np.concatenate([[0.0], np.geomspace(1e-10, 12e-3, 6000)])
+    rho = at / a
+    hertz = (2 / np.pi) * (rho * np.arcsin(1 / rho) - np.sqrt(np.maximum(1 - 1 / rho**2, 0)))
+    deep = np.sqrt(ball_m**2 - a**2)
+    slope = a / deep * hertz * np.exp(-(at - a) / decay_m)
+    rise = np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2 * np.diff(at))])
+    rise -= rise[-1]
 
-    contact_radius_m: float
-    radius_m: float = 2e-3
-    decay_m: float = 0.8e-3
-    center_xy_m: tuple[float, float] = (0.13e-3, -0.07e-3)
+    def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        r = np.hypot(x - center_xy_m[0], y - center_xy_m[1])
+        cap = rise[0] + deep - np.sqrt(ball_m**2 - np.minimum(r, a) ** 2)
+        return np.where(r < a, cap, np.interp(r, at, rise))
 
-    def _skirt(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        a = self.contact_radius_m
-        r = a + np.concatenate([[0.0], np.geomspace(1e-10, 12e-3, 6000)])
-        rho = r / a
-        hertz = (2 / np.pi) * (rho * np.arcsin(1 / rho) - np.sqrt(np.maximum(1 - 1 / rho**2, 0)))
-        edge_slope = a / np.sqrt(self.radius_m**2 - a**2)
-        slope = edge_slope * hertz * np.exp(-(r - a) / self.decay_m)
-        rise = np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2 * np.diff(r))])
-        return r, rise - rise[-1], slope
-
-    @property
-    def center_m(self) -> np.ndarray:
-        """Centre of the ball [m], shape [3]."""
-        edge_z = self._skirt()[1][0]
-        depth = np.sqrt(self.radius_m**2 - self.contact_radius_m**2)
-        return np.array([*self.center_xy_m, edge_z + depth])
-
-    def distance_xy(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Distance from the axis [m]."""
-        return np.hypot(x - self.center_xy_m[0], y - self.center_xy_m[1])
-
-    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """True height [m]."""
-        r = self.distance_xy(x, y)
-        at, rise, _ = self._skirt()
-        inner = np.minimum(r, self.contact_radius_m)
-        cap = self.center_m[2] - np.sqrt(self.radius_m**2 - inner**2)
-        return np.where(r < self.contact_radius_m, cap, np.interp(r, at, rise))
-
-    def pressures(self, mesh: TetMesh, positions: np.ndarray) -> np.ndarray:
-        """Hertz's ellipse at the nodes of the contact face, peak 1 Pa, shape [1, node]."""
-        result = np.zeros((1, mesh.node_count))
-        top = mesh.region_nodes(Region.CONTACT)
-        r = self.distance_xy(positions[0, top, 0], positions[0, top, 1]) / self.contact_radius_m
-        result[0, top] = np.sqrt(np.maximum(1 - r**2, 0))
-        return result
-
-    def normals(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """True outward unit normals, shape [..., 3]."""
-        r = self.distance_xy(x, y)
-        at, _, sink_in_slope = self._skirt()
-        inner = np.minimum(r, self.contact_radius_m)
-        cap_slope = inner / np.sqrt(self.radius_m**2 - inner**2)
-        slope = np.where(r < self.contact_radius_m, cap_slope, np.interp(r, at, sink_in_slope))
-        radial = np.stack([x - self.center_xy_m[0], y - self.center_xy_m[1]], axis=-1)
-        radial /= np.maximum(r, 1e-15)[..., None]
-        normal = np.concatenate([-slope[..., None] * radial, np.ones((*r.shape, 1))], axis=-1)
-        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return height

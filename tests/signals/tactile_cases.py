@@ -12,9 +12,10 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.color_model import ColorModel
+from tests.networks.weights import random_weights
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.host_colors import host_image
-from tests.signals.pressed_surface import PressedSphere, shaped
+from tests.signals.pressed_surface import pressed_sphere, shaped
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 GRID = PixelGrid(96, 72, 0.05, 0.05)
@@ -26,22 +27,16 @@ ALL = ("rgb", "rgb_levels", "height_m", "normals", "markers_px")
 LEVELS = {"cpu": 1e-2, "cuda:0": 0.3}
 
 
-def color_model(grid: PixelGrid, hidden: tuple[int, ...] = (32, 20)) -> ColorModel:
-    rng = np.random.default_rng(4)
+def color_model(
+    grid: PixelGrid, hidden: tuple[int, ...] = (32, 20), bands: int = 0, spread: float = 1.5
+) -> ColorModel:
+    """A network of random weights whose answers are as large as those of a sensor."""
     config = ColorModelConfig(
-        grid.width_px,
-        grid.height_px,
-        hidden=hidden,
-        input_mean=(0.0, 0.0, 0.0, 0.0, 0.95, -0.1),
-        input_scale=(0.6, 0.6, 0.2, 0.2, 0.1, 0.2),
-    )
-    return ColorModel(
-        config,
-        {
-            name: rng.normal(0, 1.5 / np.sqrt(shape[-1]), shape)
-            for name, shape in config.weight_shapes().items()
-        },
-    )
+        grid.width_px, grid.height_px, hidden=hidden, position_bands=bands,
+        input_mean=(0.0, 0.0, 0.0, 0.0, 0.95, -0.1), input_scale=(0.6, 0.6, 0.2, 0.2, 0.1, 0.2),
+    )  # fmt: skip
+    weights = random_weights(config, 4)
+    return ColorModel(config, {name: spread * value for name, value in weights.items()})
 
 
 def background(grid: PixelGrid) -> np.ndarray:
@@ -51,22 +46,20 @@ def background(grid: PixelGrid) -> np.ndarray:
 
 def presses(mesh: Any) -> np.ndarray:
     """At rest, pressed, pressed with shear, tilted and stretched, pressed elsewhere."""
-    positions = np.concatenate(
-        [
-            mesh.nodes_m[None],
-            shaped(mesh, PressedSphere(1.0e-3).height),
-            shaped(mesh, PressedSphere(1.4e-3).height),
-            shaped(mesh, lambda x, y: 0.1 * x - 0.05 * y),
-            shaped(mesh, PressedSphere(0.7e-3, center_xy_m=(-1e-3, 0.5e-3)).height),
-        ]
+    shapes = (
+        pressed_sphere(1.0e-3),
+        pressed_sphere(1.4e-3),
+        lambda x, y: 0.1 * x - 0.05 * y,
+        pressed_sphere(0.7e-3, (-1e-3, 0.5e-3)),
     )
+    positions = np.concatenate([mesh.nodes_m[None], *(shaped(mesh, shape) for shape in shapes)])
     bulge = np.exp(-((positions[2, :, :2] / 1.1e-3) ** 2).sum(axis=-1))[:, None]
     positions[2, :, :2] += bulge * [0.5e-3, -0.35e-3]
     positions[3, :, :2] *= 1.05
     return positions
 
 
-def on_device(positions: np.ndarray, device: str) -> wp.array:
+def on_device(positions: np.ndarray, device: str = "cpu") -> wp.array:
     return wp.array(positions, dtype=wp.vec3d, device=device)
 
 
@@ -90,17 +83,14 @@ def reference(mesh: Any, positions: np.ndarray, grid: PixelGrid) -> dict:
     height, normals = signal.height_m, signal.normals
     seen = np.isfinite(height[1:]) & np.isfinite(height[0])
     flat = np.array([0.0, 0.0, 1.0])
-    levels = np.stack(
-        [
-            host_image(color_model(grid), background(grid), *surface)
-            for surface in zip(
-                np.where(seen[..., None], normals[1:], flat),
-                np.where(seen, height[1:] - height[0], 0.0) * 1e3,
-                np.where(seen[..., None], normals[:1], flat),
-                strict=True,
-            )
-        ]
+    surfaces = zip(
+        np.where(seen[..., None], normals[1:], flat),
+        np.where(seen, height[1:] - height[0], 0.0) * 1e3,
+        np.where(seen[..., None], normals[:1], flat),
+        strict=True,
     )
+    model, still = color_model(grid), background(grid)
+    levels = np.stack([host_image(model, still, *surface) for surface in surfaces])
     return {"height_m": height[1:], "normals": normals[1:], "rgb_levels": levels}
 
 

@@ -15,25 +15,19 @@ from taccel_lab.signals.depth_response import LUMA, DepthResponse, channel_of
 from taccel_lab.signals.normals import slopes_from_height
 from taccel_lab.signals.read_heights import HeightUncertainty
 from taccel_lab.signals.slope_integration import height_from_slopes, resting_height
+from tests.signals.pressed_surface import pixel_xy
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
-
-
-def plane_of(grid: PixelGrid) -> tuple[np.ndarray, np.ndarray]:
-    x, y = np.meshgrid(grid.x_mm() * 1e-3, grid.y_mm() * 1e-3)
-    return x, y
 
 
 @given(
     width=st.integers(2, 40), height=st.integers(2, 40), seed=st.integers(0, 99),
     ratio=st.floats(0.3, 3.0),
 )  # fmt: skip
-def test_second_degree_is_exact_on_oblong_pixels(
-    width: int, height: int, seed: int, ratio: float
-) -> None:
+def test_second_degree_is_exact_on_oblong_pixels(width, height, seed, ratio):
     grid = PixelGrid(width, height, 0.05, 0.05 * ratio)
     a, b, c, d, e = np.random.default_rng(seed).normal(0, [1, 1, 300, 300, 300])
-    x, y = plane_of(grid)
+    x, y = pixel_xy(grid)
     truth = a * x + b * y + c * x**2 + d * y**2 + e * x * y
     slope = np.stack([a + 2 * c * x + e * y, b + 2 * d * y + e * x], axis=-1)
     found = height_from_slopes(slope, grid, zero=np.ones(x.shape, dtype=bool))
@@ -44,30 +38,26 @@ def test_second_degree_is_exact_on_oblong_pixels(
     np.testing.assert_allclose(back, slope[inside], rtol=1e-9, atol=1e-9)
 
 
-def test_smooth_dent_converges_with_second_order() -> None:
+def test_smooth_dent_converges_with_second_order():
     errors = []
-    for scale in (0.1, 0.05):
-        n = round(6.0 / scale) + 1
-        grid = PixelGrid(n, n, scale, scale)
-        x, y = plane_of(grid)
-        width = 1e-3
-        truth = -1e-3 * np.exp(-(x**2 + y**2) / width**2)
-        slope = np.stack([-2 * x / width**2 * truth, -2 * y / width**2 * truth], axis=-1)
+    for scale, count in ((0.1, 61), (0.05, 121)):
+        grid = PixelGrid(count, count, scale, scale)
+        x, y = pixel_xy(grid)
+        truth = -1e-3 * np.exp(-(x**2 + y**2) / 1e-6)
+        slope = np.stack([-2 * x / 1e-6 * truth, -2 * y / 1e-6 * truth], axis=-1)
         errors.append(np.abs(height_from_slopes(slope, grid) - truth).max())
-    assert errors[0] < 1e-5
-    assert errors[1] < errors[0] / 3.5
+    assert errors[0] < 1e-5 and errors[1] < errors[0] / 3.5
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e6])
-def test_poisoned_masked_slopes_have_no_effect(poison: float) -> None:
-    x, y = plane_of(OBLONG)
+def test_poisoned_masked_slopes_have_no_effect(poison):
+    x, y = pixel_xy(OBLONG)
     truth = 40 * x**2 - 60 * y**2
     slope = np.stack([80 * x, -120 * y], axis=-1)
     weights = np.ones(x.shape)
     weights[10:20, 25:40] = 0.0
     clean = height_from_slopes(slope, OBLONG, weights=weights)
-    dirty = slope.copy()
-    dirty[weights == 0] = poison
+    dirty = np.where(weights[..., None] == 0, poison, slope)
     assert np.array_equal(height_from_slopes(dirty, OBLONG, weights=weights), clean)
     border = np.ones(x.shape, dtype=bool)
     border[1:-1, 1:-1] = False
@@ -76,34 +66,37 @@ def test_poisoned_masked_slopes_have_no_effect(poison: float) -> None:
     assert clean[seen] == pytest.approx((truth - truth[border].mean())[seen], abs=1e-4 * 3e-4)
 
 
-def test_zero_is_where_it_is_asked_for() -> None:
-    x, _ = plane_of(OBLONG)
-    slope = np.stack([np.full(x.shape, 0.5), np.zeros(x.shape)], axis=-1)
-    zero = np.zeros(x.shape, dtype=bool)
+def test_zero_is_where_it_is_asked_for():
+    slope = np.tile([0.5, 0.0], (41, 53, 1))
+    zero = np.zeros((41, 53), dtype=bool)
     zero[:, 0] = True
     found = height_from_slopes(slope, OBLONG, zero=zero)
     assert found[:, 0] == pytest.approx(0.0, abs=1e-15)
     assert found[0, -1] == pytest.approx(0.5 * 52 * 0.05e-3)
 
 
-def test_bad_input_is_refused() -> None:
-    slope = np.zeros((41, 53, 2))
-    with pytest.raises(InputError, match="the pixel grid asks for"):
-        height_from_slopes(np.zeros((40, 53, 2)), OBLONG)
-    with pytest.raises(InputError, match="weight 0"):
-        height_from_slopes(np.full((41, 53, 2), np.nan), OBLONG)
-    with pytest.raises(InputError, match=r"0\.\.1"):
-        height_from_slopes(slope, OBLONG, weights=np.full((41, 53), 2.0))
-    with pytest.raises(InputError, match="every weight is 0"):
-        height_from_slopes(slope, OBLONG, weights=np.zeros((41, 53)))
-    with pytest.raises(InputError, match="0 pixels"):
-        height_from_slopes(slope, OBLONG, zero=np.zeros((41, 53), dtype=bool))
+@pytest.mark.parametrize(
+    ("slope", "options", "words"),
+    [
+        (np.zeros((40, 53, 2)), {}, "the pixel grid asks for"),
+        (np.full((41, 53, 2), np.nan), {}, "weight 0"),
+        (np.zeros((41, 53, 2)), {"weights": np.full((41, 53), 2.0)}, r"0\.\.1"),
+        (np.zeros((41, 53, 2)), {"weights": np.zeros((41, 53))}, "every weight is 0"),
+        (np.zeros((41, 53, 2)), {"zero": np.zeros((41, 53), dtype=bool)}, "0 pixels"),
+    ],
+)
+def test_bad_slopes_are_refused(slope, options, words):
+    with pytest.raises(InputError, match=words):
+        height_from_slopes(slope, OBLONG, **options)
 
 
 GRID = PixelGrid(80, 60, 0.1, 0.1)
+ROWS, COLUMNS = np.mgrid[0:60, 0:80] * 0.1
+DENT = -1e-3 * np.exp(-((COLUMNS - 4) ** 2 + (ROWS - 3) ** 2))
+SLOPE = np.stack(np.gradient(DENT, 1e-4)[::-1], axis=-1)
 
 
-def test_the_band_holds_errors_of_its_own_kind() -> None:
+def test_the_band_holds_errors_of_its_own_kind():
     rng = np.random.default_rng(5)
     sigma = np.full((60, 80), 0.01)
     sigma[20:40, 30:50] = 0.1
@@ -117,45 +110,32 @@ def test_the_band_holds_errors_of_its_own_kind() -> None:
     assert spread[30, 40] > 1.3 * spread[5, 5]
 
 
-def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
+def test_it_grows_with_the_slopes_and_with_the_reach_of_errors():
     sigma = np.full((60, 80), 0.02)
-    one, twice = (HeightUncertainty(GRID, 2.0).sigma_m(f * sigma) for f in (1, 2))
-    assert twice == pytest.approx(2 * one)
+    none, one, twice = (HeightUncertainty(GRID, 2.0).sigma_m(f * sigma) for f in (0, 1, 2))
+    assert twice == pytest.approx(2 * one) and (none == 0).all()
     assert HeightUncertainty(GRID, 6.0).sigma_m(sigma).mean() > 1.5 * one.mean()
-    assert (HeightUncertainty(GRID, 2.0).sigma_m(0 * sigma) == 0).all()
 
 
-def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it() -> None:
-    """Slopes that may be 10 % too steep all around a dent make it so much too deep."""
-    y, x = np.mgrid[0:60, 0:80] * 0.1
-    dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
-    slope = np.stack(np.gradient(dent, 1e-4)[::-1], axis=-1)
-    sigma = 0.1 * np.linalg.norm(slope, axis=-1)
+def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it():
+    """Slopes that may be 10 % too steep all around a dent make it as much too deep."""
+    sigma = 0.1 * np.linalg.norm(SLOPE, axis=-1)
     for length in (2.0, 4.0):
-        along = HeightUncertainty(GRID, length).along_m(slope, sigma)
-        np.testing.assert_allclose(along, -0.1 * dent, atol=5e-6)
-    other = HeightUncertainty(GRID, 2.0).sigma_m(sigma)
-    assert other[30, 40] < 0.3 * along[30, 40]
+        along = HeightUncertainty(GRID, length).along_m(SLOPE, sigma)
+        np.testing.assert_allclose(along, -0.1 * DENT, atol=5e-6)
+    assert HeightUncertainty(GRID, 2.0).sigma_m(sigma)[30, 40] < 0.3 * along[30, 40]
 
 
-def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along() -> None:
-    y, x = np.mgrid[0:60, 0:80] * 0.1
-    dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
-    slope = np.stack(np.gradient(dent, 1e-4)[::-1], axis=-1)
-    sigma = np.full((60, 80), 1.0)
-    trials = HeightUncertainty(GRID, 2.0)
-    along = trials.along_m(slope, sigma)
-    assert trials.along_m(0.1 * slope, sigma) == pytest.approx(0.1 * along)
-    np.testing.assert_allclose(along, -dent, atol=5e-5)
+def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along():
+    sigma, trials = np.full((60, 80), 1.0), HeightUncertainty(GRID, 2.0)
+    along = trials.along_m(SLOPE, sigma)
+    assert trials.along_m(0.1 * SLOPE, sigma) == pytest.approx(0.1 * along)
+    np.testing.assert_allclose(along, -DENT, atol=5e-5)
 
 
-def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    sigma = np.full((60, 80), 0.02)
-    sigma[10:30, 10:30] = 0.2
-    weights = np.ones((60, 80))
-    weights[50:, :20] = 0.0
+def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatch):
+    sigma, weights = np.full((60, 80), 0.02), np.ones((60, 80))
+    sigma[10:30, 10:30], weights[50:, :20] = 0.2, 0.0
     coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
     monkeypatch.setattr("taccel_lab.signals.read_heights.POINTS_PER_LENGTH", 8.0)
     fine = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
@@ -167,15 +147,14 @@ CURVE = DepthResponse("grey", np.array([0.0, 2.0, 20.0, 60.0]), np.array([0.0, 0
 
 
 @given(st.lists(st.floats(0.0, 1.9), min_size=1, max_size=30))
-def test_render_and_read_are_inverse(depths: list[float]) -> None:
-    depth = np.array([depths])
-    background = np.full((1, len(depths), 3), 160.0)
+def test_render_and_read_are_inverse(depths):
+    depth, background = np.array([depths]), np.full((1, len(depths), 3), 160.0)
     found = CURVE.read(CURVE.render(depth, background), background)
     assert found.depth_mm == pytest.approx(depth, abs=1e-9)
     assert found.height_m == pytest.approx(-1e-3 * depth, abs=1e-12)
 
 
-def test_brightening_reads_as_untouched_and_darkness_saturates() -> None:
+def test_brightening_reads_as_untouched_and_darkness_saturates():
     background = np.full((1, 3, 3), 100.0)
     image = background - np.array([-20.0, 30.0, 61.0])[None, :, None]
     found = CURVE.read(image, background)
@@ -183,43 +162,38 @@ def test_brightening_reads_as_untouched_and_darkness_saturates() -> None:
     assert found.saturated.tolist() == [[False, False, True]]
     masked = CURVE.read(image, background, np.array([[True, False, True]]))
     assert masked.depth_mm[0] == pytest.approx([0.0, 0.0, 1.9])
-
-
-def test_level_stretch_gives_its_first_drop() -> None:
+    # A level stretch gives its first drop.
     level = DepthResponse("red", np.array([0.0, 5.0, 9.0, 12.0]), np.array([0.0, 0.4, 0.4, 0.8]))
     assert level.drop_of(np.array([0.4])) == pytest.approx(5.0)
     assert level.depth_of(np.array([7.0])) == pytest.approx(0.4)
 
 
-def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contacts() -> None:
-    known = DepthResponse(
-        "grey", CURVE.drop_levels, CURVE.depth_mm,
-        reading_sigma_mm=0.03, zero_sigma_mm=0.4, depth_share=0.1,
-    )  # fmt: skip
+def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contacts():
+    sigmas = {"reading_sigma_mm": 0.03, "zero_sigma_mm": 0.4, "depth_share": 0.1}
+    known = DepthResponse("grey", CURVE.drop_levels, CURVE.depth_mm, **sigmas)
     background = np.full((1, 4, 3), 100.0)
     image = background - np.array([-5.0, 1.0, 2.0, 60.0])[None, :, None]
-    found = known.read(image, background)
-    assert found.sigma_mm is not None and found.reading_sigma_mm is not None
+    found, unknown = known.read(image, background), CURVE.read(image, background)
     parts = [(0, 0), (0.2, 0.005), (0.4, 0.01), (0.4, 0.19)]
     wanted = [np.hypot(0.03, np.hypot(*part)) for part in parts]
     assert found.sigma_mm[0] == pytest.approx(wanted)
     assert (found.reading_sigma_mm == 0.03).all()
-    unknown = CURVE.read(image, background)
     assert unknown.sigma_mm is None and unknown.reading_sigma_mm is None
 
 
-def test_channels() -> None:
+def test_channels():
     image = np.array([[[10.0, 20.0, 30.0]]])
     assert channel_of(image, "green")[0, 0] == 20.0
     assert channel_of(image, "grey")[0, 0] == pytest.approx(image[0, 0] @ LUMA)
 
 
-def test_bad_curves_are_refused() -> None:
-    with pytest.raises(InputError, match="rising"):
-        DepthResponse("grey", np.array([0.0, 0.0]), np.array([0.0, 1.0]))
-    with pytest.raises(InputError, match="must not fall"):
-        DepthResponse("grey", np.array([0.0, 1.0]), np.array([1.0, 0.5]))
-    with pytest.raises(InputError, match="one length"):
-        DepthResponse("grey", np.array([0.0, 1.0]), np.array([1.0]))
+def test_bad_curves_are_refused():
+    for drops, depths, words in (
+        ((0.0, 0.0), (0.0, 1.0), "rising"),
+        ((0.0, 1.0), (1.0, 0.5), "must not fall"),
+        ((0.0, 1.0), (1.0,), "one length"),
+    ):
+        with pytest.raises(InputError, match=words):
+            DepthResponse("grey", np.array(drops), np.array(depths))
     with pytest.raises(InputError, match="one size"):
         CURVE.read(np.zeros((2, 2, 3)), np.zeros((2, 3, 3)))

@@ -17,12 +17,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.profile import MarkersBlock, SensorProfile
+from taccel_lab.profile import MarkersBlock
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.solvers import SolverIPC
 from tests.signals.pressed_surface import extrude, flat_pad
+from tests.signals.tactile_cases import on_device
 from tests.support.dotted_profiles import with_painted_dots
 from tests.support.real_data import real_data
 from tests.support.sample_blocks import ASSUMED, bare_profile
@@ -35,26 +36,15 @@ POINTS_MM = np.random.default_rng(0).uniform(-1.9, 1.9, (25, 2))
 def markers_px(mesh, positions: np.ndarray, points_mm: np.ndarray = POINTS_MM) -> np.ndarray:
     layout = MarkerLayout.from_points(mesh, points_mm)
     signal = SignalTactile(mesh, GRID, env_count=len(positions), markers=layout)
-    signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+    signal.update(on_device(positions))
     return signal.markers_px.numpy()
-
-
-def dotted_profile() -> SensorProfile:
-    """``MESH`` with 5 x 4 dark dots."""
-    markers = MarkersBlock(
-        rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=ASSUMED
-    )
-    profile = bare_profile(MESH, GRID, "dotted")
-    places = GRID.pixel_from_gel(markers.grid().points_mm())
-    return with_painted_dots(profile, places, 3.0).with_block(markers)
 
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6), st.integers(0, 100), st.booleans())
 def test_markers_follow_linear_deformations_exactly(entries, seed, quadratic):
     mesh = quadratic_mesh(MESH) if quadratic else MESH
-    turn = np.eye(2) + np.array(entries[:4]).reshape(2, 2)
-    shift = np.array(entries[4:])
+    turn, shift = np.eye(2) + np.array(entries[:4]).reshape(2, 2), np.array(entries[4:])
     points = np.random.default_rng(seed).uniform(-1.9, 1.9, (5, 2))
     positions = mesh.nodes_m[None].repeat(2, axis=0)
     positions[1, :, :2] = positions[1, :, :2] @ turn.T + shift * 1e-3
@@ -65,14 +55,12 @@ def test_markers_follow_linear_deformations_exactly(entries, seed, quadratic):
 
 def test_a_marker_moves_with_its_face_only():
     layout = MarkerLayout.from_points(MESH, POINTS_MM)
-    positions = MESH.nodes_m[None].copy()
-    node = layout.nodes[4, 1]
+    positions, node = MESH.nodes_m[None].copy(), layout.nodes[4, 1]
     positions[0, node, 0] += 1e-3
     moved = markers_px(MESH, positions)[0] - markers_px(MESH, MESH.nodes_m[None])[0]
     share = np.where(layout.nodes == node, layout.weights, 0.0).sum(axis=1)
     assert share[4] > 0.01 and (share == 0).any()
-    assert np.abs(moved[:, 0] - share / GRID.mm_per_px_x).max() < 1e-4
-    assert np.abs(moved[:, 1]).max() < 1e-4
+    assert np.abs(moved - share[:, None] * [1 / GRID.mm_per_px_x, 0.0]).max() < 1e-4
 
 
 def test_of_two_layers_the_lower_carries_the_marker():
@@ -85,7 +73,7 @@ def test_of_two_layers_the_lower_carries_the_marker():
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
-def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device: str):
+def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device):
     """The same cells, graded otherwise in the second and third environments. On a GPU squares about
     neighbouring dots, which overlap, are painted at the same time."""
     if device != "cpu" and not wp.is_cuda_available():
@@ -94,51 +82,39 @@ def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device: str)
     half = np.abs(graded[:, :2]).max(axis=0)
     graded[:, :2] += [0.1, -0.08] * half * np.sin(np.pi * graded[:, :2] / half)
     rests = np.stack([MESH.nodes_m, graded, graded])
-    profile = dotted_profile()
-    assert profile.markers is not None
-    points = profile.markers.grid().points_mm()
+    markers = MarkersBlock(
+        rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=ASSUMED
+    )
+    points = markers.grid().points_mm()
+    bare = bare_profile(MESH, GRID, "dotted")
+    profile = with_painted_dots(bare, GRID.pixel_from_gel(points), 3.0).with_block(markers)
     for element in (Element.LINEAR, Element.QUADRATIC):
         soft = SoftBody(MESH, Material(1e5, 0.45), rest_positions_m=rests, element=element)
         model = Scene(soft_bodies=[soft], env_count=3).finalize(device=device)
-        solver = SolverIPC(model)
-        signal = SignalTactile.from_profile(profile, solver=solver)
+        signal = SignalTactile.from_profile(profile, solver=SolverIPC(model))
         positions = model.rest_positions.numpy()
-        signal.update(wp.array(positions, dtype=wp.vec3d, device=device))
-        found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
+
+        def shown(positions, signal=signal):
+            signal.update(on_device(positions, device))
+            return (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
+
+        found, image = shown(positions)
         assert np.abs(found - GRID.pixel_from_gel(points)).max() < 1e-4
         assert np.abs(image - profile.background_rgb).max() < 0.6
         # Any motion of the gel that keeps it plane moves them alike, whatever its cells are.
         turn = np.array([[1.03, 0.05], [-0.02, 0.96]])
         positions[..., :2] = positions[..., :2] @ turn.T
-        signal.update(wp.array(positions, dtype=wp.vec3d, device=device))
-        found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
+        found, image = shown(positions)
         assert np.abs(found - GRID.pixel_from_gel(points @ turn.T)).max() < 1e-4
         assert np.abs(image[1:] - image[0]).max() < 1e-2
-
-
-def test_markers_that_fit_no_face_or_no_gel_are_refused():
-    for points, message in (
-        (np.array([[0.0, 0.0], [9.0, 0.0]]), r"marker 1 .* beside"),
-        (np.array([0.0, 0.0]), "xy_mm"),
-        (np.array([[np.nan, 0.0]]), "xy_mm"),
-    ):
-        with pytest.raises(InputError, match=message):
-            MarkerLayout.from_points(MESH, points)
-    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
-    layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
-    signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
-    signal.update(wp.array(MESH.nodes_m[None].repeat(3, 0), dtype=wp.vec3d, device="cpu"))
-    with pytest.raises(InputError, match="markers of 2 gels, but there are 3"):
-        _ = signal.markers_px
-
-
-# Painted ------------------------------------------------------------------------------------------
 
 
 VIEW = PixelGrid(120, 90, 0.1, 0.1)
 DOTTED = block_mesh((12, 9, 2), (14e-3, 11e-3, 3e-3), jitter=0.2, seed=2)
 RADIUS_PX = 3.0
 PLACES_MM = np.stack(np.meshgrid([-3.5, -1.2, 1.1, 3.4], [-2.4, 0.1, 2.5]), axis=-1).reshape(-1, 2)
+PLACES = VIEW.pixel_from_gel(PLACES_MM)
+LAYOUT = MarkerLayout.from_points(DOTTED, PLACES_MM)
 
 
 def drawn(places_px: np.ndarray, stretch: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
@@ -153,34 +129,24 @@ def drawn(places_px: np.ndarray, stretch: tuple[float, float] = (1.0, 1.0)) -> n
 
 def moved_dots(positions_m: np.ndarray) -> np.ndarray:
     """An image of the dots, of the gel's nodes where they are."""
-    background = drawn(VIEW.pixel_from_gel(PLACES_MM))
-    dots = PaintedDots.cut_out(background, VIEW.pixel_from_gel(PLACES_MM), RADIUS_PX)
-    layout = MarkerLayout.from_points(DOTTED, PLACES_MM)
-    return DotPainter(dots, layout, DOTTED, VIEW).painted(dots.clean_rgb, positions_m)
-
-
-def normalized_blur(values: np.ndarray, known: np.ndarray, sigma_px: float = 6.0) -> np.ndarray:
-    """Mean of the known values nearby."""
-    return gaussian_filter(values * known, sigma_px) / gaussian_filter(1.0 * known, sigma_px)
+    dots = PaintedDots.cut_out(drawn(PLACES), PLACES, RADIUS_PX)
+    return DotPainter(dots, LAYOUT, DOTTED, VIEW).painted(dots.clean_rgb, positions_m)
 
 
 @pytest.mark.parametrize("move_px", [(0.0, 0.0), (3.0, -2.0), (0.4, 1.7), (-5.5, 5.5), (40.0, 0.0)])
-def test_dots_go_with_the_gel(move_px: tuple[float, float]) -> None:
+def test_dots_go_with_the_gel(move_px):
     """The last motion takes some of them out of the image."""
-    move_m = 1e-3 * np.array([*move_px, 0.0]) * VIEW.mm_per_px_x
-    found = moved_dots(DOTTED.nodes_m + move_m)
-    expected = drawn(VIEW.pixel_from_gel(PLACES_MM) + move_px)
+    found = moved_dots(DOTTED.nodes_m + 1e-3 * np.array([*move_px, 0.0]) * VIEW.mm_per_px_x)
+    expected = drawn(PLACES + move_px)
     if not any(move_px):
         np.testing.assert_allclose(found, expected, atol=1e-3)
         return
     # Edges one pixel wide are interpolated: the mean is over the whole image, a tenth of it dots.
-    error, still = (
-        np.abs(image - expected).mean() for image in (found, drawn(VIEW.pixel_from_gel(PLACES_MM)))
-    )
+    error, still = (np.abs(image - expected).mean() for image in (found, drawn(PLACES)))
     assert error < (0.3 if move_px[0] == 40.0 else 0.6) and error < 0.2 * still
 
 
-def test_dots_stretch_as_their_face_does() -> None:
+def test_dots_stretch_as_their_face_does():
     stretch = (1.3, 0.8)
     found = moved_dots(DOTTED.nodes_m * [*stretch, 1.0])
     places = VIEW.pixel_from_gel(PLACES_MM * stretch)
@@ -189,28 +155,36 @@ def test_dots_stretch_as_their_face_does() -> None:
     assert np.abs(drawn(places) - expected).mean() > 2 * np.abs(found - expected).mean()
 
 
-def test_faults_are_told() -> None:
-    places = VIEW.pixel_from_gel(PLACES_MM)
-    with pytest.raises(InputError, match="radius_px of dots must be above 0"):
-        PaintedDots.cut_out(drawn(places), places, 0.0)
-    dots = PaintedDots.cut_out(drawn(places), places[:3], RADIUS_PX)
-    with pytest.raises(InputError, match="3 dots for 12 markers"):
-        DotPainter(dots, MarkerLayout.from_points(DOTTED, PLACES_MM), DOTTED, VIEW)
+def test_markers_and_dots_that_fit_no_gel_are_refused():
+    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
+    layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
+    signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
+    signal.update(on_device(MESH.nodes_m[None].repeat(3, 0)))
+    dots = PaintedDots.cut_out(drawn(PLACES), PLACES[:3], RADIUS_PX)
+    for call, given_, message in (
+        (MarkerLayout.from_points, (MESH, [[0.0, 0.0], [9.0, 0.0]]), r"marker 1 .* beside"),
+        (MarkerLayout.from_points, (MESH, [0.0, 0.0]), "xy_mm"),
+        (MarkerLayout.from_points, (MESH, [[np.nan, 0.0]]), "xy_mm"),
+        (signal.read, ("markers_px",), "markers of 2 gels, but there are 3"),
+        (PaintedDots.cut_out, (drawn(PLACES), PLACES, 0.0), "radius_px of dots must be above 0"),
+        (DotPainter, (dots, LAYOUT, DOTTED, VIEW), "3 dots for 12 markers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call(*(np.array(each) if isinstance(each, list) else each for each in given_))
 
 
 @pytest.mark.thorough
-def test_a_real_gel_that_was_sheared() -> None:
+def test_a_real_gel_that_was_sheared():
     """A finger shears a GelSight Mini. Dots of its resting image go where tracking sees them later,
     and hide where they were; judged on pixels of either place, in the light of those between."""
     frames = [read_image(real_data(f"gsmini_markers_video/{n:04d}.png")) for n in (0, 64, 68, 72)]
-    found = find_markers(frames[0]).dots
-    tracks = track_markers(frames, find_markers(frames[0]))
+    found = find_markers(frames[0])
+    tracks = track_markers(frames, found)
     height, width = frames[0].shape[:2]
-    grid = PixelGrid(width, height, 0.1, 0.1)
+    grid, rest = PixelGrid(width, height, 0.1, 0.1), tracks.rest_px
     mesh = block_mesh((36, 28, 1), (0.11e-3 * width, 0.12e-3 * height, 2e-3))
-    rest = tracks.rest_px
     gel_mm = 0.1 * (rest - [grid.center_u_px, grid.center_v_px])
-    dots = PaintedDots.cut_out(frames[0], rest, float(np.median(found.radius_px)))
+    dots = PaintedDots.cut_out(frames[0], rest, float(np.median(found.dots.radius_px)))
     painter = DotPainter(dots, MarkerLayout.from_points(mesh, gel_mm), mesh, grid)
     for k, frame in enumerate(frames[1:], start=1):
         seen = tracks.seen[k]
@@ -218,14 +192,14 @@ def test_a_real_gel_that_was_sheared() -> None:
         nodes = mesh.nodes_m.copy()
         nodes[:, :2] += 1e-3 * move(1e3 * nodes[:, :2])
         image = painter.painted(dots.clean_rgb, nodes)
-        now = painter.painted(np.full_like(image, 255.0), nodes) < 250
-        then = painter.painted(np.full_like(image, 255.0), mesh.nodes_m) < 250
+        white = np.full_like(image, 255.0)
+        now, then = (painter.painted(white, at) < 250 for at in (nodes, mesh.nodes_m))
         judged = (now | then).any(axis=-1)
         # Of the finger's own light: what is neither a dot now nor was one, nearby.
-        change = np.stack(
-            [normalized_blur(frame[..., c] - dots.clean_rgb[..., c], ~judged) for c in range(3)],
-            axis=-1,
-        )
-        error = np.abs(image + change - frame)[judged].mean()
-        still = np.abs(frames[0] + change - frame)[judged].mean()
+        known = (~judged).astype(float)
+        light = [
+            gaussian_filter((frame[..., c] - dots.clean_rgb[..., c]) * known, 6.0) for c in range(3)
+        ]
+        change = np.stack(light, axis=-1) / gaussian_filter(known, 6.0)[..., None]
+        error, still = (np.abs(base + change - frame)[judged].mean() for base in (image, frames[0]))
         assert error < 0.3 * still

@@ -18,10 +18,10 @@ from taccel_lab.profile import Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from tests.signals.find_dots import distances_px, find_dots
+from tests.signals.tactile_cases import DEVICES, on_device
 from tests.support.dotted_profiles import with_painted_dots
 from tests.support.variants import variants
 
-DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 DOTS: dict[str, dict[str, Any]] = {
     "gelsight_mini": {},
     "gelsight_40": {},
@@ -29,57 +29,47 @@ DOTS: dict[str, dict[str, Any]] = {
     "rtac": {"marker_pitch_mm": 3.0, "marker_area_x_mm": 18.0, "marker_area_y_mm": 18.0},
 }
 """Sensors with dots: curved and flat gels, a distorted lens, a camera aside and under a dome."""
-ORTHOGRAPHIC_PX = 1.5
-"""Less than by what a view along the normal misses any of them, in the mean."""
 
 
-def dented(profile: SensorProfile) -> np.ndarray:
-    """Nodes of a gel that is pushed in by 1 mm off its middle and dragged by 0.4 mm [m]."""
-    nodes = profile.mesh.nodes_m.copy()
-    low, high = nodes[:, 2].min(), nodes[:, 2].max()
-    share = np.clip((nodes[:, 2] - low) / (high - low), 0, 1)
-    away2 = (nodes[:, 0] - 2e-3) ** 2 + (nodes[:, 1] - 1e-3) ** 2
-    nodes[:, 2] -= 1e-3 * share * np.exp(-away2 / 4e-3**2)
-    nodes[:, 0] += 0.4e-3 * share
-    return nodes
+def states_of(profile: SensorProfile) -> np.ndarray:
+    """Nodes [m] of the gel at rest, and pushed in by 1 mm off its middle, dragged by 0.4 mm."""
+    rest = profile.mesh.nodes_m
+    x, y, z = rest.T
+    share = (z - z.min()) / np.ptp(z)
+    dent = 1e-3 * share * np.exp(-((x - 2e-3) ** 2 + (y - 1e-3) ** 2) / 4e-3**2)
+    return np.stack([rest, rest + np.stack([0.4e-3 * share, 0 * share, -dent], axis=1)])
 
 
 def painted(profile: SensorProfile) -> SensorProfile:
     """With dots on the pixel grid: what a calibration gives."""
-    grid, markers = profile.grid(), profile.markers
-    assert markers is not None
-    places = grid.pixel_from_gel(markers.grid().points_mm())
-    return with_painted_dots(profile, places, markers.radius_mm / grid.mm_per_px_x)
+    places = profile.grid().pixel_from_gel(profile.markers.grid().points_mm())
+    return with_painted_dots(profile, places, radius_px(profile))
 
 
 def radius_px(profile: SensorProfile) -> float:
-    assert profile.markers is not None
     return profile.markers.radius_mm / profile.camera.mm_per_px_x
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", variants(["gelsight_mini", "digit"], DOTS))
-def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) -> None:
+def test_signals_lie_where_the_optical_model_shows_them(name, device):
     profile = catalogue_profile(name, DOTS[name])
-    design, markers = profile.optical_design(), profile.markers
-    assert design is not None and markers is not None
-    model = OpticalModel(design, profile.mesh, markers=markers.grid())
-    states = np.stack([profile.mesh.nodes_m, dented(profile)])
+    dots, states = profile.markers.grid(), states_of(profile)
+    model = OpticalModel(profile.optical_design(), profile.mesh, markers=dots)
     signal = SignalTactile.from_profile(profile, env_count=2, device=device)
-    signal.update(wp.array(states, dtype=wp.vec3d, device=device))
-    places, points, normals, depth = (
-        array.numpy() for array in signal.read("markers_px", "points_m", "normals", "depth_m")
-    )
+    signal.update(on_device(states, device))
+    names = ("markers_px", "points_m", "normals", "depth_m")
+    places, points, normals, depth = (array.numpy() for array in signal.read(*names))
     assert np.nanmax(np.abs(depth[0])) == 0
+    layout = MarkerLayout.where_on(profile.mesh, dots.points_mm())[0]
     for row, picture in enumerate(map(model.render, states)):
         found = find_dots(picture.rgb, radius_px(profile))
         assert len(found) >= 0.9 * len(places[row])
         off = distances_px(found, places[row])
         assert off.mean() < 0.1 and off.max() < 0.3
-        layout = MarkerLayout.where_on(profile.mesh, markers.grid().points_mm())[0]
         along = profile.grid().pixel_from_gel(layout.places_mm(states[row]))
-        assert distances_px(found, along).mean() > ORTHOGRAPHIC_PX
+        assert distances_px(found, along).mean() > 1.5, "a view along the normal misses them"
         both = picture.mask & np.isfinite(points[row]).all(axis=-1)
         # Of a dome that is dragged aside, the far flank hangs over.
         assert both.sum() > (0.95 if name == "rtac" else 0.99) * picture.mask.sum()
@@ -95,34 +85,28 @@ def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) 
 
 @pytest.mark.thorough(cases=("gelsight_40",))
 @pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40"])
-def test_dots_of_a_colour_model_lie_where_the_markers_are(name: str) -> None:
+def test_dots_of_a_colour_model_lie_where_the_markers_are(name):
     profile = painted(catalogue_profile(name))
     assert camera_of(profile) == profile.grid()
     signal = SignalTactile.from_profile(profile, env_count=2)
-    states = np.stack([profile.mesh.nodes_m, dented(profile)])
-    signal.update(wp.array(states, dtype=wp.vec3d))
+    signal.update(wp.array(states_of(profile), dtype=wp.vec3d))
     rgb, places = (array.numpy() for array in signal.read("rgb", "markers_px"))
-    for row in range(2):
-        found = find_dots(rgb[row], radius_px(profile))
-        assert len(found) >= 0.9 * len(places[row])
-        assert distances_px(found, places[row]).mean() < 0.3
+    for picture, expected in zip(rgb, places, strict=True):
+        found = find_dots(picture, radius_px(profile))
+        assert len(found) >= 0.9 * len(expected)
+        assert distances_px(found, expected).mean() < 0.3
 
 
-def test_camera_that_a_profile_has() -> None:
+def test_camera_that_a_profile_has():
     profile = catalogue_profile("gelsight_mini")
-    seen = camera_of(profile)
-    assert isinstance(seen, GelCamera)
-    assert seen.camera == profile.optical_design().camera  # type: ignore[union-attr]
+    assert camera_of(profile).camera == profile.optical_design().camera
     assert camera_of(profile.without("optics")) == profile.grid()
     # A measured scale rules over the optics of another unit: straight, at the scale of the grid.
+    old = profile.camera
+    scale = {key: 1.1 * getattr(old, key) for key in ("mm_per_px_x", "mm_per_px_y")}
     measured = Provenance(kind="measured", method="made up", source="tests")
-    wider = profile.camera.replace(
-        mm_per_px_x=1.1 * profile.camera.mm_per_px_x,
-        mm_per_px_y=1.1 * profile.camera.mm_per_px_y,
-        provenance=measured,
-    )
+    wider = old.replace(**scale, provenance=measured)
     straight = camera_of(profile.with_block(wider))
-    assert isinstance(straight, GelCamera)
     apex = np.array([[0.0, 0.0, 0.0], [2.0, -1.0, 0.0]])
     np.testing.assert_allclose(straight.pixel_from_gel(apex), wider.grid().pixel_from_gel(apex))
     lifted = straight.pixel_from_gel(apex + [0, 0, -1.0])[1] - straight.pixel_from_gel(apex[1])
@@ -131,39 +115,26 @@ def test_camera_that_a_profile_has() -> None:
 
 @pytest.mark.thorough(cases=("rtac",))
 @pytest.mark.parametrize("name", DOTS)
-def test_cameras_are_kept_as_json_and_scaled(name: str) -> None:
+def test_cameras_are_kept_as_json_and_scaled(name):
     profile = catalogue_profile(name, DOTS[name])
-    camera = camera_of(profile)
-    assert isinstance(camera, GelCamera)
+    camera, before = camera_of(profile), profile.grid()
     points = np.random.default_rng(2).uniform(-3, 3, (40, 3)) * [1, 1, 0.1]
     there = camera.pixel_from_gel(points)
     again = GelCamera.of_record(camera.record())
     np.testing.assert_array_equal(again.pixel_from_gel(points), there)
     half = camera.resized(camera.width_px // 2, camera.height_px // 2)
     np.testing.assert_allclose(half.pixel_from_gel(points), (there + 0.5) / 2 - 0.5, atol=1e-9)
-    before = profile.grid()
-    after = PixelGrid(
-        before.width_px,
-        before.height_px,
-        0.9 * before.mm_per_px_x,
-        before.mm_per_px_y,
-        before.center_u_px + 3,
-        before.center_v_px,
-    )
+    size = (before.width_px, before.height_px)
+    scale = (0.9 * before.mm_per_px_x, before.mm_per_px_y)
+    after = PixelGrid(*size, *scale, before.center_u_px + 3, before.center_v_px)
     moved = camera.regridded(before, after).pixel_from_gel(points)
     expected = after.pixel_from_gel(before.gel_from_pixel(there))
     np.testing.assert_allclose(moved, expected, atol=1e-9)
 
 
-def test_colours_take_no_perspective_camera() -> None:
+def test_colours_take_no_perspective_camera():
     profile = painted(catalogue_profile("gelsight_mini"))
-    options = SignalTactile.from_profile(profile, env_count=1)
-    camera = camera_of(profile.without("color"))
+    model = SignalTactile.from_profile(profile, env_count=1)._color[0]
+    options = {"color_model": model, "background_rgb": profile.background_rgb}
     with pytest.raises(InputError, match="pixel grid"):
-        SignalTactile(
-            profile.mesh,
-            camera,
-            env_count=1,
-            color_model=options._color[0],  # type: ignore[index]
-            background_rgb=profile.background_rgb,
-        )
+        SignalTactile(profile.mesh, camera_of(profile.without("color")), env_count=1, **options)

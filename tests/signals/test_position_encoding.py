@@ -9,6 +9,7 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import INPUT_NAMES, ColorModelConfig, pixel_uv
 from taccel_lab.networks.normal_settings import NormalModelConfig, feature_names
 from taccel_lab.networks.settings import MAX_BANDS, band_names, encode_position
@@ -18,32 +19,18 @@ from taccel_lab.signals.normal_features import pixel_place
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.tactile_image import DeviceColorModel
+from tests.networks.weights import random_weights
 from tests.signals.host_colors import host_image
-from tests.signals.tactile_cases import DEVICES, LEVELS
+from tests.signals.tactile_cases import DEVICES, LEVELS, color_model
 
 WIDTH, HEIGHT = 30, 22
-
-
-def encoded_model(bands: int, hidden: tuple[int, ...] = (20, 16), seed: int = 0) -> ColorModel:
-    config = ColorModelConfig(
-        WIDTH, HEIGHT, hidden=hidden, position_bands=bands,
-        input_mean=(0.0, 0.0, 0.0, 0.0, 0.95, -0.1), input_scale=(0.6, 0.6, 0.2, 0.2, 0.1, 0.2),
-    )  # fmt: skip
-    rng = np.random.default_rng(seed)
-    return ColorModel(
-        config,
-        {
-            name: rng.normal(0, 1.2 / np.sqrt(shape[-1]), shape)
-            for name, shape in config.weight_shapes().items()
-        },
-    )
+GRID = PixelGrid(WIDTH, HEIGHT, 0.1, 0.1)
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.integers(0, MAX_BANDS))
-def test_features_are_those_of_the_formula(u: float, v: float, bands: int) -> None:
-    found = dict(
-        zip(band_names(bands), encode_position(np.array([u, v]), bands).tolist(), strict=True)
-    )
+def test_features_are_those_of_the_formula(u, v, bands):
+    values = encode_position(np.array([u, v]), bands).tolist()
+    found = dict(zip(band_names(bands), values, strict=True))
     assert len(found) == 4 * bands
     for k in range(bands):
         for axis, place in (("u", u), ("v", v)):
@@ -51,16 +38,14 @@ def test_features_are_those_of_the_formula(u: float, v: float, bands: int) -> No
             assert found[f"cos_{axis}_{k}"] == pytest.approx(np.cos(2**k * np.pi * place))
 
 
-def test_the_network_gets_them_after_its_inputs_unscaled() -> None:
-    model = encoded_model(2, hidden=(5,))
+def test_the_network_gets_them_after_its_inputs_unscaled():
+    model = color_model(GRID, hidden=(5,), bands=2, spread=1.2)
     assert model.weights["layer0.weight"].shape == (5, 6 + 8)
     idx, normal, depth = np.array([WIDTH + 4]), np.array([[0.3, -0.2, 0.9]]), np.array([-0.3])
     u, v = 2 * 4 / (WIDTH - 1) - 1, 2 * 1 / (HEIGHT - 1) - 1
-    waves = []
-    for f in (np.pi, 2 * np.pi):
-        waves += [np.sin(f * u), np.sin(f * v), np.cos(f * u), np.cos(f * v)]
+    waves = [wave(f * at) for f in (np.pi, 2 * np.pi) for wave in (np.sin, np.cos) for at in (u, v)]
 
-    def network(n: list[float], d: float) -> np.ndarray:
+    def network(n, d):
         raw = np.array([u, v, *n, d]) - model.config.input_mean
         x = np.array([*(raw / model.config.input_scale), *waves])
         x = model.weights["layer0.weight"] @ x + model.weights["layer0.bias"]
@@ -73,59 +58,48 @@ def test_the_network_gets_them_after_its_inputs_unscaled() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("bands", [0, 1, 4])
-def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
-    model = encoded_model(bands)
+def test_device_images_are_those_of_the_model(bands, device):
+    model = color_model(GRID, (20, 16), bands, spread=1.2)
     rng = np.random.default_rng(1)
-    rest = np.concatenate(
-        [rng.normal(0, 0.05, (HEIGHT, WIDTH, 2)), np.zeros((HEIGHT, WIDTH, 1))], -1
-    )
+    rest = rng.normal(0, 0.05, (HEIGHT, WIDTH, 3)) * [1, 1, 0]
     samples = rest + rng.normal(0, 1, (2, HEIGHT, WIDTH, 3)) * [0.3, 0.3, 2e-4]
     samples[0, :5] = rest[:5]
-    background = rng.uniform(60, 190, (HEIGHT, WIDTH, 3)).astype(np.float32)
-    painter = DeviceColorModel(
-        model, background, wp.array(rest.astype(np.float32), dtype=wp.vec3f, device=device)
-    )
+    still = rng.uniform(60, 190, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    given_ = [
+        wp.array(slopes.astype(np.float32), dtype=wp.vec3f, device=device)
+        for slopes in (rest, samples)
+    ]
     levels = wp.empty((2, HEIGHT, WIDTH, 3), dtype=wp.float32, device=device)
-    painter.render(
-        wp.array(samples.astype(np.float32), dtype=wp.vec3f, device=device), None, levels
-    )
+    DeviceColorModel(model, still, given_[0]).render(given_[1], None, levels)
+    normals, at_rest = normals_from_slopes(samples[..., :2]), normals_from_slopes(rest[..., :2])
+    depth_mm = 1e3 * (samples[..., 2] - rest[..., 2])
     expected = np.stack(
-        [
-            host_image(
-                model,
-                background,
-                normals_from_slopes(image[..., :2]),
-                1e3 * (image[..., 2] - rest[..., 2]),
-                normals_from_slopes(rest[..., :2]),
-            )
-            for image in samples
-        ]
+        [host_image(model, still, normals[i], depth_mm[i], at_rest) for i in (0, 1)]
     )
-    assert np.abs(expected - background).max() > 10
+    assert np.abs(expected - still).max() > 10
     assert np.abs(levels.numpy() - expected).max() < LEVELS[device]
-    assert np.array_equal(levels.numpy()[0, :5], background[:5])
+    assert np.array_equal(levels.numpy()[0, :5], still[:5])
 
 
-def test_the_normals_network_has_them_among_its_features() -> None:
+def test_the_normals_network_has_them_among_its_features():
+    bands = ("sin_u_0", "sin_v_0", "cos_u_0", "cos_v_0")
     plain = feature_names((1.0,), (2.0,), True)
-    assert feature_names((1.0,), (2.0,), True, 1) == (*plain, "sin_u_0", "sin_v_0", "cos_u_0",
-                                                      "cos_v_0")  # fmt: skip
+    assert feature_names((1.0,), (2.0,), True, 1) == (*plain, *bands)
     place = pixel_place(WIDTH, HEIGHT, 2)
     assert place.shape == (HEIGHT, WIDTH, 10) and place.dtype == np.float32
     assert place[3, 7, 2:] == pytest.approx(encode_position(place[3, 7, :2], 2), abs=1e-6)
     config = NormalModelConfig(WIDTH, HEIGHT, position_bands=2, members=2, hidden=(8,))
-    rng = np.random.default_rng(0)
-    weights = {name: rng.normal(0, 0.3, shape) for name, shape in config.weight_shapes().items()}
+    weights = random_weights(config, spread=0.3)
+    still = np.full((HEIGHT, WIDTH, 3), 100.0)
+    image = still + np.random.default_rng(0).normal(0, 20, still.shape)
     model = NormalModel(config, weights)
-    background = np.full((HEIGHT, WIDTH, 3), 100.0)
-    image = background + rng.normal(0, 20, background.shape)
     # Unchanged gel is at rest, and a band's weights have an effect elsewhere.
-    assert not model.predict(background, background).tilt_rad.any()
-    with_bands = model.predict(image, background).tilt_rad
-    without = {**weights, "layer0.weight": weights["layer0.weight"].copy()}
-    without["layer0.weight"][..., -8:] = 0.0
-    model = NormalModel(config, without)
-    assert np.abs(model.predict(image, background).tilt_rad - with_bands).max() > 1e-2
+    assert not model.predict(still, still).tilt_rad.any()
+    first = weights["layer0.weight"].copy()
+    first[..., -8:] = 0.0
+    without = NormalModel(config, {**weights, "layer0.weight": first})
+    tilts = [each.predict(image, still).tilt_rad for each in (model, without)]
+    assert np.abs(tilts[1] - tilts[0]).max() > 1e-2
 
 
 LANES = np.arange(32)
@@ -202,10 +176,10 @@ def run_fragments(
             np.stack([words(tile[:, k : k + 2]) for tile in pair for k in (0, 2)], axis=-1)
             for pair in zip(following[::2], following[1::2], strict=True)
         ]
-    total = 0.0
+    total = np.zeros((32, 4))
     for step, part in enumerate(a):
         at = layout.fragment_starts[-1] + (step * 32 + LANES) * 2
-        total = total + multiply(part, packed.fragments[at[:, None] + [0, 1]])
+        total += multiply(part, packed.fragments[at[:, None] + [0, 1]])
     result = np.zeros((16, 8))
     for k in range(4):
         result[GROUP + 8 * (k // 2), 2 * THREAD + k % 2] = total[:, k]
@@ -213,18 +187,16 @@ def run_fragments(
     return result[:, :3]
 
 
+FEW = ("v", "normal_z", "normal_x", "displacement_mm")
+
+
 @pytest.mark.parametrize(
     ("hidden", "activation", "inputs", "bands"),
     [
-        *[
-            (hidden, activation, ("v", "normal_z", "normal_x", "displacement_mm"), 0)
-            for hidden, activation in (
-                ((64, 64, 64), "silu"),
-                ((20, 40), "tanh"),
-                ((5,), "silu"),
-                ((48, 96), "silu"),
-            )
-        ],
+        ((64, 64, 64), "silu", FEW, 0),
+        ((20, 40), "tanh", FEW, 0),
+        ((5,), "silu", FEW, 0),
+        ((48, 96), "silu", FEW, 0),
         # With the table of places: of the positional encoding.
         ((20, 32), "silu", INPUT_NAMES, 3),
         ((20, 32), "tanh", INPUT_NAMES, 3),
@@ -232,31 +204,25 @@ def run_fragments(
 )
 def test_fragments_compute_the_network(hidden, activation, inputs, bands):
     config = ColorModelConfig(
-        20,
-        15,
-        hidden=hidden,
-        activation=activation,
-        inputs=inputs,
-        position_bands=bands,
-        input_mean=(0.0,) * len(inputs),
-        input_scale=(1.0,) * len(inputs),
-    )
+        20, 15, hidden=hidden, activation=activation, inputs=inputs, position_bands=bands,
+        input_mean=(0.0,) * len(inputs), input_scale=(1.0,) * len(inputs),
+    )  # fmt: skip
     rng = np.random.default_rng(1)
     weights = {
         name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
         for name, shape in config.weight_shapes().items()
     }
     pixel = rng.integers(0, 20 * 15, 16) if bands else None
-    given = rng.normal(0, 1, (16, 6))
-    x = given[:, [INPUT_NAMES.index(name) for name in inputs]]
+    given_ = rng.normal(0, 1, (16, 6))
+    x = given_[:, [INPUT_NAMES.index(name) for name in inputs]]
     if bands:
-        given[:, :2] = x[:, :2] = uv = pixel_uv(config, pixel)
+        given_[:, :2] = x[:, :2] = uv = pixel_uv(config, pixel)
         x = np.concatenate([x, encode_position(uv, bands)], axis=1)
     for i in range(len(hidden)):
         x = x @ weights[f"layer{i}.weight"].T + weights[f"layer{i}.bias"]
         x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
     expected = x @ weights[f"layer{len(hidden)}.weight"].T * config.output_scale
-    error = np.abs(run_fragments(ColorModel(config, weights), given, pixel) - expected)
+    error = np.abs(run_fragments(ColorModel(config, weights), given_, pixel) - expected)
     assert np.abs(expected).max() > 20
     assert error.max() < 0.12 and error.mean() < 0.03
 
@@ -264,9 +230,7 @@ def test_fragments_compute_the_network(hidden, activation, inputs, bands):
 def test_the_first_layer_keeps_more_than_half_precision():
     """Two inputs that differ by less than FP16 resolves still differ in the result."""
     config = ColorModelConfig(20, 15, hidden=(16,), activation="tanh", output_scale=1000.0)
-    weights = {
-        name: np.zeros(shape, dtype=np.float32) for name, shape in config.weight_shapes().items()
-    }
+    weights = {name: np.zeros(shape, np.float32) for name, shape in config.weight_shapes().items()}
     weights["layer0.weight"][0, :2] = 100.003, -100.003
     weights["layer1.weight"][0, 0] = 1.0
     inputs = np.zeros((16, 6))
@@ -274,9 +238,8 @@ def test_the_first_layer_keeps_more_than_half_precision():
     inputs[:, 1] = 1.0
     expected = 1000 * np.tanh(weights["layer0.weight"][0, 0] * (inputs[:, 0] - inputs[:, 1]))
     assert np.unique(inputs[:, 0].astype(np.float16)).size == 1 and np.ptp(expected) > 15
-    assert run_fragments(ColorModel(config, weights), inputs)[:, 0] == pytest.approx(
-        expected, abs=0.03
-    )
+    found = run_fragments(ColorModel(config, weights), inputs)[:, 0]
+    assert found == pytest.approx(expected, abs=0.03)
 
 
 @pytest.mark.thorough

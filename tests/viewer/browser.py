@@ -22,7 +22,7 @@ _running: list[Any] = []
 
 
 @pytest.fixture(scope="module")
-def shared_browser() -> Iterator[None]:
+def shared_browser():
     """One browser for all pages of a module: starting one takes longer than most pages."""
     with _chromium() as browser:
         _running.append(browser)

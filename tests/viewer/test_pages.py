@@ -21,7 +21,7 @@ import pytest
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
+from taccel_lab.viewer.design_answer import DesignAnswers
 from taccel_lab.viewer.design_controls import DesignControls
 from taccel_lab.viewer.design_page import DesignPage
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
@@ -62,7 +62,7 @@ def dented_block() -> GelStates:
     )
 
 
-def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
+def test_a_gel_is_seen_with_section_arrows_and_states():
     with live_page("A press", HERE) as server:
         states = dented_block()
         look_at(server, states.rest_mm)
@@ -85,7 +85,7 @@ def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
             note = page.get_by_text(re.compile(r"kPa at \(.*\) mm"))
             place = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
-            def clicked() -> bool:
+            def clicked():
                 page.mouse.click(*place)
                 page.wait_for_timeout(500)
                 return note.count() > 0
@@ -109,12 +109,12 @@ def design_page(out: Path, options: PageOptions = HERE) -> Iterator[tuple[Any, D
 
 
 @pytest.fixture
-def formulas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def formulas_alone(monkeypatch):
     """Designs are answered by what needs neither solid, press nor drawing."""
     answer = DesignAnswers.answer
     monkeypatch.setattr(DesignAnswers, "_begin_exact", lambda *_: None)
 
-    def begun(self: DesignAnswers, choice: Choice, told: Any, superseded: Any) -> DesignAnswer:
+    def begun(self, choice, told, superseded):
         return answer(self, choice, told, lambda: True)
 
     monkeypatch.setattr(DesignAnswers, "answer", begun)
@@ -122,42 +122,39 @@ def formulas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("formulas_alone")
-def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
+def test_sliders_of_the_design_page_change_its_numbers(tmp_path):
     with design_page(tmp_path / "out") as (server, page_of):
         with chromium_page(page_address(server)) as page:
             row = page.get_by_role("row").filter(has_text="formula")
             row.wait_for()
             before = row.inner_text()
-            label = page.get_by_text("Young's modulus [MPa]", exact=True).first
-            box = label.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
-            box.fill("1.0")
-            box.press("Enter")
+
+            def fill(label, value):
+                place = page.get_by_text(label, exact=True).first
+                box = place.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
+                box.fill(value)
+                box.press("Enter")
+
+            fill("Young's modulus [MPa]", "1.0")
             wait_for(page, lambda: row.inner_text() != before)
             assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
             # What the family refuses stands beside the slider, in its words: two stiffnesses.
-            box = page.get_by_text("Shore A", exact=True).first.locator(
-                "xpath=ancestor::div[.//input][1]//input[@type='text']"
-            ).first  # fmt: skip
-            box.fill("20")
-            box.press("Enter")
+            fill("Shore A", "20")
             page.get_by_text("the gel has one stiffness").first.wait_for()
             page.get_by_text("Reset", exact=True).click()
             wait_for(page, lambda: page_of.controls.overrides() == {})
             wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
             # Undo brings the two stiffnesses back, then the one alone; redo goes forth again.
-            page.get_by_text("Undo", exact=True).click()
-            wait_for(page, lambda: len(page_of.controls.overrides()) == 2)
-            page.get_by_text("Undo", exact=True).click()
-            wait_for(page, lambda: page_of.controls.overrides() == {"young_modulus_mpa": 1.0})
-            page.get_by_text("Redo", exact=True).click()
-            wait_for(page, lambda: len(page_of.controls.overrides()) == 2)
+            both = {"young_modulus_mpa", "shore_a"}
+            for button, known in (("Undo", both), ("Undo", {"young_modulus_mpa"}), ("Redo", both)):
+                page.get_by_text(button, exact=True).click()
+                wait_for(page, lambda known=known: {*page_of.controls.overrides()} == known)
+            assert page_of.controls.overrides()["young_modulus_mpa"] == 1.0
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_ends_all(
-    tmp_path: Path,
-) -> None:
+def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_ends_all(tmp_path):
     out = tmp_path / "out"
     with design_page(out) as (_, page):
         for thickness in np.linspace(2.0, 5.0, 16):
@@ -193,9 +190,7 @@ def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_e
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("formulas_alone")
-def test_a_fault_of_the_program_is_told_and_the_page_lives_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_of_the_program_is_told_and_the_page_lives_on(tmp_path, monkeypatch, capsys):
     with design_page(tmp_path / "out") as (_, page):
         answer = page._answers.answer
         monkeypatch.setattr(page._answers, "answer", lambda *_: 1 // 0)
@@ -211,7 +206,7 @@ def test_a_fault_of_the_program_is_told_and_the_page_lives_on(
 
 
 @pytest.mark.slow
-def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path) -> None:
+def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path):
     out = tmp_path / "out"
     with design_page(out, replace(HERE, dark=True)) as (server, page_of):
         with chromium_page(page_address(server), (1400, 800)) as page:
@@ -252,7 +247,7 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", ["view ball-rolling", "design gelsight --page --out {}/made"])
-def test_ctrl_c_closes_a_page_with_exit_code_130(tmp_path: Path, words: str) -> None:
+def test_ctrl_c_closes_a_page_with_exit_code_130(tmp_path, words):
     words = f"{words.format(tmp_path)} --no-browser --port 0"
     command = [sys.executable, "-m", "taccel_lab.cli.app", *words.split()]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -267,7 +262,7 @@ def test_ctrl_c_closes_a_page_with_exit_code_130(tmp_path: Path, words: str) -> 
 
 
 @pytest.mark.thorough
-def test_values_of_each_led_and_camera_are_written_with_commas() -> None:
+def test_values_of_each_led_and_camera_are_written_with_commas():
     given = {"led_tilt_deg": (40.0, 80.0), "thickness_mm": 5.0}
     with live_page("Design", HERE) as server:
         controls = DesignControls(server, sensor_family("stereo_pad"), given, lambda _: None)

@@ -1,49 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What there is to look at: known by its content, read as it was written, or refused."""
+"""What there is to look at: known by its content, read as it was written, or refused in words."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taccel_lab.cli.app import main
+from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.scene import Element
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
 from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.pages import Kind, find_source
-from taccel_lab.viewer.press_folder import STATES, read_press
+from taccel_lab.viewer.press_folder import PRESS, STATES, read_press
 from taccel_lab.viewer.study_page import press_files, read_design_press
+from tests.support.commands import done, refusal
 from tests.support.small_captures import write_profile
+from tests.support.small_data_sets import make, saved_profile
+from tests.viewer.sample_sources import ABOUT, REPLAYED, press_arrays, sound_replay, write_press
 
 
 @pytest.mark.parametrize(
-    ("files", "kind"),
+    ("files", "kind", "at"),
     [
-        (["press.json"], Kind.PRESS),
-        (["dataset.json"], Kind.DATASET),
-        (["replay.json", "trial.json"], Kind.REPLAY),
-        (["profile.toml"], Kind.PROFILE),
-        ([".taccel_lab_study"], Kind.STUDY),
-        (["designs/1/result.json"], Kind.STUDY),
+        (["press.json"], Kind.PRESS, ""),
+        (["dataset.json"], Kind.DATASET, ""),
+        (["replay.json", "trial.json"], Kind.REPLAY, ""),
+        (["profile.toml"], Kind.PROFILE, ""),
+        (["profile/profile.toml"], Kind.PROFILE, "profile"),
+        ([".taccel_lab_study"], Kind.STUDY, ""),
+        (["designs/1/result.json"], Kind.STUDY, ""),
     ],
 )
-def test_folders_are_known_by_a_file(tmp_path: Path, files: list[str], kind: Kind) -> None:
+def test_folders_are_known_by_a_file(files, kind, at, tmp_path):
     for name in files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("{}")
     found = find_source(str(tmp_path))
-    assert (found.kind, found.path) == (kind, tmp_path)
+    assert (found.kind, found.path) == (kind, tmp_path / at)
 
 
-READ: dict[str, Callable[[Path], object]] = {
+def test_names_are_sensors_and_tasks(tmp_path):
+    assert find_source("gelsight_mini").kind is Kind.PROFILE
+    assert find_source("ball-rolling").kind is Kind.TASK
+    with pytest.raises(InputError, match=r"gelsight_mini.*ball-rolling"):
+        find_source("no_such_thing")
+    (tmp_path / "press.json").write_text("{}")
+    with pytest.raises(InputError, match=f"name the folder .*{tmp_path.name}"):
+        find_source(str(tmp_path / "press.json"))
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [([], "nothing that can be looked at"), (["result.json"], "task record TASK` keeps")],
+)
+def test_other_folders_are_refused_with_what_is_needed(files, words, tmp_path, capsys):
+    for name in files:
+        (tmp_path / name).write_text("{}")
+    assert words in refusal(capsys, "view", tmp_path, "--no-browser")
+
+
+READ = {
     "press.json": read_press,
     "states.npz": read_press,
     "replay.json": read_replay,
@@ -56,7 +82,7 @@ READ: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_a_link_leads_to_is_not_looked_at(name: str, tmp_path: Path) -> None:
+def test_what_a_link_leads_to_is_not_looked_at(name, tmp_path):
     """Of a press, a replay or a study of somebody else."""
     (tmp_path / "elsewhere").write_text("secret = 1")
     folder = tmp_path / "folder"
@@ -70,50 +96,8 @@ def test_what_a_link_leads_to_is_not_looked_at(name: str, tmp_path: Path) -> Non
     assert "secret" not in str(found.value)
 
 
-def test_the_profile_of_a_design_is_found_in_it(tmp_path: Path) -> None:
-    (tmp_path / "profile").mkdir()
-    (tmp_path / "profile" / "profile.toml").write_text("")
-    assert find_source(str(tmp_path)).path == tmp_path / "profile"
-
-
-def test_names_are_sensors_and_tasks() -> None:
-    assert find_source("gelsight_mini").kind is Kind.PROFILE
-    assert find_source("ball-rolling").kind is Kind.TASK
-
-
-@pytest.mark.parametrize(
-    ("files", "words"),
-    [
-        ([], "nothing that can be looked at"),
-        (["result.json"], "task record TASK` keeps"),
-    ],
-)
-def test_other_folders_are_refused_with_what_is_needed(
-    tmp_path: Path, files: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in files:
-        (tmp_path / name).write_text("{}")
-    assert main(["view", str(tmp_path), "--no-browser"]) == 2
-    assert words in capsys.readouterr().err
-
-
-def test_a_name_of_nothing_lists_sensors_and_tasks() -> None:
-    with pytest.raises(InputError, match=r"gelsight_mini.*ball-rolling"):
-        find_source("no_such_thing")
-
-
-def test_files_of_a_folder_are_answered_with_the_folder(tmp_path: Path) -> None:
-    path = tmp_path / "press.json"
-    path.write_text(json.dumps({}))
-    with pytest.raises(InputError, match=f"name the folder .*{tmp_path.name}"):
-        find_source(str(path))
-
-
-# Presses ------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("press")
     profile = write_profile(root / "unit")
     fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
@@ -121,14 +105,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setitem(PHYSICS, Accuracy.FAST, fast)
         patch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
         patch.setattr("taccel_lab.presses.press_files.STATES_PX", 64)
-        words = ["press", str(profile), "--indenter", "sphere:2", "--depth-mm", "0.2"]
-        words += ["--step-mm", "0.1", "--accuracy", "fast", "--friction", "0", "--states"]
-        assert main([*words, "--out", str(root / "press")]) == 0
+        words = "--indenter sphere:2 --depth-mm 0.2 --step-mm 0.1 --accuracy fast --friction 0"
+        out = ["--states", "--out", str(root / "press")]
+        assert main(["press", str(profile), *words.split(), *out]) == 0
     return root / "press"
 
 
 @pytest.mark.thorough
-def test_every_step_is_there_and_the_last_is_the_end(folder: Path) -> None:
+def test_every_step_of_a_press_is_there_and_the_last_is_the_end(folder):
     states = read_press(folder)
     assert states.count == 3 and len(states.captions) == 3
     assert states.captions[0] == "untouched" and "depth 0.20 mm" in states.captions[2]
@@ -143,22 +127,16 @@ def test_every_step_is_there_and_the_last_is_the_end(folder: Path) -> None:
     for mine, theirs in zip(states.fields, end.fields, strict=True):
         np.testing.assert_allclose(mine.values[2], theirs.values[1], rtol=1e-4, atol=1e-6)
     assert states.fields[0].values[2].max() > 1 > states.fields[0].values[0].max()
-
-
-@pytest.mark.thorough
-def test_forces_are_those_of_the_tool_on_the_gel_and_the_tool_comes_down(folder: Path) -> None:
-    states = read_press(folder)
-    force = json.loads((folder / "press.json").read_text())["press"]["wrench"]["force_n"]
-    assert states.forces_n is not None and states.tool is not None and states.images is not None
+    # Forces are the tool's on the gel; the tool, a ball of 2 mm, comes down.
+    force = json.loads((folder / PRESS).read_text())["press"]["wrench"]["force_n"]
     np.testing.assert_allclose(states.forces_n[2].sum(axis=0), -np.array(force), atol=1e-5)
-    z = states.tool.poses[:, 2]
-    assert z[0] > z[1] > z[2]
+    assert (np.diff(states.tool.poses[:, 2]) < 0).all()
     assert np.linalg.norm(states.tool.vertices_mm, axis=1).max() == pytest.approx(2.0, rel=0.01)
     assert len(states.images.rgb) == 3
 
 
-def test_states_that_lack_an_array_are_refused_with_the_file(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "press.json").write_text((folder / "press.json").read_text())
+def test_states_that_lack_an_array_are_refused_with_the_file(folder, tmp_path):
+    shutil.copy(folder / PRESS, tmp_path)
     arrays = dict(np.load(folder / STATES))
     del arrays["moved_m"]
     np.savez(tmp_path / STATES, **arrays)
@@ -166,17 +144,13 @@ def test_states_that_lack_an_array_are_refused_with_the_file(folder: Path, tmp_p
         read_press(tmp_path)
 
 
-# Touches, presses of studies, recorded tasks ------------------------------------------------------
-
-
-def test_presses_of_studies_start_untouched(tmp_path: Path) -> None:
-    rest = np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]])
+def test_presses_of_studies_start_untouched(tmp_path):
     moved = np.zeros((2, 3, 3))
     moved[1, 0, 2] = -1e-4
     arrays = {
         "depth_mm": np.array([0.1, 0.2]),
         "force_n": np.array([[0, 0, 0.5], [0, 0, 1.5]]),
-        "contact_rest_m": rest,
+        "contact_rest_m": np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]]),
         "contact_moved_m": moved,
         "contact_faces": np.array([[0, 1, 2]]),
     }
@@ -184,17 +158,16 @@ def test_presses_of_studies_start_untouched(tmp_path: Path) -> None:
     states = read_design_press(tmp_path / "press_sphere.npz")
     assert states.count == 3 and "force 1.500 N" in states.captions[2]
     np.testing.assert_allclose(states.positions_mm(2, 2.0)[0], [0, 0, -0.2])
-    arrays["contact_moved_m"] = moved[:0]
-    np.savez(tmp_path / "none.npz", **arrays)
+    np.savez(tmp_path / "none.npz", **{**arrays, "contact_moved_m": moved[:0]})
     with pytest.raises(InputError, match="no step"):
         read_design_press(tmp_path / "none.npz")
 
 
 @pytest.mark.slow
-def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
+def test_a_recorded_task_is_read_as_it_was(tmp_path):
     from taccel_lab.learning.gel_colors import default_colors
     from taccel_lab.tasks.catalogue import named
-    from taccel_lab.tasks.replay import read_replay, record_seed, write_replay
+    from taccel_lab.tasks.replay import record_seed, write_replay
 
     recorded, trial = record_seed(named("ball-rolling"), 0, "cpu", colors=default_colors(None))
     write_replay(recorded, tmp_path)
@@ -224,11 +197,10 @@ def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path: Path) -> None:
+def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path):
     pytest.importorskip("zarr")
     from taccel_lab.datasets.reading import Dataset
     from taccel_lab.viewer.dataset_page import read_touch
-    from tests.support.small_data_sets import make, saved_profile
 
     channels = ["rgb", "depth_mm", "patch_forces_n", "markers_px"]
     profile = saved_profile(tmp_path / "profile")
@@ -236,10 +208,137 @@ def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path: Path) ->
     data = Dataset(tmp_path / "data")
     place = next(k for k, row in enumerate(data.episodes) if row["rows"] > 1)
     states, rows = read_touch(data, place), data.rows_of(place)
-    assert states.count == len(rows) and states.forces_n is not None
+    assert states.count == len(rows) == len(states.images.rgb)
     wrench = data.read("wrench", rows)[:, :3]
     np.testing.assert_allclose(states.forces_n.sum(axis=1), -wrench, atol=1e-5)
     depths = data.read("depth_mm", rows)
     assert np.abs(states.moved_mm[0]).max() < 0.01
     assert -np.nanmax(depths[-1]) <= states.moved_mm[-1, :, 2].min() < -0.05
-    assert states.images is not None and len(states.images.rgb) == len(rows)
+
+
+@pytest.fixture
+def view(monkeypatch, capsys):
+    """The page of a folder, closed as soon as it is filled."""
+    pytest.importorskip("viser", reason="the extra view is not installed")
+    monkeypatch.setattr("taccel_lab.viewer.pages.serve_until_stopped", lambda: None)
+    return lambda folder: done(capsys, "view", folder, "--no-browser", "--port", "0")
+
+
+def assert_refused(found, words):
+    assert found.code == 2 and words in found.err, found.err
+
+
+def test_a_sound_press_is_shown(tmp_path, view):
+    write_press(tmp_path, press_arrays(), ABOUT)
+    assert view(tmp_path).code == 0
+
+
+DAMAGE = {
+    "none": lambda array: array[:0],
+    "scalar": lambda array: np.array(3.0),
+    "text": lambda array: np.array(["a", "b"]),
+    "flat": lambda array: array.ravel()[:2],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("name", press_arrays())
+def test_arrays_of_another_shape(name, damage, tmp_path, view):
+    if damage == "none" and name in ("tets", "faces", "indenter_faces"):
+        return  # Nothing to draw is no fault.
+    arrays = press_arrays()
+    write_press(tmp_path, {**arrays, name: DAMAGE[damage](arrays[name])}, ABOUT)
+    assert_refused(view(tmp_path), STATES)
+
+
+@pytest.mark.parametrize(
+    ("about", "words"),
+    [
+        ({"press": 3}, "press is 3; a table"),
+        ({"press": {"force_n": "a"}}, "press.force_n is 'a'; a number"),
+        ({"press": {"force_n": None}}, "press.force_n is missing; a number"),
+        ({"friction_coefficient": "x"}, "friction_coefficient is 'x'"),
+    ],
+)
+def test_figures_of_another_kind(about, words, tmp_path, view):
+    write_press(tmp_path, press_arrays(), about)
+    assert_refused(view(tmp_path), words)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
+def test_a_mesh_that_is_cut_short_or_another(part, tmp_path, view):
+    (tmp_path / PRESS).write_text(json.dumps(ABOUT))
+    write_mesh_vtu(tmp_path / "gel.vtu", block_mesh((2, 2, 1), (0.02, 0.02, 0.004)))
+    data = (tmp_path / "gel.vtu").read_bytes()
+    (tmp_path / "gel.vtu").write_bytes(data[: int(part * len(data))])
+    assert_refused(view(tmp_path), "gel.vtu is damaged, or no mesh of a press")
+
+
+@pytest.mark.slow
+def test_damaged_data_sets(tmp_path, view):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    profile = saved_profile(tmp_path / "profile")
+    make(profile, tmp_path / "made", dataset={"episodes": 2}, output={"channels": ["depth_mm"]})
+    assert view(tmp_path / "made").code == 0
+
+    def about(data, key, value):
+        found = json.loads((data / "dataset.json").read_text())
+        (data / "dataset.json").write_text(json.dumps({**found, key: value}))
+
+    def table(data, name, column, value):
+        for path in (data / name, *(p / name for p in DatasetFolder(data).part_folders())):
+            found = pq.read_table(path)
+            changed = found.remove_column(found.column_names.index(column))
+            if value is not None:
+                changed = changed.append_column(column, pa.array([value] * len(found)))
+            pq.write_table(changed, path)
+
+    changes = {
+        "'channels' is 3": (about, "channels", 3),
+        "'sensors' is []": (about, "sensors", []),
+        "does not describe sensor 0": (about, "sensors", [{}]),
+        "no column rows": (table, "episodes.parquet", "rows", None),
+        "other values than it should in rows": (table, "episodes.parquet", "rows", "x"),
+        "does not describe sensor 7": (table, "episodes.parquet", "sensor_index", 7),
+        "has no step in steps.parquet": (table, "steps.parquet", "episode", 9),
+        "is damaged (": (table, "steps.parquet", "row", 10**6),
+        "no finished part yet": (lambda data: shutil.rmtree(data / "parts"),),
+    }
+    for number, (words, (change, *given)) in enumerate(changes.items()):
+        data = tmp_path / str(number)
+        shutil.copytree(tmp_path / "made", data)
+        change(data, *given)
+        assert_refused(view(data), words)
+
+
+@pytest.mark.parametrize(
+    ("about", "arrays"),
+    [
+        ({"bodies": []}, {}),
+        ({"bodies": [{"name": "b", "kind": "odd"}]}, {}),
+        ({}, {"times_s": np.zeros(0)}),
+        ({}, {"times_s": np.array(["a"] * 4)}),
+        ({"seed": "first"}, {}),
+        ({}, {"depth_m": np.zeros((0, 5, 6))}),
+        ({}, {"pressure_pa": np.zeros((4, 6, 5))}),
+        ({}, {"markers_px": np.zeros((4, 2))}),
+        ({}, {"rgb": np.zeros((4, 5, 6))}),
+        ({}, {"forces_n": np.zeros((4, 1, 1))}),
+        ({}, {"vertices_m_0": np.zeros((4, 0, 3))}),
+        ({}, {"vertices_m_0": np.full((4, 4, 3), np.nan)}),
+        ({}, {"faces_0": np.array([[0, 1, 99]])}),
+        ({}, {"faces_0": np.array([["a", "b", "c"]])}),
+    ],
+)
+def test_damaged_replays(about, arrays, tmp_path, view):
+    np.savez(tmp_path / "replay.npz", **{**sound_replay(), **arrays})
+    (tmp_path / "replay.json").write_text(json.dumps({**REPLAYED, **about}))
+    assert_refused(view(tmp_path), "is no replay of a task as it is recorded")
+
+
+def test_a_sound_replay_is_shown_and_a_study_without_figures_is_not(tmp_path, view):
+    np.savez(tmp_path / "replay.npz", **sound_replay())
+    (tmp_path / "replay.json").write_text(json.dumps(REPLAYED))
+    assert view(tmp_path).code == 0
+    StudyFolder(tmp_path / "study").add_row(DesignRow("one", "flat_pad", {}, "done"))
+    assert_refused(view(tmp_path / "study"), "has no design with a figure yet")
