@@ -228,7 +228,7 @@ def entry(**changes: object) -> RecordEntry:
     )
 
 
-def indentation(depth_mm: Any, force_n: Any, **changes: object) -> None:
+def indentation(depth_mm: Any, force_n: Any, **changes: Any) -> None:
     """Checks a record; ``changes`` are of its entry, or further columns."""
     columns = {"depth_mm": np.asarray(depth_mm), "force_n": np.asarray(force_n)}
     columns |= {k: changes.pop(k) for k in ("time_s", "sigma_n") if k in changes}

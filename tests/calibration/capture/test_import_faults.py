@@ -154,7 +154,7 @@ def indentations(**values: object) -> str:
     return json.dumps(known | values)
 
 
-def saved(**arrays: object) -> bytes:
+def saved(**arrays: Any) -> bytes:
     """A ``.npz``."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)

@@ -92,7 +92,7 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
 def test_9dtact_has_units_whose_settings_a_given_board_replaces(tmp_path: Path) -> None:
     source = source_of("9dtact", tmp_path)
 
-    def board_of(**options: Any) -> tuple[int, int, float]:
+    def board_of(**options: Any) -> tuple[Any, ...]:
         entry = imported(source, **options)[0].boards[0].entry
         assert entry.on_gel
         return entry.columns, entry.rows, entry.pitch_mm
@@ -116,10 +116,8 @@ def test_9dtact_has_units_whose_settings_a_given_board_replaces(tmp_path: Path) 
 
 def test_lengths_and_names_of_other_layouts(tmp_path: Path) -> None:
     captures = only("gs-sdk", tmp_path / "gs")
-    assert captures.mm_per_px == (0.0634, 0.0634) and captures.ball_radii_mm() == {
-        2.38: 2,
-        3.175: 1,
-    }
+    assert captures.mm_per_px == (0.0634, 0.0634)
+    assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
     assert [press.name for press in captures.presses] == ["4.760mm_0", "4.760mm_1", "6.350mm_2"]
     circle = captures.presses[1].circle
     assert circle is not None and (circle.u_px, circle.v_px, circle.radius_px) == (31, 22, 11)
@@ -169,24 +167,23 @@ MIT = "MIT License\n\nPermission is hereby granted, free of charge, to any perso
     ({"LICENSE": "Ours. Ask us."}, "not recognised: Ours. Ask us. (LICENSE says)"),
     ({"README.md": "# A set\n\n## License\n\nCC BY 4.0, see paper\n"}, "CC BY 4.0, see paper"),
     ({"README.md": "- **Licence:** none\n"}, "none (README.md says)"),
+    ({"README.md": "Source: our bench\n", "LICENSE": MIT}, "MIT (LICENSE says)"),
     ({"README.md": "License: MIT\n", "LICENSE": "Apache License\n Version 2.0"}, "Apache-2.0"),
     ({"sub/LICENSE": MIT}, "MIT (sub/LICENSE says)"),
     ({"README.md": "licensed as the rest\n"}, "unknown"),
     ({"LICENSE": ""}, "unknown"),
 ])  # fmt: skip
-def test_licence(tmp_path: Path, files: dict[str, str], license: str) -> None:
+def test_licence_and_source(tmp_path: Path, files: dict[str, str], license: str) -> None:
     for name, text in files.items():
         layouts.write_text(tmp_path / name, text)
-    assert read_origin(tmp_path).license.startswith(license)
-
-
-def test_a_project_speaks_for_no_captures_below_it(tmp_path: Path) -> None:
-    layouts.write_text(tmp_path / "LICENSE", MIT)
-    layouts.write_text(tmp_path / "README.md", "Source: our bench\n")
-    below = tmp_path / "x" / "y"
-    below.mkdir(parents=True)
-    assert read_origin(below) == Origin(UNKNOWN, UNKNOWN, frozenset())
-    assert read_origin(tmp_path).source == "our bench (README.md says)"
+    origin = read_origin(tmp_path)
+    assert origin.license.startswith(license)
+    assert (origin.source == "our bench (README.md says)") == (
+        "Source" in files.get("README.md", "")
+    )
+    # A project speaks for no captures below it.
+    (tmp_path / "x" / "y").mkdir(parents=True)
+    assert read_origin(tmp_path / "x" / "y") == Origin(UNKNOWN, UNKNOWN, frozenset())
 
 
 @pytest.mark.parametrize(("name", "missing", "flags"), [

@@ -36,7 +36,7 @@ def video(
     path.parent.mkdir(parents=True, exist_ok=True)
     options = {"crf": "10", "preset": "12"} if codec == "libsvtav1" else {}
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=30 if times_s else 10, options=options)
+        stream: Any = container.add_stream(codec, rate=30 if times_s else 10, options=options)
         stream.width, stream.height, stream.pix_fmt = 64, 64, "yuv420p"
         if times_s:
             stream.codec_context.time_base = Fraction(1, 1000)
@@ -357,12 +357,11 @@ def test_images_inside_and_beside_the_table_are_read(tmp_path: Path) -> None:
     for path in (folder / "images/1.png", tmp_path / "outside.png"):
         path.write_bytes(png)
     cells = [(png, None), (None, "images/1.png"), (None, "../outside.png"), (b"torn", None)]
-    columns = {"episode_index": [0] * 4, "frame_index": [0, 1, 2, 3]}
-    columns[TOUCH] = pa.array([{"bytes": b, "path": p} for b, p in cells])
-    columns["timestamp"] = [0.0, 0.1, 0.35, 0.4]
-    table(folder / EPISODE.format(0), **columns)
+    stored, times_s = pa.array([{"bytes": b, "path": p} for b, p in cells]), [0.0, 0.1, 0.35, 0.4]
+    columns = {"episode_index": [0] * 4, "frame_index": [0, 1, 2, 3], "timestamp": times_s}
+    table(folder / EPISODE.format(0), **columns, **{TOUCH: stored})
     found = list(Recording.of(folder).frames())
-    assert [frame.time_s for frame in found] == columns["timestamp"]
+    assert [frame.time_s for frame in found] == times_s
     inside, beside, outside, torn = (frame.image for frame in found)
     np.testing.assert_array_equal(inside, RED)
     np.testing.assert_array_equal(beside, RED)

@@ -32,7 +32,7 @@ def unread() -> NoReturn:
 
 def presses(centers: np.ndarray, labelled: bool = True) -> list[CapturedPress]:
     """Presses p0, p1, ... in circles of 20 px around the places [n, 2]."""
-    circles = [ContactCircle(*map(float, at), 20.0) if labelled else None for at in centers]
+    circles = [ContactCircle(u, v, 20.0) if labelled else None for u, v in centers.tolist()]
     return [CapturedPress(f"p{i}", "p.png", "0" * 64, unread, c) for i, c in enumerate(circles)]
 
 

@@ -69,9 +69,9 @@ def test_limits_are_the_half_space_and_the_thin_layer() -> None:
     assert found[2] == pytest.approx(1 / 50.0)
 
 
-def grid_of(step: float, count: int) -> list[np.ndarray]:
+def grid_of(step: float, count: int) -> tuple[np.ndarray, ...]:
     values = (np.arange(count) - (count - 1) / 2) * step
-    return np.meshgrid(values, values)
+    return tuple(np.meshgrid(values, values))
 
 
 @pytest.mark.thorough

@@ -139,7 +139,7 @@ def test_contacts_that_fill_the_picture(share: float, left_px: float) -> None:
     grid, rng = PixelGrid(120, 90, 0.08, 0.08), np.random.default_rng(3)
     radius = share * grid.height_px
     places = rng.uniform(np.full(2, radius + 3), np.array([116, 86]) - radius, (8, 2))
-    circles = [ContactCircle(*place, radius) for place in places.tolist()]
+    circles = [ContactCircle(u, v, radius) for u, v in places.tolist()]
     images = []
     for circle in circles:
         clean = pressed(circle, grid, ball_px=1.3 * radius)

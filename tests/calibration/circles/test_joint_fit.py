@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_a_few_rounds_reach_the_optimum(count: int) -> None:
     starts = [ContactCircle(c.u_px + 3.0, c.v_px - 2.0, 0.9 * c.radius_px) for c in circles]
     changes = [color_change(pressed(c, blur_px=3.0), gel(), GRID) for c in circles]
     samples = [sample_rings(one.change, c) for one, c in zip(changes, starts, strict=True)]
-    fits = [starts]
+    fits: list[Any] = [starts]
     for iterations in (6, 6, 60):
         fits.append(fit_contacts(samples, fits[-1], [BALL_PX] * count, iterations, blur_px=1.5))
     found, wanted = (circle_array([c.circle for c in fit.contacts]) for fit in fits[2:])

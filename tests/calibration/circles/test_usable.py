@@ -77,7 +77,7 @@ def with_cut_presses(count: int) -> CaptureSet:
 
 
 @pytest.mark.thorough
-def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside() -> None:
+def test_labelled_contacts_that_the_border_cuts_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     captures = with_cut_presses(7)
     used = usable.usable_circles(captures, cache=False)
     assert len(used.circles) == 7 and used.remarks == []
@@ -88,10 +88,7 @@ def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside()
     # Without a label nothing says that what is left of it is a contact's.
     _, _, (remark,) = usable_presses(with_circles(captures, [None] * 7))
     assert "2 of 7 presses were left out: p2, p5" in remark.message
-
-
-@pytest.mark.thorough
-def test_a_lost_contact_does_not_stop_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A contact that the fit loses does not stop the others.
     monkeypatch.setattr(contact_finder, "MIN_LABELLED_VISIBLE", 0.6)
     kept, _, (remark,) = usable_presses(with_cut_presses(10))
     assert "1 of 10 presses were left out: p5" in remark.message and len(kept.presses) == 9

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -88,16 +89,16 @@ def sound() -> Sound:
 
 
 def calibrate(
-    captures: CaptureSet, surfaces: list[BallSurface], every: int = 4, steps: int = 300
+    captures: CaptureSet, surfaces: list[BallSurface], every: int = 4, steps: int = 300, **more: Any
 ) -> ColorCalibration:
     options = replace(QUICK, steps=steps)
-    return calibrated(captures, surfaces, holdout_every=every, options=options, table=steps == 300)
+    return calibrated(captures, surfaces, holdout_every=every, options=options, **more)
 
 
 @pytest.fixture(scope="module")
 def steady(sound: Sound) -> ColorCalibration:
     """The sound captures fitted in full."""
-    return calibrate(*sound)
+    return calibrate(*sound, table=True)
 
 
 def heldout_l1(result: ColorCalibration) -> float:
@@ -218,7 +219,7 @@ def test_an_outlier_is_named(sound: Sound) -> None:
     captures, surfaces = sound
     other, turned = captures.split(4).train[2:4]
     image = captures.presses[turned].image()[::-1, ::-1].copy()
-    result = calibrate(with_images(captures, {turned: image}), surfaces)
+    result = calibrate(with_images(captures, {turned: image}), surfaces, table=True)
     (remark,) = [r for r in result.remarks if r.code == "outliers"]
     assert f"p{turned} (" in remark.message and f"p{other} (" not in remark.message
     assert result.figures()["taxim_table"]["disc_l1"] > 0

@@ -27,8 +27,9 @@ TOOL_SHARE = 0.04 / 0.38
 mm, 0.38 mm in the middle; now each set has tools about as deep as its balls."""
 RVSATHU = (
     "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png", 2.92, 0.05926,
+    LARGEST_RADII,
 )  # fmt: skip
-FOTS = "fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511
+FOTS = "fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511, LARGEST_RADII
 
 
 @pytest.mark.slow
@@ -47,7 +48,7 @@ def test_held_out_presses(
     if source is None:
         captures = request.getfixturevalue("taxim_captures")
     else:
-        captures = labelled_presses(*source, LARGEST_RADII)
+        captures = labelled_presses(*source)
     split = captures.split(4)
     training = captures.only(split.train)
     usable, flat = usable_circles(training, cache=False), flat_rest(training.grid)

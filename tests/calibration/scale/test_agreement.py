@@ -105,7 +105,7 @@ def edges_at(
     images = []
     for k, angle in enumerate(angles):
         one = np.diff(ends_of((0, 0), angle, 1.0), axis=0)[0]
-        length = 10.0 / np.linalg.norm(one * scale) * (1.0 if k else share)
+        length = 10.0 / float(np.linalg.norm(one * scale)) * (1.0 if k else share)
         ends = ends_of((160.0 + 3 * k, 118.0 + 2 * k), angle, length)
         images.append(drawn_edge(ends, decay_px=0.5, seed=k))
     return images
@@ -288,8 +288,8 @@ def stage_contacts(
     turn = np.array([[c, -s], [s, c]]) @ np.diag([1.0, -1.0 if mirrored else 1.0])
     found = []
     for place, stated in zip(places, places[step:], strict=False):
-        at = np.array([160, 120]) + turn.T @ place / STAGE_SCALE + noise_px * rng.normal(size=2)
-        circle = ContactCircle(*at.tolist(), 16.0)
+        u, v = np.array([160, 120]) + turn.T @ place / STAGE_SCALE + noise_px * rng.normal(size=2)
+        circle = ContactCircle(float(u), float(v), 16.0)
         press = CapturedPress("p", "p", "", lambda: np.zeros(0), circle, stage_mm=stated)
         found.append(ball_contacts.BallContact(press, 2.0, circle))
     return found
