@@ -229,15 +229,10 @@ def test_an_outlier_is_named(sound: Sound) -> None:
 
 
 @pytest.mark.thorough
-def test_a_model_that_explains_little_is_weak(sound: Sound) -> None:
+def test_what_explains_little_or_rests_on_little_is_said(sound: Sound) -> None:
     captures, surfaces = sound
     result = calibrated(captures, [*surfaces[5:], *surfaces[:5]], options=BRIEF)
     assert "heldout_error" in codes(result) and judge(result.remarks) is Verdict.WEAK
-
-
-@pytest.mark.thorough
-def test_nothing_held_out_and_too_few_presses_are_said(sound: Sound) -> None:
-    captures, surfaces = sound
     (remark,) = calibrate(captures, surfaces, 0, steps=20).remarks
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
     few = replace(captures, presses=captures.presses[:3])

@@ -51,6 +51,7 @@ def test_perfect_drift_is_exact() -> None:
     found = fit_light(drift(rough, np.array([0.7, 1.1, 1.0]), 5.0), rough)
     assert found.gain == pytest.approx([0.7, 1.1, 1.0], abs=5e-3)
     assert found.noise_levels < 0.4
+    assert found.remove(found.apply(rough)) == pytest.approx(rough, abs=1e-6)
     tilted = LightDrift(np.ones(3), np.zeros(3), np.ones((3, 2)))
     with pytest.raises(InputError, match="whole image"):
         tilted.remove(np.zeros((10, 3)))

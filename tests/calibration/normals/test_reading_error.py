@@ -54,9 +54,8 @@ def test_tools_go_as_deep_as_the_balls(deepest_mm: float, low_mm: float, high_mm
     1.6 times as far off as ones that see 0.12 to 1.2 mm."""
     weights = {"layer0.weight": np.zeros((3, 6)), "layer0.bias": np.zeros(3)}
     colors = ColorModel(ColorModelConfig(60, 56, hidden=()), weights)
-    drawn = SyntheticPresses(
-        SCENE, LAYER, colors, ImageNoise(1.0, 0.0, 0.0), deepest_mm, np.random.default_rng(0)
-    )
+    noise, rng = ImageNoise(1.0, 0.0, 0.0), np.random.default_rng(0)
+    drawn = SyntheticPresses(SCENE, LAYER, colors, noise, deepest_mm, rng)
     depths_mm = [-1e3 * press.rise_m.min() for press in drawn.presses(30)]
     assert max(depths_mm) < 1.03 * high_mm  # A press is solved to 3 % of its depth.
     assert min(depths_mm) < 1.8 * low_mm
@@ -64,9 +63,8 @@ def test_tools_go_as_deep_as_the_balls(deepest_mm: float, low_mm: float, high_mm
 
 def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
     """Linear networks that read tilts of small slopes; the first is off by the share ``wrong``."""
-    config = NormalModelConfig(
-        60, 56, scales_px=(0.0,), slope_scales_px=(), members=members, hidden=()
-    )
+    scales = {"scales_px": (0.0,), "slope_scales_px": ()}
+    config = NormalModelConfig(60, 56, members=members, hidden=(), **scales)
     weights = {k: np.zeros(s, dtype=np.float32) for k, s in config.weight_shapes().items()}
     for axis in range(2):
         weights["layer0.weight"][:, axis, axis] = -SLOPE_PER_LEVEL * 32.0
@@ -110,20 +108,19 @@ def presses(label_px: float, stated_px: float) -> Iterator[KnownPress]:
 
 
 @cache
-def noted(label_px: float, stated_px: float) -> NormalModelConfig:
+def noted(label_px: float, stated_px: float) -> NormalModel:
     """Synthetic presses are read without error of labels, balls with."""
-    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
+    drawn = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
     balls = presses(label_px, stated_px)
-    model, score = samples.with_reading_errors(
-        reader(), synthetic_presses, balls, SCENE, depth_share=0.03
-    )
+    model, score = samples.with_reading_errors(reader(), drawn, balls, SCENE, depth_share=0.03)
     assert score is not None and score.count == 8
-    return model.config
+    return model
 
 
 @pytest.mark.thorough
 def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
-    exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
+    errors_px = (0.0, 0.0), (0.4, 0.4), (0.4, 0.0)
+    exact, stated, denied = (noted(*error_px).config for error_px in errors_px)
     assert denied.radius95_sigmas > 1.4 * exact.radius95_sigmas
     assert stated.radius95_sigmas < 1.15 * exact.radius95_sigmas
     # What balls are off by is in the absolute depth and not in the reading: labels or reading,
@@ -134,10 +131,7 @@ def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
 
 
 def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -> None:
-    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
-    model, _ = samples.with_reading_errors(
-        reader(), synthetic_presses, presses(0.0, 0.0), SCENE, depth_share=0.03
-    )
+    model = noted(0.0, 0.0)
     before = model.config
     same = widened(model, all_errors(model, presses(0.0, 0.0), SCENE)).config
     assert same.radius95_sigmas == pytest.approx(before.radius95_sigmas)
@@ -203,19 +197,15 @@ def test_a_stated_pixel_of_all_radii_moves_depths_as_it_does() -> None:
     without, with_it = (depth_share([(here, circle)], px, BALL_MM, AREA) for px in (0.0, 1.0))
     found = there.depth_mm / here.depth_mm - 1
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(found, rel=0.1)
-    assert depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05) == pytest.approx(
-        np.hypot(without, 0.1)
-    )
+    scaled = depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05)
+    assert scaled == pytest.approx(np.hypot(without, 0.1))
 
 
 def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None:
     """No pixel lies beyond 2.5 radii of any of these; a level of noise was made up for them."""
     captures, surfaces = synthetic_captures(6, noise=3.0, radii_px=(44.0, 48.0), ball_mm=6.0)
-    frames = [
-        replace(frame, image=frame.image.astype(np.float32))
-        for frame in frames_of(captures, surfaces)
-        if not frame.circle.untouched(captures.grid).any()
-    ]
+    whole = [f for f in frames_of(captures, surfaces) if not f.circle.untouched(GRID).any()]
+    frames = [replace(frame, image=frame.image.astype(np.float32)) for frame in whole]
     assert len(frames) > 1
     scene = CaptureScene.of(captures, None)
     colors = fit_color_model(frames, scene, ColorFitOptions(steps=5)).model
@@ -233,11 +223,9 @@ def told(known: Known, radius_px: float, scale_share: float) -> NormalCalibratio
     captures = replace(known[0], grid=grid)
     circles = [replace(c, radius_px=c.radius_px + radius_px) for c in circles_of(captures)]
     captures = with_circles(captures, circles)
-    surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(captures.grid))
-    count = len(captures.split(4).train)
-    on_pad = partial(
-        ball_surfaces.ball_surface, grid=captures.grid, layer=PAD, rest=flat_rest(captures.grid)
-    )
+    flat, count = flat_rest(grid), len(captures.split(4).train)
+    surfaces = layer_surfaces(captures, circles, PAD, flat)
+    on_pad = partial(ball_surfaces.ball_surface, grid=grid, layer=PAD, rest=flat)
     return calibrated(
         captures, surfaces, on_pad, options=replace(QUICK, synthetic_presses=24), pad=PAD,
         circle_sigmas_px=[(0.0, radius_px)] * count, scale_share=scale_share,
