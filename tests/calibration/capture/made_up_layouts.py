@@ -159,9 +159,10 @@ SCRIPTED: dict[str, Callable[[Path], None]] = {
 """Published sets that scripts of the documentation read."""
 
 
-def layout_of(name: str) -> str:
-    """What ``--layout`` says for the set of that name."""
-    return str(SCRIPTS / f"{name}.py") if name in SCRIPTED else "auto"
+def layout_of(which: str | Callable[[Path], None]) -> str:
+    """What ``--layout`` says for the set of that name, or for what a maker writes."""
+    names = [name for name, make in SCRIPTED.items() if which in (name, make)]
+    return str(SCRIPTS / f"{names[0]}.py") if names else "auto"
 
 
 def source_of(name: str, folder: Path) -> Path:
