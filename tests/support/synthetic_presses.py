@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.response.frame import HeldoutSet
+from taccel_lab.calibration.response.frame import HeldoutSet, PressFrame
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
@@ -145,6 +145,20 @@ def write_captures(path: Path, captures: CaptureSet, unlabelled: Container[str] 
     return write_folder(path, captures.background, images, circles, captures.ball_radius_mm)
 
 
+def circles_of(captures: CaptureSet) -> list[ContactCircle]:
+    """Labels of the presses that have one."""
+    return [press.circle for press in captures.presses if press.circle is not None]
+
+
+def frames_of(captures: CaptureSet, surfaces: Sequence[BallSurface]) -> list[PressFrame]:
+    """Labelled presses as the fits take them."""
+    return [
+        PressFrame(press.name, press.image(), press.circle, surface, press.sha256)
+        for press, surface in zip(captures.presses, surfaces, strict=True)
+        if press.circle is not None
+    ]
+
+
 def true_surface(circle: ContactCircle, ball_mm: float) -> BallSurface:
     """The surface that a press in this circle has."""
     return analytic_surface(circle, GRID, ball_mm, decay_mm=1.0)
@@ -165,7 +179,7 @@ def calibrated(
     training = captures.only(split.train)
     return fit_color(
         training,
-        [press.circle for press in training.presses if press.circle is not None],
+        circles_of(training),
         [surfaces[i] for i in split.train],
         HeldoutSet.of(captures, split, true_surface),
         **more,

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,36 +15,23 @@ from taccel_lab.calibration.capture.load import override_presses, override_text
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.cli.capture import CaptureCheckCommand
 from taccel_lab.errors import InputError
-from tests.calibration.circles.presses import (
-    BALL_MM,
-    GRID,
-    contacts_of,
-    gel,
-    press_set,
-    pressed,
-    scattered,
-)
+from tests.calibration.circles import presses as drawn
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.synthetic_presses import write_folder
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.mark.thorough
+def test_check_then_correct(tmp_path: Path) -> None:
     """Five presses on disk, one of them empty, one with a label far off."""
     rng = np.random.default_rng(0)
-    circles = scattered(5, seed=8)
     images, labels = {}, {}
-    for i, circle in enumerate(circles):
-        image = gel() if i == 2 else pressed(circle)
+    for i, circle in enumerate(drawn.scattered(5, seed=8)):
+        image = drawn.gel() if i == 2 else drawn.pressed(circle)
         images[f"p{i}"] = quantise(add_noise(image, 1.0, rng))
         if i != 2:
-            labels[f"p{i}"] = dataclasses.replace(circle, u_px=circle.u_px + (12 if i == 3 else 0))
-    return write_folder(tmp_path / "captures", quantise(gel()), images, labels, BALL_MM, GRID)
-
-
-@pytest.mark.thorough
-def test_check_then_correct(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "page"
+            labels[f"p{i}"] = replace(circle, u_px=circle.u_px + (12 if i == 3 else 0))
+    rest, out = quantise(drawn.gel()), tmp_path / "page"
+    folder = write_folder(tmp_path / "set", rest, images, labels, drawn.BALL_MM, drawn.GRID)
     with pytest.raises(SystemExit) as stopped:
         CaptureCheckCommand(folder, report=out).run()
     assert stopped.value.code == 1
@@ -65,51 +52,38 @@ def test_check_then_correct(folder: Path, tmp_path: Path) -> None:
         '[[contact]]\npress = "p3"\nu_px = 70.5\nv_px = 60.25\nradius_px = 15.0\n'
     )
     captures = load_captures(folder)
-    found = contacts_of(captures)
+    found = drawn.contacts_of(captures)
     for which in ("fused", "labels", "detected"):
         assert choose_circles(captures, found, which)[2] == ContactCircle(70.5, 60.25, 15.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('[[contact]]\npress = "nobody"\nskip = true', "names nobody, which is no press"),
-        ('[[contact]]\npress = "p0"\nu_px = 3.0', "go together"),
-        ('[[contact]]\npress = "p0"\n[[contact]]\npress = "p0"', "p0 appears twice"),
-        ('[[contact]]\npress = "p0"\nradius = 3.0', "contact.0.radius"),
-        ("[[contact", "not valid TOML"),
-        ('[[contact]]\npress = "p0"\nu_px = nan\nv_px = 1.0\nradius_px = 2.0', "finite"),
-        (
-            "\n".join(f'[[contact]]\npress = "p{i}"\nskip = true' for i in range(3)),
-            "leaves out every press",
-        ),
-    ],
-)
-def test_bad_corrections(tmp_path: Path, text: str, message: str) -> None:
+@pytest.mark.parametrize(("rows", "message"), [
+    (['"nobody"\nskip = true'], "names nobody, which is no press"),
+    (['"p0"\nu_px = 3.0'], "go together"),
+    (['"p0"', '"p0"'], "p0 appears twice"),
+    (['"p0"\nradius = 3.0'], "contact.0.radius"),
+    (['"p0"\n[[contact'], "not valid TOML"),
+    (['"p0"\nu_px = nan\nv_px = 1.0\nradius_px = 2.0'], "finite"),
+    ([f'"p{i}"\nskip = true' for i in range(3)], "leaves out every press"),
+])  # fmt: skip
+def test_bad_corrections(tmp_path: Path, rows: list[str], message: str) -> None:
     path = tmp_path / "contacts.toml"
-    path.write_text(text)
-    circles = scattered(3)
-    captures = press_set(circles, [gel()] * 3)
+    path.write_text("\n".join(f"[[contact]]\npress = {row}" for row in rows))
+    captures = drawn.press_set(drawn.scattered(3), [drawn.gel()] * 3)
     with pytest.raises(InputError, match=message):
         override_presses(captures.presses, path)
 
 
 def test_names_with_odd_characters_survive(tmp_path: Path) -> None:
-    circles = scattered(2)
-    captures = press_set(circles, [pressed(c) for c in circles])
-    odd = tuple(
-        dataclasses.replace(press, name=name)
-        for press, name in zip(captures.presses, ('a "b" \\ c', "ü#[]"), strict=True)
-    )
-    captures = dataclasses.replace(captures, presses=odd)
+    circles = drawn.scattered(2)
+    captures = drawn.press_set(circles, [drawn.pressed(c) for c in circles])
+    names = ('a "b" \\ c', "ü#[]")
+    odd = [replace(p, name=name) for p, name in zip(captures.presses, names, strict=True)]
     text = override_text(captures.source, [(p.name, p.circle, "sure") for p in odd])
-    edited = tmp_path / "contacts.toml"
     # The user takes away the # of every line with a value.
-    body = text.split("\n\n", 1)[1]
-    lines = [line.removeprefix("# ") for line in body.splitlines()]
-    kept = "\n".join(line for line in lines if line != "sure")
-    edited.write_text(kept, encoding="utf-8")
-    back = override_presses(captures.presses, edited)
-    assert all(press.checked for press in back)
-    for press, circle in zip(back, circles, strict=True):
-        assert press.circle is not None and press.circle.center_gap_px(circle, GRID) < 0.01
+    lines = [line.removeprefix("# ") for line in text.split("\n\n", 1)[1].splitlines()]
+    edited = tmp_path / "contacts.toml"
+    edited.write_text("\n".join(line for line in lines if line != "sure"), encoding="utf-8")
+    for press, circle in zip(override_presses(tuple(odd), edited), circles, strict=True):
+        assert press.checked and press.circle is not None
+        assert press.circle.center_gap_px(circle, drawn.GRID) < 0.01

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -18,15 +17,12 @@ from scipy.sparse.csgraph import connected_components
 
 from taccel_lab.calibration.capture import (
     CapturedPress,
-    CaptureSet,
     ContactCircle,
-    ImportOptions,
-    import_captures,
+    captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.captures import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
+from taccel_lab.calibration.capture.captures import LARGEST_PLACE, SAME_PLACE_RADII, PressSplit
 from taccel_lab.errors import InputError
-from tests.calibration.capture.made_up_layouts import picture
 from tests.support.small_captures import write_captures
 
 
@@ -34,26 +30,24 @@ def unread() -> NoReturn:
     raise AssertionError("a split has looked at an image")
 
 
-def press(name: str, circle: ContactCircle | None = None) -> CapturedPress:
-    return CapturedPress(name, f"{name}.png", "0" * 64, unread, circle)
+def presses(centers: np.ndarray, labelled: bool = True) -> list[CapturedPress]:
+    """Presses p0, p1, ... in circles of 20 px around the places [n, 2]."""
+    circles = [ContactCircle(u, v, 20.0) if labelled else None for u, v in centers.tolist()]
+    return [CapturedPress(f"p{i}", "p.png", "0" * 64, unread, c) for i, c in enumerate(circles)]
 
 
-def presses(centers: np.ndarray, radius_px: float = 20.0) -> list[CapturedPress]:
-    return [
-        press(f"p{i}", ContactCircle(float(u), float(v), radius_px))
-        for i, (u, v) in enumerate(centers)
-    ]
+def split_of(some: list[CapturedPress], every: int = 4) -> PressSplit:
+    return captures.split_presses(some, every, None, "somewhere")
 
 
 @given(count=st.integers(1, 40), every=st.integers(-2, 45), labelled=st.booleans())
 def test_split_is_a_partition(count: int, every: int, labelled: bool) -> None:
-    centers = np.random.default_rng(count).uniform(30, 300, (count, 2))
-    some = presses(centers) if labelled else [press(f"p{i}") for i in range(count)]
+    some = presses(np.random.default_rng(count).uniform(30, 300, (count, 2)), labelled)
     if every < 0 or every == 1 or every > count:
         with pytest.raises(InputError):
-            split_presses(some, every, None, "somewhere")
+            split_of(some, every)
         return
-    split = split_presses(some, every, None, "somewhere")
+    split = split_of(some, every)
     assert sorted(split.train + split.heldout) == list(range(count))
     if every:
         assert 1 <= len(split.heldout) <= max(1, count // every)
@@ -64,10 +58,11 @@ def test_split_is_a_partition(count: int, every: int, labelled: bool) -> None:
 def test_presses_of_one_place_stay_together() -> None:
     rng = np.random.default_rng(0)
     places = np.array([(u, v) for u in (40.0, 120.0, 200.0) for v in (40.0, 120.0, 200.0)])
-    some = presses(np.repeat(places, 3, axis=0) + rng.uniform(-1, 1, (27, 2)))
-    split = split_presses(some, 4, None, "somewhere")
+    split = split_of(presses(np.repeat(places, 3, axis=0) + rng.uniform(-1, 1, (27, 2))))
     assert split.by == "place" and len(split.heldout) == 6
     assert {i // 3 for i in split.train}.isdisjoint({i // 3 for i in split.heldout})
+    alone = split_of(presses(np.full((12, 2), 50.0)))
+    assert alone.by == "press" and len(alone.heldout) == 3
 
 
 def heldout_by_all_pairs(centers: np.ndarray, radius_px: float, every: int) -> set[int]:
@@ -92,8 +87,9 @@ def heldout_by_all_pairs(centers: np.ndarray, radius_px: float, every: int) -> s
 def test_the_split_is_that_of_all_pairs(seed: int, count: int, spread: int) -> None:
     # Whole steps, so that many distances are equal, and some are the limit itself.
     centers = np.random.default_rng(seed).integers(0, spread, (count, 2)) + 50.0
-    split = split_presses(presses(centers), 4, None, "somewhere")
+    split, turned = split_of(presses(centers)), split_of(presses(centers)[::-1])
     assert set(split.heldout) == heldout_by_all_pairs(centers, 20.0, 4)
+    assert set(split.heldout_names) == set(turned.heldout_names) and split.sha256 == turned.sha256
 
 
 @pytest.mark.thorough
@@ -101,93 +97,48 @@ def test_memory_goes_with_the_number_of_presses() -> None:
     some = presses(np.random.default_rng(0).uniform(30, 2000, (4000, 2)))
     tracemalloc.start()
     try:
-        split_presses(some, 4, None, "somewhere")
-        peak = tracemalloc.get_traced_memory()[1]
+        split_of(some)
+        assert tracemalloc.get_traced_memory()[1] < 1000 * len(some)
     finally:
         tracemalloc.stop()
-    assert peak < 1000 * len(some)
 
 
-def test_the_order_of_the_presses_has_no_say() -> None:
-    some = presses(np.random.default_rng(1).uniform(0, 300, (20, 2)))
-    split = split_presses(some, 4, None, "somewhere")
-    turned = split_presses(some[::-1], 4, None, "somewhere")
-    assert set(split.heldout_names) == set(turned.heldout_names) and split.sha256 == turned.sha256
-
-
-def test_one_place_alone_is_split_by_press() -> None:
-    some = presses(np.full((12, 2), 50.0))
-    split = split_presses(some, 4, None, "somewhere")
-    assert split.by == "press" and len(split.heldout) == 3
-
-
-@pytest.mark.parametrize(
-    ("count", "words"),
-    [
-        (1, "holds 1 press, .* holdout_every of 0$"),
-        (2, "holds 2 presses, .* holdout_every of 0 or 2$"),
-        (3, "holdout_every of 0 or 2 to 3$"),
-    ],
-)
+@pytest.mark.parametrize(("count", "words"), [
+    (1, "holds 1 press, .* holdout_every of 0$"),
+    (2, "holds 2 presses, .* holdout_every of 0 or 2$"),
+    (3, "holdout_every of 0 or 2 to 3$"),
+])  # fmt: skip
 def test_too_few_to_hold_out_says_what_is_allowed(count: int, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        split_presses([press(f"p{i}") for i in range(count)], 4, None, "somewhere")
+        split_of(presses(np.zeros((count, 2)), labelled=False))
 
 
 def with_split(folder: Path, text: str) -> Path:
-    manifest = folder / "captures.toml"
+    manifest = write_captures(folder / "captures") / "captures.toml"
     manifest.write_text(manifest.read_text() + f"\n[split]\nheldout = {text}\n")
-    return folder
+    return manifest.parent
 
 
-def test_what_the_manifest_holds_out_is_held_out(tmp_path: Path) -> None:
-    folder = with_split(write_captures(tmp_path / "captures"), '["p1", "p4"]')
-    captures = load_capture_folder(folder).ball_presses()
-    split = captures.split(4)
+def test_what_the_manifest_holds_out_is_held_out_and_not_forgotten(tmp_path: Path) -> None:
+    folder = with_split(tmp_path, '["p1", "p4"]')
+    whole = load_capture_folder(folder)
+    split = whole.ball_presses().split(4)
     assert split.heldout == (1, 4) and split.by == "manifest" and split.gone == ()
-    assert captures.split(0).heldout == ()
-    assert [p.name for p in load_capture_folder(folder).fitted().presses] == ["p0", "p2", "p3"]
-
-
-def test_a_held_out_press_that_is_left_out_later_is_not_forgotten(tmp_path: Path) -> None:
-    folder = with_split(write_captures(tmp_path / "captures"), '["p1", "p4"]')
+    assert whole.ball_presses().split(0).heldout == ()
+    assert [p.name for p in whole.fitted().presses] == ["p0", "p2", "p3"]
+    # Presses of other balls are not missed, those that a person leaves out are.
+    other = tuple(replace(p, radius_mm=1.0) if p.name == "p4" else p for p in whole.presses)
+    assert replace(whole, presses=other).ball_presses(radius_mm=2.0).split(4).gone == ()
     (folder / "contacts.toml").write_text('[[contact]]\npress = "p4"\nskip = true\n')
     split = load_capture_folder(folder).ball_presses().split(4)
     assert split.heldout_names == ("p1",) and split.gone == ("p4",)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ('["p9"]', "holds out p9, but there is no such press"),
-        ("[]", re.escape("split.heldout")),
-        ('["p0", "p1", "p2", "p3", "p4"]', "holds out all of the 5 presses"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ('["p9"]', "holds out p9, but there is no such press"),
+    ("[]", r"split\.heldout"),
+    ('["p0", "p1", "p2", "p3", "p4"]', "holds out all of the 5 presses"),
+])  # fmt: skip
 def test_unfit_splits_are_refused(tmp_path: Path, text: str, words: str) -> None:
-    folder = with_split(write_captures(tmp_path / "captures"), text)
     with pytest.raises(InputError, match=words):
-        load_capture_folder(folder).split(4)
-
-
-def test_presses_of_other_balls_are_not_missed(tmp_path: Path) -> None:
-    folder = with_split(write_captures(tmp_path / "captures"), '["p1", "p4"]')
-    whole = load_capture_folder(folder)
-    other = tuple(replace(p, radius_mm=1.0) if p.name == "p4" else p for p in whole.presses)
-    captures: CaptureSet = replace(whole, presses=other).ball_presses(radius_mm=2.0)
-    assert captures.split(4).gone == ()
-
-
-def test_importing_freezes_the_split(tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    source.mkdir()
-    for i in range(8):
-        picture(source / f"press_{i}.png", level=80 + i)
-    picture(source / "background.png")
-    options = ImportOptions(sensor="gelsight_mini", radius_mm=2.0, mm_per_px_x=0.05)
-    (folder,) = import_captures(source, tmp_path / "captures", options=options)
-    captures = load_capture_folder(folder)
-    assert captures.heldout is not None and len(captures.heldout) == 2
-    assert captures.split().by == "manifest"
-    fewer = replace(captures, heldout=None).split()
-    assert fewer.heldout_names == captures.heldout
+        load_capture_folder(with_split(tmp_path, text)).split(4)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,17 +19,13 @@ from tests.calibration.circles.presses import BALL_PX, GRID, gel, pressed, scatt
 
 @pytest.mark.parametrize("presses", [1, 4, 12])
 def test_rates_of_the_map_are_its_differences(presses: int) -> None:
-    terms = MapTerms.for_presses(presses).finer()
+    terms, step = MapTerms.for_presses(presses).finer(), 1e-6
     factors = np.random.default_rng(0).uniform(-1, 1, (5, 40))
     rows = terms.rows(*factors)
     assert len(rows) == PLAIN + terms.count
-    step = 1e-6
-    for factor, rates in enumerate(terms.rates):
-        ahead, behind = (
-            terms.rows(*(factors + side * step * (np.arange(5) == factor)[:, None]))
-            for side in (1, -1)
-        )
-        assert rates @ rows == pytest.approx((ahead - behind) / (2 * step), abs=1e-7)
+    for move, rates in zip(step * np.eye(5)[..., None], terms.rates, strict=False):
+        change = terms.rows(*(factors + move)) - terms.rows(*(factors - move))
+        assert rates @ rows == pytest.approx(change / (2 * step), abs=1e-7)
 
 
 def test_a_finer_map_starts_as_the_coarser_one() -> None:
@@ -59,23 +56,19 @@ def test_a_few_rounds_reach_the_optimum(count: int) -> None:
     starts = [ContactCircle(c.u_px + 3.0, c.v_px - 2.0, 0.9 * c.radius_px) for c in circles]
     changes = [color_change(pressed(c, blur_px=3.0), gel(), GRID) for c in circles]
     samples = [sample_rings(one.change, c) for one, c in zip(changes, starts, strict=True)]
-    balls = [BALL_PX] * count
-    first = fit_contacts(samples, starts, balls, blur_px=1.5, iterations=6)
-    soon = fit_contacts(samples, first, balls, blur_px=1.5, iterations=6)
-    late = fit_contacts(samples, soon, balls, blur_px=1.5, iterations=60)
-    found, wanted = (circle_array([c.circle for c in fit.contacts]) for fit in (soon, late))
+    fits: list[Any] = [starts]
+    for iterations in (6, 6, 60):
+        fits.append(fit_contacts(samples, fits[-1], [BALL_PX] * count, iterations, blur_px=1.5))
+    found, wanted = (circle_array([c.circle for c in fit.contacts]) for fit in fits[2:])
     assert np.abs(found - wanted).max() < 0.03
     assert np.abs(wanted - circle_array(circles)).max() < 0.3
 
 
 def test_a_channel_without_light_has_no_say() -> None:
     circle = scattered(1, seed=5)[0]
-    change = color_change(pressed(circle), gel(), GRID).change
-    samples = sample_rings(change, circle)
-    kept = np.array([1.0, 0.0, 1.0])
-    dark = replace(samples, change=samples.change * kept)
+    samples = sample_rings(color_change(pressed(circle), gel(), GRID).change, circle)
+    dark = replace(samples, change=samples.change * np.array([1.0, 0.0, 1.0]))
     found = fit_contacts([dark], [circle], [BALL_PX], blur_px=1.5, iterations=14)
     assert not found.map[1].any()
-    assert circle_array([found.contacts[0].circle]) == pytest.approx(
-        circle_array([circle]), abs=0.3
-    )
+    shown, wanted = circle_array([found.contacts[0].circle]), circle_array([circle])
+    assert shown == pytest.approx(wanted, abs=0.3)

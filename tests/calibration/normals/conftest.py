@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.circles.ball_surface import BallSurface, ball_surface, layer_surfaces
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.normals.fit import fit_normals
@@ -22,10 +23,12 @@ from taccel_lab.calibration.response.frame import HeldoutSet, SurfaceOf
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.synthetic_presses import (
     GRID,
+    circles_of,
     flat_background,
     known_change,
     synthetic_captures,
     true_surface,
+    with_images,
 )
 
 QUICK = InverseFitOptions(
@@ -45,10 +48,8 @@ Clean = tuple[CaptureSet, list[BallSurface], NormalCalibration]
 def short_color_fits() -> Iterator[None]:
     """What presses of other tools are drawn with takes ten times as long as the networks here."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "taccel_lab.calibration.normals.fit.ColorFitOptions",
-            lambda seed: replace(SHORT_FIT, seed=seed),
-        )
+        options = "taccel_lab.calibration.normals.fit.ColorFitOptions"
+        patch.setattr(options, lambda seed: replace(SHORT_FIT, seed=seed))
         yield
 
 
@@ -65,36 +66,26 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def circles_of(captures: CaptureSet) -> list[ContactCircle]:
-    return [press.circle for press in captures.presses if press.circle is not None]
-
-
 def calibrated(
     captures: CaptureSet,
     surfaces: list[BallSurface],
     surface_of: SurfaceOf = true_surface,
     **changes: object,
 ) -> NormalCalibration:
-    settings = {"options": QUICK} | changes
+    settings: dict[str, Any] = {"options": QUICK} | changes
     split = captures.split(4)
-    training = captures.only(split.train)
+    training, known = captures.only(split.train), [surfaces[i] for i in split.train]
+    held = HeldoutSet.of(captures, split, surface_of)
     with short_color_fits():  # fixtures of the whole run come before those of a test
-        return fit_normals(
-            training,
-            circles_of(training),
-            [surfaces[i] for i in split.train],
-            HeldoutSet.of(captures, split, surface_of),
-            **settings,  # type: ignore[arg-type]
-        )
+        return fit_normals(training, circles_of(training), known, held, **settings)
 
 
-def with_images(captures: CaptureSet, change: object) -> CaptureSet:
+def changed(
+    captures: CaptureSet, change: Callable[[np.ndarray, int], np.ndarray], **more: object
+) -> CaptureSet:
     """The captures with ``change(image, index)`` in the place of each image."""
-    presses = tuple(
-        replace(press, read=partial(change, press.image(), i))  # type: ignore[arg-type]
-        for i, press in enumerate(captures.presses)
-    )
-    return replace(captures, presses=presses)
+    images = [change(press.image(), i) for i, press in enumerate(captures.presses)]
+    return with_images(captures, images, **more)
 
 
 @pytest.fixture(scope="session")
@@ -109,7 +100,7 @@ def sunk_captures() -> tuple[CaptureSet, list[BallSurface]]:
     captures, _ = synthetic_captures(16, noise=0.0)
     surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(GRID))
     images = [np.clip(flat_background() + known_change(s), 0, 255) for s in surfaces]
-    return with_images(captures, lambda _, i: images[i]), surfaces
+    return with_images(captures, images), surfaces
 
 
 @pytest.fixture(scope="session")

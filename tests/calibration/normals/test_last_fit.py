@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.normals.network_fit import InverseTraining
-from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
+from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.unfinished import Profiles
-from tests.calibration.normals.conftest import QUICK, Clean, calibrated, circles_of, with_images
-from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures
+from tests.calibration.normals.conftest import QUICK, Clean, calibrated, changed
+from tests.support import synthetic_presses as synthetic
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, with_images
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -29,7 +30,7 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
         return spoilt if i in split.heldout else image
 
     clean = calibrated(captures, surfaces, options=short)
-    spoilt = calibrated(with_images(captures, noise), surfaces, options=short)
+    spoilt = calibrated(changed(captures, noise), surfaces, options=short)
     for name, weight in clean.fit.model.weights.items():
         assert np.array_equal(weight, spoilt.fit.model.weights[name])
     assert clean.fit.left_out_deg == spoilt.fit.left_out_deg
@@ -38,83 +39,62 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
     assert clean.heldout_means("used") != spoilt.heldout_means("used")
     other = calibrated(captures, surfaces, options=replace(short, seed=1)).fit.model.weights
     assert not np.array_equal(other["layer0.weight"], clean.fit.model.weights["layer0.weight"])
-    bare = replace(
-        captures,
-        presses=tuple(
-            replace(p, circle=None, read=partial(np.copy, captures.background))
-            if i == split.heldout[0]
-            else p
-            for i, p in enumerate(captures.presses)
-        ),
-        heldout=split.heldout_names,
-    )
-    lost = calibrated(bare, surfaces, options=short)
+    first = split.heldout[0]
+    bare = synthetic.with_circles(captures, {first: None}, heldout=split.heldout_names)
+    lost = calibrated(with_images(bare, {first: bare.background}), surfaces, options=short)
     assert set(lost.failures) == {split.heldout_names[0]}
-    (other,) = lost.heldout
-    assert lost.heldout_means("used")["mean_deg"] == pytest.approx(
-        (other.used.mean_deg + other.used.flat_deg) / 2
-    )
+    (kept,) = lost.heldout
+    wanted = (kept.used.mean_deg + kept.used.flat_deg) / 2
+    assert lost.heldout_means("used")["mean_deg"] == pytest.approx(wanted)
     assert "heldout_failed" in {remark.code for remark in lost.remarks}
 
 
 @pytest.mark.thorough
-def test_a_profile_gets_the_fit_to_all_presses_with_scores_and_bands_of_the_first(
-    clean: Clean,
-) -> None:
+def test_a_profile_gets_the_fit_to_all_presses_with_scores_of_the_first(clean: Clean) -> None:
     result = clean[2]
     profiles = Profiles.of(flat_profile(GRID)).after(result)
     scored, last = profiles.basis, profiles.final
     assert scored.normals is not None and last.normals is not None and result.final is not None
     assert scored.normal_weights is not None and last.normal_weights is not None
-    assert set(scored.normals.provenance.inputs) == {"background", *result.train_names}
-    assert set(last.normals.provenance.inputs) == {"background"} | {f"p{i}" for i in range(16)}
-    assert "then fitted to all 16 presses" in last.normals.provenance.method
-    assert "then fitted" not in scored.normals.provenance.method
-    assert last.normals.provenance.residuals == scored.normals.provenance.residuals
+    one, two = scored.normals.provenance, last.normals.provenance
+    assert set(one.inputs) == {"background", *result.train_names}
+    assert set(two.inputs) == {"background", *(f"p{i}" for i in range(16))}
+    assert "then fitted to all 16 presses" in two.method and "then fitted" not in one.method
+    assert two.residuals == one.residuals
     for name, weight in last.normal_weights.items():
         assert np.array_equal(scored.normal_weights[name], result.fit.model.weights[name])
         assert not np.array_equal(weight, scored.normal_weights[name])
     first, second = result.fit.model.config, result.final.model.config
     assert second.error_factor >= first.error_factor and second.cone_deg >= first.cone_deg
     assert len(second.presses_px) > len(first.presses_px)
-    own = {
-        "error_factor": first.error_factor,
-        "cone_deg": first.cone_deg,
-        "presses_px": first.presses_px,
-    }
+    own = {name: getattr(first, name) for name in ("error_factor", "cone_deg", "presses_px")}
     assert replace(second, **own) == first
 
 
-def test_a_last_fit_leaves_out_what_its_networks_left_out() -> None:
+@pytest.mark.parametrize(("first", "folds"), [(5, [0, 1, 2, 0, 1, 2, 0, 1]), (3, [None] * 8)])
+def test_a_last_fit_leaves_out_what_was_left_out(first: int, folds: list[int | None]) -> None:
     """A press that a network has seen would say of it that it errs little."""
     captures, surfaces = synthetic_captures(8)
     frames = [
-        PressFrame(press.name, press.image().astype(np.float32), circle, surface)
-        for press, circle, surface in zip(
-            captures.presses, circles_of(captures), surfaces, strict=True
-        )
+        replace(f, image=f.image.astype(np.float32))
+        for f in synthetic.frames_of(captures, surfaces)
     ]
     scene = CaptureScene.of(captures, None)
-    for first, folds in ((5, [0, 1, 2, 0, 1, 2, 0, 1]), (3, [None] * 8)):
-        training = InverseTraining(frames[:first], scene, replace(QUICK, steps=10))
-        training.run()
-        seen = [set(pool.tolist()) for pool in training.pools]
-        last = training.go_on(frames[first:])
-        assert training.folds == folds and len(last.inputs) == 8
-        for pool, before in zip(training.pools, seen, strict=True):
-            known = set(range(sum(len(part) for part in training.pixels[:first])))
-            assert set(pool.tolist()) & known == before
-        assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
+    training = InverseTraining(frames[:first], scene, replace(QUICK, steps=10))
+    training.run()
+    seen = [set(pool.tolist()) for pool in training.pools]
+    last = training.go_on(frames[first:])
+    assert training.folds == folds and len(last.inputs) == 8
+    known = set(range(sum(len(part) for part in training.pixels[:first])))
+    assert [set(pool.tolist()) & known for pool in training.pools] == seen
+    assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
 
 
 @pytest.mark.thorough
 def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
     captures, surfaces = synthetic_captures(12)
-    empty = captures.split(4).heldout_names[0]
-
-    def blank(image: np.ndarray, i: int) -> np.ndarray:
-        return captures.background if captures.presses[i].name == empty else image
-
-    result = calibrated(with_images(captures, blank), surfaces)
-    assert result.final is not None and {item.name for item in result.heldout} >= {empty}
-    assert set(result.final.inputs) == {press.name for press in captures.presses} - {empty}
+    empty = captures.split(4).heldout[0]
+    spoilt: CaptureSet = with_images(captures, {empty: captures.background})
+    result = calibrated(spoilt, surfaces)
+    assert result.final is not None and {item.name for item in result.heldout} >= {f"p{empty}"}
+    assert set(result.final.inputs) == {f"p{i}" for i in range(12)} - {f"p{empty}"}

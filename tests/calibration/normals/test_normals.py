@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,23 +15,13 @@ from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, press_layer
 from taccel_lab.calibration.circles.labels import LabelPlacement
-from taccel_lab.calibration.normals.fit import (
-    READING,
-    READING_BALLS,
-    calibrate_normals,
-    fit_normals,
-)
+from taccel_lab.calibration.normals import fit, score
+from taccel_lab.calibration.normals.fit import calibrate_normals, fit_normals
 from taccel_lab.calibration.normals.network_fit import TASK, TASK_AGAIN, InverseTraining
 from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import (
-    angle_between_deg,
-    ball_center_px,
-    ball_normals,
-)
-from taccel_lab.calibration.normals.score import READING as READING_HELDOUT
-from taccel_lab.calibration.normals.score import ball_depth_mm, read_heldout
+from taccel_lab.calibration.normals.samples import angle_between_deg, ball_center_px, ball_normals
 from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
 from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSet
 from taccel_lab.errors import InputError
@@ -40,25 +31,21 @@ from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.calibration.drawn.faults import drift as light_drift
-from tests.calibration.normals.conftest import (
-    PAD,
-    QUICK,
-    Clean,
-    calibrated,
-    circles_of,
-    with_images,
-)
+from tests.calibration.drawn import faults
+from tests.calibration.drawn.faults import quantise
+from tests.calibration.normals.conftest import PAD, QUICK, Clean, calibrated, changed
 from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,
+    circles_of,
     flat_background,
     flat_profile,
     known_change,
     synthetic_captures,
     tiny_profile,
     true_surface,
+    with_images,
     without_check,
     write_captures,
 )
@@ -71,10 +58,9 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def test_a_label_that_its_image_rejects_widens_nothing(clean: Clean) -> None:
     captures, _, result = clean
     split = captures.split(4)
-    wrong = split.heldout_names[0]
-    training = captures.only(split.train)
+    wrong, training = split.heldout_names[0], captures.only(split.train)
     doubted = replace(captures, presses=without_labels(captures.presses, [wrong]))
-    reading = read_heldout(
+    reading = score.read_heldout(
         result.fit.model, HeldoutSet.of(doubted, split, true_surface),
         LabelPlacement.of(training.presses, circles_of(training)), result.scene, EXACT,
     )  # fmt: skip
@@ -94,8 +80,7 @@ def test_perfect_captures_are_read_to_the_networks_precision(clean: Clean) -> No
     assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
     for item in result.heldout:
         # A level of 255, which the images are rounded to, is about half a degree here.
-        assert item.used.mean_deg < 1.5
-        assert item.used.flat_deg > 15
+        assert item.used.mean_deg < 1.5 and item.used.flat_deg > 15
         assert item.used.depth_mae_mm < 0.03
         surface = surfaces[int(item.name[1:])]
         off = angle_between_deg(item.predicted.normals, surface.normals)
@@ -108,16 +93,12 @@ def test_perfect_captures_are_read_to_the_networks_precision(clean: Clean) -> No
 
 @pytest.mark.thorough
 def test_noisy_captures_err_as_expected() -> None:
-    captures, surfaces = synthetic_captures(16, noise=6.0)
-    result = calibrated(captures, surfaces)
+    result = calibrated(*synthetic_captures(16, noise=6.0))
     found = result.reliability
-    assert found is not None
-    assert 0.75 < found.ratio() < 1.3
-    assert 0.55 < found.within_68 < 0.85
-    assert found.within_95 > 0.88
+    assert found is not None and 0.75 < found.ratio() < 1.3
+    assert 0.55 < found.within_68 < 0.85 and found.within_95 > 0.88
     assert found.expected_deg == tuple(sorted(found.expected_deg))
-    figures = result.figures()
-    errors = [row["used"]["mean_deg"] for row in figures["presses"]]
+    errors = [row["used"]["mean_deg"] for row in result.figures()["presses"]]
     assert errors == sorted(errors, reverse=True)
 
 
@@ -134,7 +115,7 @@ def test_a_wrong_circle_stands_out_where_its_press_was_left_out() -> None:
     captures, surfaces = synthetic_captures(12, noise=1.0)
     circles = circles_of(captures)
     circles[4] = replace(circles[4], u_px=circles[4].u_px + 5)
-    surfaces[4] = analytic_surface(circles[4], GRID, BALL_RADIUS_MM, decay_mm=1.0)
+    surfaces[4] = true_surface(circles[4], BALL_RADIUS_MM)
     result = fit_normals(captures, circles, surfaces, options=QUICK)
     errors = result.fit.left_out_deg
     assert max(errors, key=lambda name: errors[name]) == "p4"
@@ -147,17 +128,10 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     captures, surfaces = synthetic_captures(8)
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[40:60, 70:90] = False
-    captures = replace(captures, mask=mask)
-    rng = np.random.default_rng(0)
-
-    def poison(image: np.ndarray, _: int) -> np.ndarray:
-        image = image.copy()
-        image[~mask] = rng.integers(0, 256, image[~mask].shape)
-        return image
-
+    captures, rng = replace(captures, mask=mask), np.random.default_rng(0)
+    spoilt = changed(captures, lambda image, _: quantise(faults.poison(image, mask, rng)))
     short = replace(QUICK, steps=30)
-    one = calibrated(captures, surfaces, options=short)
-    two = calibrated(with_images(captures, poison), surfaces, options=short)
+    one, two = (calibrated(some, surfaces, options=short) for some in (captures, spoilt))
     for name, weight in one.fit.model.weights.items():
         assert np.array_equal(weight, two.fit.model.weights[name])
     assert [i.used for i in one.heldout] == [i.used for i in two.heldout]
@@ -170,43 +144,34 @@ def test_drifting_light_is_taken_off() -> None:
     gains, offsets = rng.uniform(0.9, 1.1, (10, 3)), rng.uniform(-15, 15, (10, 3))
 
     def drifted(image: np.ndarray, i: int) -> np.ndarray:
-        changed = light_drift(image.astype(float), gains[i], offsets[i])
-        return np.clip(np.rint(changed), 0, 255).astype(np.uint8)
+        return quantise(faults.drift(image.astype(float), gains[i], offsets[i]))
 
-    drifting = with_images(captures, drifted)
-    found = calibrated(drifting, surfaces)
+    found = calibrated(changed(captures, drifted), surfaces)
     assert np.mean([i.used.mean_deg for i in found.heldout]) < 3.0
 
 
-@pytest.mark.parametrize("gain", [(0.9, 1.0, 1.0), (0.8, 0.8, 0.8), (1.08, 1.08, 1.08)])
+@pytest.mark.parametrize(
+    ("gain", "own_background"),
+    [((0.9, 1.0, 1.0), False), ((0.8,) * 3, False), ((1.08,) * 3, False), ((1.2,) * 3, True)],
+)
 def test_light_that_was_never_calibrated_is_taken_off(
-    clean: Clean, gain: tuple[float, float, float]
+    clean: Clean, gain: tuple[float, float, float], own_background: bool
 ) -> None:
-    """A lamp that ages or a camera that warms up is no contact and changes none."""
-    captures, _, result = clean
-    reader = SurfaceReader(result.apply_to(flat_profile(GRID)))
-    held = captures.presses[captures.split(4).heldout[0]].image()
-
-    def seen(image: np.ndarray) -> np.ndarray:
-        return np.clip(np.rint(image * np.array(gain)), 0, 255).astype(np.uint8)
-
-    rest, other = np.asarray(reader.profile.background_rgb), reader.read(seen(held))
-    own = reader.read(held)
-    assert reader.read(seen(rest)).figures(GRID)["touched_mm2"] == 0.0
-    one, two = own.figures(GRID), other.figures(GRID)
-    assert two["touched_mm2"] == pytest.approx(one["touched_mm2"], rel=0.05)
-    assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=0.08)
-
-
-def test_a_brighter_unit_reads_the_same_depth_against_its_own_background(clean: Clean) -> None:
+    """A lamp that ages or a camera that warms up is no contact and changes none; a brighter unit
+    reads the same depth against its own background."""
     captures, _, result = clean
     profile = result.apply_to(flat_profile(GRID))
+    reader, rest = SurfaceReader(profile), np.asarray(profile.background_rgb)
     held = captures.presses[captures.split(4).heldout[0]].image()
-    rest = np.asarray(profile.background_rgb)
-    brighter = SurfaceReader(profile, background=np.clip(1.2 * rest, 0, 255))
-    own = SurfaceReader(profile).read(held).figures(GRID)
-    found = brighter.read(np.clip(np.rint(1.2 * held), 0, 255).astype(np.uint8)).figures(GRID)
-    assert found["max_depth_mm"] == pytest.approx(own["max_depth_mm"], rel=0.05)
+    one = reader.read(held).figures(GRID)
+    if own_background:
+        reader = SurfaceReader(profile, background=np.clip(rest * gain, 0, 255))
+    two = reader.read(quantise(held * gain)).figures(GRID)
+    within = 0.05 if own_background else 0.08
+    assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=within)
+    if not own_background:
+        assert two["touched_mm2"] == pytest.approx(one["touched_mm2"], rel=0.05)
+        assert reader.read(quantise(rest * gain)).figures(GRID)["touched_mm2"] == 0.0
 
 
 @pytest.mark.slow
@@ -215,10 +180,9 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     captures, surfaces = synthetic_captures(16, noise=0.0, seed=3)
     stripes = 1 + 0.6 * np.sin(2 * np.pi * 4 * np.arange(GRID.width_px) / GRID.width_px)
     images = [flat_background() + known_change(s) * stripes[None, :, None] for s in surfaces]
-    striped = with_images(captures, lambda _, i: np.clip(images[i], 0, 255))
-    longer = replace(QUICK, steps=500)
+    striped = with_images(captures, [np.clip(image, 0, 255) for image in images])
     results = [
-        calibrated(striped, surfaces, options=replace(longer, position_bands=bands))
+        calibrated(striped, surfaces, options=replace(QUICK, steps=500, position_bands=bands))
         for bands in (0, 3)
     ]
     off = [np.mean([item.used.mean_deg for item in result.heldout]) for result in results]
@@ -242,18 +206,14 @@ def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -
     assert provenance.residuals["heldout_mean_deg"] < 1.5
     assert provenance.verdict == judge(result.remarks).value
     reader = SurfaceReader(profile)
-    item = result.heldout[0]
     found = reader.read(captures.presses[held[0]].image())
-    assert found.normals == pytest.approx(item.predicted.normals, abs=1e-6)
+    assert found.normals == pytest.approx(result.heldout[0].predicted.normals, abs=1e-6)
     depth_mm = -1e3 * found.rise_m
     assert depth_mm.max() == pytest.approx(surfaces[held[0]].depth_mm, rel=0.08)
-    figures = found.figures(profile.grid())
-    circle = captures.presses[held[0]].circle
-    assert circle is not None
+    circle, figures = circles_of(captures)[held[0]], found.figures(profile.grid())
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)
     still = reader.read(np.asarray(profile.background_rgb))
-    assert not still.touch.any
-    assert np.abs(still.rise_m).max() < 5e-6
+    assert not still.touch.any and np.abs(still.rise_m).max() < 5e-6
     write_page(normals_page(result), tmp_path / "report")
     assert (tmp_path / "report" / "errors.png").stat().st_size > 10_000
 
@@ -267,12 +227,10 @@ def test_balls_are_those_of_the_analytic_surface() -> None:
     # The analytic surface is interpolated in a table of 8192 radii.
     assert angle_between_deg(found, surface.normals)[inside].max() < 0.1
     circle = ContactCircle(80.0, 60.0, 15.0)
-    depth = ball_depth_mm(circle, CaptureScene(flat_background(), GRID, 2.0))
+    depth = score.ball_depth_mm(circle, CaptureScene(flat_background(), GRID, 2.0))
     assert depth[60, 80] == pytest.approx(2.0 - np.sqrt(4.0 - 2.25))
     assert depth[60, 95] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_ball_on_a_tilted_face_stands_off_along_its_normal() -> None:
+    # On a tilted face they stand off along its normal.
     grid = PixelGrid(81, 81, 0.05, 0.05)
     rest = np.broadcast_to(np.array([0.3, 0.0, np.sqrt(1 - 0.09)]), (81, 81, 3))
     circle = ContactCircle(40.0, 40.0, 20.0)
@@ -292,15 +250,13 @@ def test_curved_gel_is_read_relative_to_its_rest() -> None:
     rest = np.stack([u / 20, v / 20, np.ones_like(u)], axis=-1)
     rest /= np.linalg.norm(rest, axis=-1, keepdims=True)
     captures, surfaces = synthetic_captures(12, noise=0.0)
-    bent, images = [], []
-    for press, surface in zip(captures.presses, surfaces, strict=True):
-        # The contact's own normals, turned with the face: what the lamps see is the same tilt.
-        turned = replace(surface, normals=rotate_from_z(surface.normals, rest), rest_normals=rest)
-        bent.append(turned)
-        images.append(press.image())
+    # The contact's own normals, turned with the face: what the lamps see is the same tilt.
+    bent = [
+        replace(surface, normals=rotate_from_z(surface.normals, rest), rest_normals=rest)
+        for surface in surfaces
+    ]
     face = replace(flat_rest(GRID), normals=rest)
-    result = calibrated(captures, bent, rest=face)
-    for item in result.heldout:
+    for item in calibrated(captures, bent, rest=face).heldout:
         wanted = bent[int(item.name[1:])].normals
         circle = item.frame.circle
         sink_in = circle.distance_px(GRID) > 1.1 * circle.radius_px
@@ -314,38 +270,30 @@ def test_curved_gel_is_read_relative_to_its_rest() -> None:
 @pytest.mark.thorough
 def test_grey_captures_are_called_so() -> None:
     captures, surfaces = synthetic_captures(8)
-
-    def grey(image: np.ndarray, i: int) -> np.ndarray:
-        change = known_change(surfaces[i])[..., :1]
-        return np.clip(np.rint(captures.background + change), 0, 255).astype(np.uint8)
-
-    result = calibrated(with_images(captures, grey), surfaces, options=replace(QUICK, steps=50))
+    changes = [known_change(surface)[..., :1] for surface in surfaces]
+    grey = with_images(captures, [quantise(captures.background + change) for change in changes])
+    result = calibrated(grey, surfaces, options=replace(QUICK, steps=50))
     assert any(remark.code == "grey_or_colour" for remark in result.remarks)
     assert judge(result.remarks) is Verdict.WEAK
 
 
-def test_bad_fits_are_refused() -> None:
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda c, s: InverseTraining([], CaptureScene.of(c, None), QUICK), "at least one press"),
+    (lambda c, s: fit_normals(c, [], s), "3 presses need as many circles and surfaces"),
+    (lambda c, s: InverseFitOptions(members=0), "members must be at least 1"),
+    (lambda c, s: InverseFitOptions(position_bands=9), r"_bands must lie in \[0, 8\], got 9"),
+    (lambda c, s: fit_normals(replace(c, mask=c.mask & False), circles_of(c), s, options=QUICK),
+     "masked|usable"),
+    (lambda c, s: SurfaceReader(tiny_profile(GRID)), "neither a normals nor a depth_response"),
+])  # fmt: skip
+def test_bad_fits_are_refused(call: Callable[..., object], words: str) -> None:
     captures, surfaces = synthetic_captures(3)
-    scene = CaptureScene(captures.background, GRID, BALL_RADIUS_MM)
-    with pytest.raises(InputError, match="at least one press"):
-        InverseTraining([], scene, QUICK)
-    with pytest.raises(InputError, match="3 presses need as many circles and surfaces"):
-        fit_normals(captures, [], surfaces)
-    with pytest.raises(InputError, match="members must be at least 1"):
-        InverseFitOptions(members=0)
-    with pytest.raises(InputError, match=r"position_bands must lie in \[0, 8\], got 9"):
-        InverseFitOptions(position_bands=9)
-    nothing = replace(captures, mask=np.zeros((120, 160), dtype=bool))
-    with pytest.raises(InputError, match=r"masked|usable"):
-        fit_normals(nothing, circles_of(nothing), surfaces, options=QUICK)
-    with pytest.raises(InputError, match="neither a normals nor a depth_response"):
-        SurfaceReader(tiny_profile(GRID))
+    with pytest.raises(InputError, match=words):
+        call(captures, surfaces)
 
 
 @pytest.mark.thorough
-def test_edges_and_punches_are_read_by_a_network_trained_on_other_tools(
-    synthetic: NormalCalibration, tmp_path: Path
-) -> None:
+def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path) -> None:
     """Absolute depths of tools that no ball resembles, in their band; balls alone read half."""
     save_profile(synthetic.apply_to(flat_profile(GRID)), tmp_path / "profile")
     reader = SurfaceReader(load_profile(tmp_path / "profile"))
@@ -367,22 +315,16 @@ def test_edges_and_punches_are_read_by_a_network_trained_on_other_tools(
         assert found.figures(reader.profile.grid())["max_depth_mm"] > 0.3
 
 
-@pytest.mark.thorough
-def test_every_stage_is_named_and_ends(
-    synthetic: NormalCalibration, stages: dict[str, tuple[int, int]]
-) -> None:
+def test_every_stage_ends(synthetic: NormalCalibration, stages: dict[str, tuple[int, int]]) -> None:
     """Reading takes longer than the fit, and its bar stood at the fit's last step."""
     fitted, *read = list(stages)[list(stages).index(TASK) :]
     assert stages[fitted] == (800, 800)
-    assert read == [READING, READING_BALLS, READING_HELDOUT, TASK_AGAIN]
+    assert read == [fit.READING, fit.READING_BALLS, score.READING, TASK_AGAIN]
     assert all(done == total for done, total in stages.values())
-    assert stages[READING_HELDOUT][1] == len(synthetic.heldout)
-
-
-def test_absolute_depths_of_held_out_balls_are_scored(synthetic: NormalCalibration) -> None:
+    assert stages[score.READING][1] == len(synthetic.heldout)
+    # Absolute depths of held-out balls are scored.
     absolute = synthetic.absolute_means()
-    assert absolute["mae_mm"] < 0.04
-    assert 0.6 < absolute["within_95"] <= 1.0
+    assert absolute["mae_mm"] < 0.04 and 0.6 < absolute["within_95"] <= 1.0
     figures = synthetic.figures()
     assert figures["heldout"]["absolute_depth"] == absolute
     assert figures["synthetic_presses"]["count"] > 10
@@ -418,11 +360,11 @@ def test_synthetic_presses_do_not_take_colours_that_have_seen_held_out_ones(
     base = base.without("color").with_block(block, base.color_weights)
     given: list[object] = []
 
-    def fit(*_: object, colors: object, **__: object) -> None:
+    def look(*_: object, colors: object, **__: object) -> None:
         given.append(colors)
         raise InputError("looked at")
 
-    monkeypatch.setattr("taccel_lab.calibration.normals.fit.fit_normals", fit)
+    monkeypatch.setattr(fit, "fit_normals", look)
     with pytest.raises(InputError, match="looked at"):
         calibrate_normals(folder, base)
     assert (given[0] is None) == seen

@@ -11,24 +11,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
-from taccel_lab.calibration.circles.ball_surface import (
-    BallSurface,
-    ball_surface,
-    depth_share,
-    layer_surfaces,
-)
+from taccel_lab.calibration.circles import ball_surface as ball_surfaces
+from taccel_lab.calibration.circles.ball_surface import BallSurface, depth_share, layer_surfaces
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.normals import samples
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import (
-    KnownPress,
-    all_errors,
-    circle_angle_rad,
-    true_normals,
-    widened,
-    with_reading_errors,
-)
+from taccel_lab.calibration.normals.samples import KnownPress, all_errors, circle_angle_rad, widened
 from taccel_lab.calibration.normals.score import read_heldout, reliability_of
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.press_options import ColorFitOptions
@@ -41,15 +31,14 @@ from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.calibration.normals.conftest import (
-    ON_PAD,
-    PAD,
-    QUICK,
-    calibrated,
+from tests.calibration.normals.conftest import ON_PAD, PAD, QUICK, calibrated, sunk_captures
+from tests.support.synthetic_presses import (
+    GRID,
     circles_of,
-    sunk_captures,
+    frames_of,
+    synthetic_captures,
+    with_circles,
 )
-from tests.support.synthetic_presses import GRID, synthetic_captures
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 AREA = PixelGrid(60, 56, 0.1, 0.1)
@@ -60,16 +49,13 @@ SCENE = CaptureScene(np.full((56, 60, 3), 120.0, dtype=np.float32), AREA, BALL_M
 
 
 @pytest.mark.parametrize(("deepest_mm", "low_mm", "high_mm"), [(2.6, 0.12, 1.2), (0.5, 0.05, 0.65)])
-def test_tools_go_as_deep_as_the_balls_and_no_deeper_than_helps(
-    deepest_mm: float, low_mm: float, high_mm: float
-) -> None:
+def test_tools_go_as_deep_as_the_balls(deepest_mm: float, low_mm: float, high_mm: float) -> None:
     """Where balls went 2.6 mm deep, networks that saw tools from 0.26 to 2 mm read those of 0.3 mm
     1.6 times as far off as ones that see 0.12 to 1.2 mm."""
     weights = {"layer0.weight": np.zeros((3, 6)), "layer0.bias": np.zeros(3)}
     colors = ColorModel(ColorModelConfig(60, 56, hidden=()), weights)
-    drawn = SyntheticPresses(
-        SCENE, LAYER, colors, ImageNoise(1.0, 0.0, 0.0), deepest_mm, np.random.default_rng(0)
-    )
+    noise, rng = ImageNoise(1.0, 0.0, 0.0), np.random.default_rng(0)
+    drawn = SyntheticPresses(SCENE, LAYER, colors, noise, deepest_mm, rng)
     depths_mm = [-1e3 * press.rise_m.min() for press in drawn.presses(30)]
     assert max(depths_mm) < 1.03 * high_mm  # A press is solved to 3 % of its depth.
     assert min(depths_mm) < 1.8 * low_mm
@@ -77,9 +63,8 @@ def test_tools_go_as_deep_as_the_balls_and_no_deeper_than_helps(
 
 def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
     """Linear networks that read tilts of small slopes; the first is off by the share ``wrong``."""
-    config = NormalModelConfig(
-        60, 56, scales_px=(0.0,), slope_scales_px=(), members=members, hidden=()
-    )
+    scales = {"scales_px": (0.0,), "slope_scales_px": ()}
+    config = NormalModelConfig(60, 56, members=members, hidden=(), **scales)
     weights = {k: np.zeros(s, dtype=np.float32) for k, s in config.weight_shapes().items()}
     for axis in range(2):
         weights["layer0.weight"][:, axis, axis] = -SLOPE_PER_LEVEL * 32.0
@@ -101,7 +86,7 @@ def drawn(rise_m: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.
 @cache
 def ball(circle: ContactCircle) -> BallSurface:
     """The layer under a ball, which one contact is enough to solve."""
-    return ball_surface(circle, BALL_MM, AREA, LAYER, flat_rest(AREA))
+    return ball_surfaces.ball_surface(circle, BALL_MM, AREA, LAYER, flat_rest(AREA))
 
 
 def presses(label_px: float, stated_px: float) -> Iterator[KnownPress]:
@@ -115,47 +100,38 @@ def presses(label_px: float, stated_px: float) -> Iterator[KnownPress]:
         image, _ = drawn(1e-3 * ball(true).displacement_mm(), rng)
         known = ball(label)
         frame = PressFrame("p", image, label, known, circle_sigma_px=(stated_px, stated_px))
-        normals = true_normals(frame, SCENE)
-        yield KnownPress(
-            image,
-            normals,
-            1e-3 * known.displacement_mm(),
-            label.distance_px(AREA) <= 0.9 * label.radius_px,
-            normals_sigma_deg=np.degrees(circle_angle_rad(frame, SCENE, normals)),
-        )
+        normals = samples.true_normals(frame, SCENE)
+        inside = label.distance_px(AREA) <= 0.9 * label.radius_px
+        sigma_deg = np.degrees(circle_angle_rad(frame, SCENE, normals))
+        rise_m = 1e-3 * known.displacement_mm()
+        yield KnownPress(image, normals, rise_m, inside, normals_sigma_deg=sigma_deg)
 
 
 @cache
-def noted(label_px: float, stated_px: float) -> NormalModelConfig:
+def noted(label_px: float, stated_px: float) -> NormalModel:
     """Synthetic presses are read without error of labels, balls with."""
-    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
+    drawn = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
     balls = presses(label_px, stated_px)
-    model, score = with_reading_errors(reader(), synthetic_presses, balls, SCENE, depth_share=0.03)
+    model, score = samples.with_reading_errors(reader(), drawn, balls, SCENE, depth_share=0.03)
     assert score is not None and score.count == 8
-    return model.config
+    return model
 
 
 @pytest.mark.thorough
 def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
-    exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
+    errors_px = (0.0, 0.0), (0.4, 0.4), (0.4, 0.0)
+    exact, stated, denied = (noted(*error_px).config for error_px in errors_px)
     assert denied.radius95_sigmas > 1.4 * exact.radius95_sigmas
     assert stated.radius95_sigmas < 1.15 * exact.radius95_sigmas
-
-
-@pytest.mark.thorough
-def test_what_balls_are_off_by_is_in_the_absolute_depth_and_not_in_the_reading() -> None:
-    """Labels or reading, nobody can tell; what is stated of labels makes no depth better known."""
-    exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
+    # What balls are off by is in the absolute depth and not in the reading: labels or reading,
+    # nobody can tell; what is stated of labels makes no depth better known.
     assert exact.height_factor == stated.height_factor == denied.height_factor > 0
     assert stated.along_factor == denied.along_factor > 2 * exact.along_factor
     assert exact.depth_share == 0.03
 
 
 def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -> None:
-    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
-    model, _ = with_reading_errors(
-        reader(), synthetic_presses, presses(0.0, 0.0), SCENE, depth_share=0.03
-    )
+    model = noted(0.0, 0.0)
     before = model.config
     same = widened(model, all_errors(model, presses(0.0, 0.0), SCENE)).config
     assert same.radius95_sigmas == pytest.approx(before.radius95_sigmas)
@@ -173,9 +149,7 @@ def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -
 
 
 @pytest.mark.thorough
-def test_figures_of_held_out_presses_are_of_the_bands_that_are_passed_on(
-    synthetic: NormalCalibration,
-) -> None:
+def test_held_out_figures_are_of_the_bands_passed_on(synthetic: NormalCalibration) -> None:
     captures, scene = sunk_captures()[0], synthetic.scene
     split = captures.split(4)
     training = captures.only(split.train)
@@ -223,19 +197,15 @@ def test_a_stated_pixel_of_all_radii_moves_depths_as_it_does() -> None:
     without, with_it = (depth_share([(here, circle)], px, BALL_MM, AREA) for px in (0.0, 1.0))
     found = there.depth_mm / here.depth_mm - 1
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(found, rel=0.1)
-    assert depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05) == pytest.approx(
-        np.hypot(without, 0.1)
-    )
+    scaled = depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05)
+    assert scaled == pytest.approx(np.hypot(without, 0.1))
 
 
 def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None:
     """No pixel lies beyond 2.5 radii of any of these; a level of noise was made up for them."""
     captures, surfaces = synthetic_captures(6, noise=3.0, radii_px=(44.0, 48.0), ball_mm=6.0)
-    frames = [
-        PressFrame(p.name, p.image().astype(np.float32), p.circle, surface, p.sha256)
-        for p, surface in zip(captures.presses, surfaces, strict=True)
-        if p.circle is not None and not p.circle.untouched(captures.grid).any()
-    ]
+    whole = [f for f in frames_of(captures, surfaces) if not f.circle.untouched(GRID).any()]
+    frames = [replace(frame, image=frame.image.astype(np.float32)) for frame in whole]
     assert len(frames) > 1
     scene = CaptureScene.of(captures, None)
     colors = fit_color_model(frames, scene, ColorFitOptions(steps=5)).model
@@ -249,17 +219,13 @@ Known = tuple[CaptureSet, list[BallSurface]]
 def told(known: Known, radius_px: float, scale_share: float) -> NormalCalibration:
     """A calibration whose circles and scale are too large by their stated errors."""
     mm_per_px = (1 + scale_share) * GRID.mm_per_px_x
-    captures = replace(
-        known[0], grid=PixelGrid(GRID.width_px, GRID.height_px, mm_per_px, mm_per_px)
-    )
-    presses = tuple(
-        replace(press, circle=replace(circle, radius_px=circle.radius_px + radius_px))
-        for press, circle in zip(captures.presses, circles_of(captures), strict=True)
-    )
-    captures = replace(captures, presses=presses)
-    surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(captures.grid))
-    count = len(captures.split(4).train)
-    on_pad = partial(ball_surface, grid=captures.grid, layer=PAD, rest=flat_rest(captures.grid))
+    grid = PixelGrid(GRID.width_px, GRID.height_px, mm_per_px, mm_per_px)
+    captures = replace(known[0], grid=grid)
+    circles = [replace(c, radius_px=c.radius_px + radius_px) for c in circles_of(captures)]
+    captures = with_circles(captures, circles)
+    flat, count = flat_rest(grid), len(captures.split(4).train)
+    surfaces = layer_surfaces(captures, circles, PAD, flat)
+    on_pad = partial(ball_surfaces.ball_surface, grid=grid, layer=PAD, rest=flat)
     return calibrated(
         captures, surfaces, on_pad, options=replace(QUICK, synthetic_presses=24), pad=PAD,
         circle_sigmas_px=[(0.0, radius_px)] * count, scale_share=scale_share,
@@ -304,13 +270,10 @@ def known() -> Known:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("radius_px", "scale_share"),
-    [
-        pytest.param(1.2, 0.0, id="circles"),
-        pytest.param(0.0, 0.05, id="scale", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("radius_px", "scale_share"), [
+    pytest.param(1.2, 0.0, id="circles"),
+    pytest.param(0.0, 0.05, id="scale", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_what_is_wrong_as_stated_is_held(
     known: Known, radius_px: float, scale_share: float
 ) -> None:

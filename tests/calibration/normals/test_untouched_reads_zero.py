@@ -14,6 +14,7 @@ from taccel_lab.calibration.pressure.touch import TouchReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.sensors.profile import stock_sensor
+from tests.calibration.drawn.faults import quantise
 from tests.support.real_data import real_data
 
 MOST_N = 0.2
@@ -24,7 +25,6 @@ MINIS = (
     "gsmini_cube_edges/background.png",
     "gsmini_markers_video/0000.png",
 )
-Change = Callable[[np.ndarray], np.ndarray]
 
 
 def weaker_on_one_side(image: np.ndarray, share: float) -> np.ndarray:
@@ -39,11 +39,9 @@ def compressed(image: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), dtype=float)
 
 
-CHANGES: dict[str, Change] = {
+CHANGES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "itself": lambda image: image,
-    "noise of 2 levels": lambda image: (
-        image + np.random.default_rng(0).normal(0.0, 2.0, image.shape)
-    ),
+    "noise of 2 levels": lambda i: i + np.random.default_rng(0).normal(0.0, 2.0, i.shape),
     "JPEG": compressed,
     "3 levels brighter": lambda image: image + 3.0,
     "faded by 2 %": lambda image: 0.98 * image,
@@ -58,15 +56,17 @@ def mini_image(name: str) -> np.ndarray:
     return np.asarray(cv2.resize(read_image(real_data(name)), size, interpolation=cv2.INTER_AREA))
 
 
+def reader_on(background: np.ndarray) -> SurfaceReader:
+    return SurfaceReader(stock_sensor("gelsight_mini"), background=background)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", MINIS)
 def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
     image = mini_image(name)
-    reader = TouchReader(SurfaceReader(stock_sensor("gelsight_mini"), background=image))
+    reader = TouchReader(reader_on(image))
     for what, change in CHANGES.items():
-        changed = np.clip(np.rint(change(image.astype(float))), 0, 255).astype(np.uint8)
-        found = reader.read(changed)
-        figures = found.figures()
+        figures = reader.read(quantise(change(image.astype(float)))).figures()
         assert not figures["touched"] and figures["force_n"] == 0.0, what
         assert figures["max_depth_mm"] == 0.0 and figures["contact_mm2"] == 0.0, what
         for interval, most in (
@@ -81,11 +81,9 @@ def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
 @pytest.mark.thorough
 def test_a_marked_mini_rests_until_it_is_touched() -> None:
     """Dots are masked: 57 frames at rest, then a finger."""
-    frames = [
-        read_image(real_data(f"gsmini_markers_video/{number:04d}.png"))
-        for number in (0, 14, 28, 42, 56, 60, 80, 120)
-    ]
-    reader = TouchReader(SurfaceReader(stock_sensor("gelsight_mini"), background=frames[0]))
+    numbers = (0, 14, 28, 42, 56, 60, 80, 120)
+    frames = [read_image(real_data(f"gsmini_markers_video/{n:04d}.png")) for n in numbers]
+    reader = TouchReader(reader_on(frames[0]))
     found = [reader.read(frame) for frame in frames]
     assert [reading.force_n > 0 for reading in found] == [False] * 5 + [True] * 3
     for reading in found[:5]:
@@ -98,9 +96,8 @@ def test_a_gel_that_was_put_back_elsewhere_is_refused() -> None:
     image = mini_image(MINIS[0])
     rng = np.random.default_rng(0)
     scratches = cv2.GaussianBlur(rng.normal(0.0, 12.0, image.shape[:2]), (0, 0), 1.2)[..., None]
-    marked = np.clip(image + 6.0 * scratches, 0, 255)
-    reader = SurfaceReader(stock_sensor("gelsight_mini"), background=marked.astype(np.uint8))
-    moved = np.roll(marked, (6, 9), (0, 1)).astype(np.uint8)
+    marked = np.clip(image + 6.0 * scratches, 0, 255).astype(np.uint8)
+    reader = reader_on(marked)
     with pytest.raises(InputError, match=r"9 px to the right and .6 px down"):
-        reader.read(moved)
-    assert not reader.read(marked.astype(np.uint8)).touch.any
+        reader.read(np.roll(marked, (6, 9), (0, 1)))
+    assert not reader.read(marked).touch.any

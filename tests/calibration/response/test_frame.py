@@ -11,17 +11,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.frame_light import LightDrift
-from taccel_lab.calibration.response.frame import (
-    CaptureScene,
-    PressFrame,
-    beside_pixels,
-    crop_slices,
-    light_beside,
-    noise_floor_l1,
-    psnr_db,
-    score_image,
-    ssim,
-)
+from taccel_lab.calibration.response import frame as response
+from taccel_lab.calibration.response.frame import CaptureScene, crop_slices, light_beside
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.support.analytic_surface import analytic_surface
@@ -32,9 +23,7 @@ from tests.support.synthetic_presses import GRID, flat_background, known_change
     height=st.integers(11, 40), width=st.integers(11, 40), seed=st.integers(0, 99),
     noise=st.floats(0.5, 60),
 )  # fmt: skip
-def test_ssim_and_psnr_agree_with_scikit_image(
-    height: int, width: int, seed: int, noise: float
-) -> None:
+def test_ssim_and_psnr_are_scikit_images(height: int, width: int, seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     a = rng.uniform(0, 255, (height, width, 3))
     b = np.clip(a + rng.normal(0, noise, a.shape), 0, 255)
@@ -42,79 +31,67 @@ def test_ssim_and_psnr_agree_with_scikit_image(
         a, b, channel_axis=2, data_range=255, gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False,
     )  # fmt: skip
-    assert ssim(a, b) == pytest.approx(reference, abs=1e-9)
-    assert psnr_db(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255))
-    assert ssim(a, a) == pytest.approx(1.0) and psnr_db(a, a) == float("inf")
+    assert response.ssim(a, b) == pytest.approx(reference, abs=1e-9)
+    psnr_db = peak_signal_noise_ratio(a, b, data_range=255)
+    assert response.psnr_db(a, b) == pytest.approx(psnr_db)
+    assert response.ssim(a, a) == pytest.approx(1.0) and response.psnr_db(a, a) == float("inf")
 
 
 def test_score_separates_disc_crop_and_image() -> None:
-    grid = PixelGrid(200, 150, 0.1, 0.1)
-    circle = ContactCircle(100.0, 70.0, 20.0)
+    grid, circle = PixelGrid(200, 150, 0.1, 0.1), ContactCircle(100.0, 70.0, 20.0)
     captured = np.full((150, 200, 3), 100.0)
     rendered = captured.copy()
     disc = circle.distance_px(grid) <= 20.0
     rendered[disc] += 6.0
     rendered[0, 0] += 30.0  # outside the crop
-    score = score_image(rendered, captured, circle, grid)
-    crop = crop_slices(circle, grid)
-    assert (crop[0].start, crop[0].stop) == (38, 103)
-    assert (crop[1].start, crop[1].stop) == (68, 133)
+    score = response.score_image(rendered, captured, circle, grid)
+    assert [(s.start, s.stop) for s in crop_slices(circle, grid)] == [(38, 103), (68, 133)]
     assert score.disc_l1 == pytest.approx(6.0)
     assert score.crop_l1 == pytest.approx(6.0 * disc.sum() / 65**2)
     assert score.full_l1 == pytest.approx((6.0 * disc.sum() + 30.0) / disc.size)
     assert score.crop_psnr_db == pytest.approx(10 * np.log10(255**2 / (36.0 * disc.sum() / 65**2)))
-
-
-def test_crop_of_oblong_pixels_is_square_in_millimetres() -> None:
-    grid = PixelGrid(200, 200, 0.1, 0.05)
-    rows, columns = crop_slices(ContactCircle(100.0, 100.0, 20.0), grid)
-    assert columns.stop - columns.start == 65
-    assert rows.stop - rows.start == 129
-
-
-def test_shapes_are_checked() -> None:
-    grid = PixelGrid(60, 50, 0.1, 0.1)
+    # Of oblong pixels it is square in millimetres.
+    oblong = PixelGrid(200, 200, 0.1, 0.05)
+    rows, columns = crop_slices(ContactCircle(100.0, 100.0, 20.0), oblong)
+    assert (columns.stop - columns.start, rows.stop - rows.start) == (65, 129)
     with pytest.raises(InputError, match="differ in shape"):
-        score_image(np.zeros((50, 60, 3)), np.zeros((50, 61, 3)), ContactCircle(30, 25, 10), grid)
+        response.score_image(rendered[:, 1:], captured, circle, grid)
     with pytest.raises(InputError, match="at least 11x11"):
-        ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
+        response.ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
 
 
 DRIFT = LightDrift(np.array([1.25, 0.8, 1.0]), np.array([2.0, -3.0, 5.0]))
-CONTACTS = [
-    ContactCircle(70.0, 60.0, 13.0),
-    ContactCircle(80.0, 59.5, 30.0),
-    ContactCircle(70.0, 66.0, 40.0),
-]
-"""A tenth, a quarter and a third of the picture's height."""
+STILL = flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
+"""A background with a gradient wide enough to tell gain from offset."""
+CONTACTS = {
+    ContactCircle(70.0, 60.0, 13.0): 0.05,
+    ContactCircle(80.0, 59.5, 30.0): 0.1,
+    ContactCircle(70.0, 66.0, 40.0): 0.25,
+}
+"""A tenth, a quarter and a third of the picture's height, and what they leave of a drift."""
 
 
-def background() -> np.ndarray:
-    """With a gradient wide enough to tell gain from offset."""
-    return flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
+def noise_floor_l1(image: np.ndarray, circle: ContactCircle, scene: CaptureScene) -> float:
+    surface = analytic_surface(circle, scene.grid, 6.0)
+    return response.noise_floor_l1(response.PressFrame("p", image, circle, surface), scene)
 
 
-def pressed_frame(image: np.ndarray, circle: ContactCircle, grid: PixelGrid) -> PressFrame:
-    return PressFrame("p", image, circle, analytic_surface(circle, grid, 6.0))
-
-
-def pressed(circle: ContactCircle) -> np.ndarray:
-    """A press of a ball of 1.25 times the contact's radius, before any noise and drift."""
-    ball_mm = 1.25 * circle.radius_px * GRID.mm_per_px_x
-    decay_mm = 0.5 * circle.radius_px * GRID.mm_per_px_x
-    return background() + known_change(analytic_surface(circle, GRID, ball_mm, decay_mm=decay_mm))
-
-
-@pytest.mark.parametrize(("circle", "left"), list(zip(CONTACTS, (0.05, 0.1, 0.25), strict=True)))
-def test_drift_is_recovered_beside_a_contact(circle: ContactCircle, left: float) -> None:
-    rng = np.random.default_rng(0)
-    still = background()
-    frame = DRIFT.apply(pressed(circle)) + rng.normal(0, 0.5, still.shape)
-    found = light_beside(frame, CaptureScene(still, GRID, 1.0), circle).apply(still)
-    wanted = DRIFT.apply(still)
+@pytest.mark.parametrize("circle", CONTACTS)
+def test_drift_is_recovered_beside_a_contact(circle: ContactCircle) -> None:
+    rim_mm = circle.radius_px * GRID.mm_per_px_x
+    surface = analytic_surface(circle, GRID, 1.25 * rim_mm, decay_mm=0.5 * rim_mm)
+    noise = np.random.default_rng(0).normal(0, 0.5, STILL.shape)
+    frame = DRIFT.apply(STILL + known_change(surface)) + noise
+    scene = CaptureScene(STILL, GRID, 1.0)
+    found, wanted = light_beside(frame, scene, circle).apply(STILL), DRIFT.apply(STILL)
     # The gel sinks as far as two radii, which a large contact leaves little beyond.
-    assert np.abs(found - wanted).mean() < left * np.abs(wanted - still).mean()
+    assert np.abs(found - wanted).mean() < CONTACTS[circle] * np.abs(wanted - STILL).mean()
     assert DRIFT.remove(DRIFT.apply(frame)) == pytest.approx(frame)
+    far = response.beside_pixels(circle, scene)
+    v, u = np.nonzero(far)
+    beside = np.maximum(np.abs(u - circle.u_px), np.abs(v - circle.v_px))
+    assert beside.min() > 1.6 * circle.radius_px  # No crop is reached.
+    assert circle.distance_px(GRID)[far].min() > 2 * circle.radius_px
 
 
 @pytest.mark.thorough(cases=("0.1-size4",))
@@ -128,32 +105,19 @@ def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], sha
     np.testing.assert_allclose(found.apply(still), still + 5.0, atol=0.1)
 
 
-def test_no_crop_is_reached() -> None:
-    for circle in CONTACTS:
-        far = beside_pixels(circle, CaptureScene(background(), GRID, 1.0))
-        v, u = np.nonzero(far)
-        beside = np.maximum(np.abs(u - circle.u_px), np.abs(v - circle.v_px))
-        assert beside.min() > 1.6 * circle.radius_px
-        assert circle.distance_px(GRID)[far].min() > 2 * circle.radius_px
-
-
 def test_a_contact_that_fills_the_picture_leaves_its_light_unknown() -> None:
-    circle = ContactCircle(80.0, 59.5, 55.0)
-    frame = background()
-    scene = CaptureScene(frame, GRID, 6.0)
-    found = light_beside(frame + 9.0, scene, circle)
-    assert found.apply(frame) == pytest.approx(frame)
+    circle, scene = ContactCircle(80.0, 59.5, 55.0), CaptureScene(STILL, GRID, 6.0)
+    found = light_beside(STILL + 9.0, scene, circle)
+    assert found.apply(STILL) == pytest.approx(STILL)
     assert np.sqrt(found.covariance[:, 1, 1]).min() > 9.0
-    assert np.isnan(noise_floor_l1(pressed_frame(frame, circle, GRID), scene))
+    assert np.isnan(noise_floor_l1(STILL, circle, scene))
 
 
 def test_noise_floor_ignores_the_contact() -> None:
-    grid = PixelGrid(200, 150, 0.1, 0.1)
-    circle = ContactCircle(100.0, 70.0, 20.0)
+    grid, circle = PixelGrid(200, 150, 0.1, 0.1), ContactCircle(100.0, 70.0, 20.0)
     still = np.full((150, 200, 3), 100, dtype=np.uint8)
     captured = still + np.uint8(2)
     captured[circle.distance_px(grid) < 36] = 255
     captured[::2] += np.uint8(2) * (captured[::2] < 200)
-    assert noise_floor_l1(
-        pressed_frame(captured, circle, grid), CaptureScene(still, grid, 2.0)
-    ) == pytest.approx(1.0, abs=0.05)
+    found = noise_floor_l1(captured, circle, CaptureScene(still, grid, 2.0))
+    assert found == pytest.approx(1.0, abs=0.05)
