@@ -13,15 +13,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.gradients import GelMotion, MotionRecord
 from taccel_lab.model import Model
-from taccel_lab.scene import (
-    Ball,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TriangleMesh,
-)
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig
 
 Array = np.ndarray

@@ -23,14 +23,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.state import State
-from tests.gradients.gel_scenes import (
-    TIGHT,
-    Case,
-    difference,
-    losses,
-    moved,
-    press_and_shear,
-)
+from tests.gradients.gel_scenes import TIGHT, Case, difference, losses, moved, press_and_shear
 from tests.support.variants import variants
 
 Array = np.ndarray

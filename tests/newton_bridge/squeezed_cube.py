@@ -32,11 +32,7 @@ from taccel_lab.state import initial_state
 
 newton = pytest.importorskip("newton", reason="newton is not installed")
 
-from taccel_lab.newton_bridge.solver_gel import (  # noqa: E402
-    BodyGel,
-    Coupling,
-    SolverGel,
-)
+from taccel_lab.newton_bridge.solver_gel import BodyGel, Coupling, SolverGel  # noqa: E402
 
 MESH = block_mesh((5, 5, 2), (8e-3, 8e-3, 3e-3))
 PAD = SoftBody(

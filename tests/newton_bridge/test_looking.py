@@ -12,11 +12,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.newton_bridge.show import SceneView
-from taccel_lab.profile import (
-    BackgroundBlock,
-    ColorBlock,
-    SensorProfile,
-)
+from taccel_lab.profile import BackgroundBlock, ColorBlock, SensorProfile
 from taccel_lab.scene import Ball, KinematicBody, Plane, Scene, SoftBody
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state

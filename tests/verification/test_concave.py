@@ -14,12 +14,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.exporters.published_meshes import mesh_folder, read_stl
-from taccel_lab.scene import (
-    AffineBody,
-    KinematicBody,
-    PrismaticJoint,
-    TriangleMesh,
-)
+from taccel_lab.scene import AffineBody, KinematicBody, PrismaticJoint, TriangleMesh
 from taccel_lab.solvers import SolverConfig
 from tests.support.blocks import everywhere, pose
 from tests.support.variants import variants

@@ -10,14 +10,7 @@ import pytest
 import warp as wp
 from scipy.optimize import brentq
 
-from taccel_lab.scene import (
-    Element,
-    Material,
-    MaterialField,
-    MaterialModel,
-    Scene,
-    SoftBody,
-)
+from taccel_lab.scene import Element, Material, MaterialField, MaterialModel, Scene, SoftBody
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state

@@ -8,15 +8,7 @@ import pytest
 
 from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.model.embedding import rotate
-from taccel_lab.scene import (
-    Ball,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-)
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, pose

@@ -243,9 +243,7 @@ def test_a_falling_body_that_turns_has_no_stress() -> None:
 
 
 def pressed(
-    env_count: int = 1,
-    branches: tuple[MaxwellBranch, ...] = BRANCHES[1:],
-    friction: float = 0.4,
+    env_count: int = 1, branches: tuple[MaxwellBranch, ...] = BRANCHES[1:], friction: float = 0.4
 ) -> Model:
     mesh = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.1)
     body = SoftBody(mesh, Material(YOUNG, NU, branches=branches))
