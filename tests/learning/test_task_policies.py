@@ -20,7 +20,7 @@ from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import named, run_task
 from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 from taccel_lab.tasks.grasp_scene import GRASPERS
-from tests.learning.tasks import peg_parameters
+from tests.learning.envs import peg_parameters
 from tests.support.variants import variants
 from tests.test_architecture import HEAVY
 

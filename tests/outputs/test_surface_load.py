@@ -16,8 +16,7 @@ from taccel_lab.scene import Ball, Element, Material, Scene, SoftBody
 from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.support.variants import variants
-from tests.verification.half_space import HalfSpace
-from tests.verification.half_space_mesh import half_space_mesh
+from tests.verification.half_space import HalfSpace, half_space_mesh
 
 
 def whole(load: SurfaceLoad) -> np.ndarray:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One environment of a vector environment as a ``gymnasium.Env`` of numpy arrays, for gymnasium's
-own checkers and its own vector environments."""
+own checkers and its own vector environments; changed copies of the peg insertion."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,8 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.tasks.catalogue import Task, named
+from taccel_lab.tasks.peg_insertion import PegInsertionParameters
 
 
 def as_numpy(observation: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
@@ -25,9 +28,8 @@ class SingleEnv(gymnasium.Env):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, task: Any, **options: Any) -> None:
-        self._vector = make_vec(
-            task, 1, autoreset_mode=AutoresetMode.DISABLED, device="cpu", **options
-        )
+        mode = AutoresetMode.DISABLED
+        self._vector = make_vec(task, 1, autoreset_mode=mode, device="cpu", **options)
         self.observation_space = self._vector.single_observation_space
         self.action_space = self._vector.single_action_space
 
@@ -45,3 +47,20 @@ class SingleEnv(gymnasium.Env):
         observation = {name: part[0] for name, part in as_numpy(seen).items()}
         figures = {name: float(info[name][0]) for name in info if name.endswith("_mm")}
         return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), figures
+
+
+def peg_parameters() -> PegInsertionParameters:
+    """Of the package's file."""
+    parameters = named("peg-insertion").parameters
+    assert isinstance(parameters, PegInsertionParameters)
+    return parameters
+
+
+def peg_task(**changes: Any) -> Task:
+    """The task of the package, with other parameters."""
+    return replace(named("peg-insertion"), parameters=peg_parameters().replace(**changes))
+
+
+def short_task(steps: int = 7, depth_mm: float = 0.5) -> Task:
+    """Episodes of a few steps: a peg that goes down at once succeeds in the fifth."""
+    return peg_task(steps=steps, goal=peg_parameters().goal.replace(depth_mm=depth_mm))
