@@ -190,9 +190,10 @@ def test_deformed_positions_and_fields(tmp_path: Path) -> None:
 
 
 def test_arrays_of_other_length_are_refused_and_nothing_is_left(tmp_path: Path) -> None:
-    path = tmp_path / "pad.vtu"
-    with pytest.raises(InputError, match="'f'"):
-        write_mesh_vtu(path, MESH, point_data={"f": np.zeros(3)})
-    with pytest.raises(InputError, match="positions"):
-        write_mesh_vtu(path, MESH, positions_m=np.zeros((2, 3)))
+    for wrong, words in (
+        ({"point_data": {"f": np.zeros(3)}}, "'f'"),
+        ({"positions_m": np.zeros((2, 3))}, "positions"),
+    ):
+        with pytest.raises(InputError, match=words):
+            write_mesh_vtu(tmp_path / "pad.vtu", MESH, **wrong)
     assert list(tmp_path.iterdir()) == []

@@ -60,6 +60,10 @@ class HalfSpace(Stepped):
         return self.x(0)
 
     @property
+    def rest_m(self) -> np.ndarray:
+        return self.rest[self.nodes(0)]
+
+    @property
     def areas_m2(self) -> np.ndarray:
         """Part of the surface that each node stands for at rest, shape [node]."""
         return self.model.surface.node_areas.numpy()[0, : self.model.soft_count]

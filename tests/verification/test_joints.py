@@ -38,7 +38,7 @@ def hinge(
     axis: Any = (0, 1, 0),
     **options: Any,
 ) -> RevoluteJoint:
-    return RevoluteJoint(first, second, anchor, axis, name=f"{first}'s", **options)
+    return RevoluteJoint(first, second, anchor, axis, name=f"{first}-{second}", **options)
 
 
 def slider(axis: Any = (0, 0, 1), **options: Any) -> Run:
