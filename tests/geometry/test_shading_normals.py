@@ -72,7 +72,6 @@ def test_a_flat_side_beside_a_fillet_stays_flat():
 
 
 def test_triangles_that_turn_against_each_other_still_meet():
-    """Two facets of which one is turned over are joined at the right corners."""
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.05]]) * 1e-3
     normals = corner_normals(points, np.array([[0, 1, 2], [1, 3, 2]]))
     assert np.allclose(normals[0, 1], normals[1, 0]) and np.allclose(normals[0, 2], normals[1, 2])

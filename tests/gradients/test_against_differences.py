@@ -33,12 +33,10 @@ MOUNT = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
 
 
 def one(*tools: Array) -> Array:
-    """Poses of one environment from those of each tool, [step_count + 1, 7]."""
     return np.stack(tools, axis=1)[:, None]
 
 
 def several() -> Array:
-    """Three environments, at three depths."""
     return np.stack([press_and_shear(3.0, depth)[:, None] for depth in (0.1, 0.25, 0.4)], axis=1)
 
 
@@ -82,7 +80,6 @@ LAWS = {
 def compare(
     case: Case, find: Callable[[Gradients], Array], changed: Callable[[float], Case], step: float
 ) -> Array:
-    """Relative error of a slope, [env_count], and that there is one."""
     motion, record = case.run()
     weights = losses(record)
     found = find(pull_back(motion, record, *weights))
@@ -148,7 +145,6 @@ def test_size(which: str) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST, "box on its edge"], CASES))
 def test_ways_of_the_tools(which: str) -> None:
-    """Along random shifts and turns of all tools at the start and in all steps at once."""
     case = CASES[which]
     way = np.random.default_rng(1).normal(size=(*case.poses.shape[:-1], 6))
     way[..., 3:] *= 100
@@ -172,7 +168,6 @@ GELS = Case(None, one(FACE_DOWN), 0.4, mesh=BLOCK, carried=Material(4e5, 0.4))
 
 @pytest.mark.thorough
 def test_a_gel_pressed_onto_another() -> None:
-    """The slopes of a pair of gels, of which one is held by the tool that moves."""
     motion, record = GELS.run()
     weights = losses(record)
     found = pull_back(motion, record, *weights)

@@ -55,7 +55,6 @@ def test_a_step_that_began_over_a_border_has_two_slopes() -> None:
 
 
 def test_an_end_that_is_no_stable_equilibrium_has_no_slope() -> None:
-    """A record whose gel is squeezed far beyond where its surface folds."""
     for friction in (0.0, 0.3):
         case = Case(Ball(3e-3), PRESS[:, None, None], friction)
         motion, record = case.run()

@@ -43,7 +43,6 @@ def of_forces(moved: MovedGels) -> torch.Tensor:
 
 
 def tensors(**values: float) -> dict[str, torch.Tensor]:
-    """Parameters of the motion by name, of which gradients are wanted."""
     shapes = {"friction": (1,)}
     return {
         name: torch.full(shapes.get(name, (1, 1)), value, dtype=torch.float64, requires_grad=True)
@@ -105,7 +104,6 @@ def test_bad_shapes_are_refused() -> None:
 
 
 def slope(poses: torch.Tensor, values: dict[str, float], name: str, step: float) -> float:
-    """Central difference of the forces' loss, by a motion of its own."""
     moving = TorchMotion(CASE.model(), TIGHT)
     high, low = (
         float(of_forces(moving(poses, **tensors(**{**values, name: values[name] + by}))).detach())

@@ -18,7 +18,6 @@ from taccel_lab.tasks.peg_insertion import PegInsertionParameters
 
 
 def as_numpy(observation: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    """On the host."""
     return {name: part.numpy() for name, part in observation.items()}
 
 
@@ -50,14 +49,12 @@ class SingleEnv(gymnasium.Env):
 
 
 def peg_parameters() -> PegInsertionParameters:
-    """Of the package's file."""
     parameters = named("peg-insertion").parameters
     assert isinstance(parameters, PegInsertionParameters)
     return parameters
 
 
 def peg_task(**changes: Any) -> Task:
-    """The task of the package, with other parameters."""
     return replace(named("peg-insertion"), parameters=peg_parameters().replace(**changes))
 
 

@@ -37,7 +37,6 @@ def pressed() -> tuple:
 
 
 def in_gel(env: Any, vectors: np.ndarray, gel: int, origin: bool) -> np.ndarray:
-    """World vectors or points [env, n, 3] in the frame of a gel's mount."""
     pose = env.state.poses.numpy()[:, None, gel]
     inverse = pose[..., 3:] * [-1, -1, -1, 1]
     return rotate(inverse, vectors - pose[..., :3] * origin)
@@ -96,8 +95,7 @@ def test_wrenches_and_tractions_are_those_of_the_nodes(pressed: tuple) -> None:
 
 
 def test_a_gel_on_a_driven_finger_shows_what_one_on_a_frame_does() -> None:
-    """Two pads squeezed by drives, and the same two on frames that come to where the fingers are:
-    depth, markers, wrenches and tractions are those of the gel's own frame."""
+    """Two pads squeezed by drives, and on frames that come to where the fingers are."""
     linear = (Element.LINEAR, Element.LINEAR)
     driven = Stepped(driven_squeeze(linear, 1e11), dhat_m=5e-5)
     driven.steps(60)
@@ -121,7 +119,6 @@ def test_a_gel_on_a_driven_finger_shows_what_one_on_a_frame_does() -> None:
 
 
 def background(sensor: SensorProfile, height: int, width: int) -> np.ndarray:
-    """Of the sensor, by means over blocks of its pixels."""
     rgb = sensor.background_rgb
     assert rgb is not None
     rows, columns = rgb.shape[0] // height, rgb.shape[1] // width

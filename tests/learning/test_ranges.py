@@ -21,7 +21,6 @@ from tests.learning.envs import peg_parameters
 
 @pytest.fixture(scope="module")
 def assumed() -> SensorProfile:
-    """A sensor of the catalogue on a mesh of 72 nodes."""
     mini = catalogue_profile("gelsight_mini")
     mesh = block_mesh((5, 5, 1), (20.75e-3, 25.25e-3, 4e-3), 0.1)
     gel = mini.gel.replace(node_count=mesh.node_count, tet_count=mesh.tet_count)
@@ -48,7 +47,6 @@ def measured(assumed: SensorProfile) -> SensorProfile:
 
 
 def drawn(env: TactileVectorEnv, gels: list[str]) -> dict[str, np.ndarray]:
-    """What 32 environments have, [env, gel] or [env]."""
     model = env.model
     ids, held = [model.body_id(gel) for gel in gels], model.body_id("object")
     return {

@@ -26,7 +26,6 @@ from tests.test_architecture import HEAVY
 
 
 def baseline(seeds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Success and last depth [mm] of the task's policy, told as actions, on its own starts."""
     parameters = peg_parameters()
     env = make_vec("peg-insertion", len(seeds), autoreset_mode=AutoresetMode.DISABLED, device="cpu")
     starts, _ = parameters.start.draw(seeds)

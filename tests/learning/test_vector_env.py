@@ -58,7 +58,6 @@ def test_observations_are_of_their_spaces() -> None:
 
 
 def _keys(value: object) -> object:
-    """The keys of a table, and of those in it."""
     if isinstance(value, dict):
         return {key: _keys(inner) for key, inner in value.items()}
     return [_keys(inner) for inner in value] if isinstance(value, (list, tuple)) else None
@@ -66,8 +65,7 @@ def _keys(value: object) -> object:
 
 @pytest.mark.parametrize("name", names())
 def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
-    """The file leaves nothing to defaults: a machine that learns reads it without the models that
-    know them."""
+    """The file leaves nothing to defaults, which a bare machine does not know."""
     assert _keys(read_toml(FILES / f"{name}.toml")) == _keys(named(name).parameters.model_dump())
     env = make(name, randomised=True, observe=("wrench", "depth_m", "proprioception"))
     first, _ = env.reset(seed=1)
@@ -105,7 +103,6 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:
 def both(
     mode: AutoresetMode, count: int, seed: int, randomised: bool
 ) -> tuple[TactileVectorEnv, SyncVectorEnv]:
-    """Ours and gymnasium's of single environments, which have begun alike."""
     task = short_task()
     ours = make(task, count, autoreset_mode=mode, randomised=randomised)
     singles = [lambda: SingleEnv(task, randomised=randomised)] * count
@@ -116,7 +113,6 @@ def both(
 
 
 def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray) -> np.ndarray:
-    """What was terminated and truncated, [2, count]; all else agrees."""
     seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
     wanted = theirs.step(actions)
     same(seen, wanted[0])
@@ -128,7 +124,6 @@ def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray
 
 @pytest.mark.thorough
 def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
-    """Of single environments with the seeds 5, 6, 7; two end at other moments than the third."""
     ours, theirs = both(AutoresetMode.NEXT_STEP, 3, 5, True)
     actions = np.array([DOWN, [0.4, 0.1, -0.2, 0.3], [0.0, 0.0, -0.7, 0.0]], dtype=np.float32)
     ends = np.sum([step_both(ours, theirs, actions) for _ in range(18)], axis=0)

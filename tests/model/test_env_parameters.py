@@ -59,15 +59,12 @@ def pad_under_tool(
 
 class Arrays(Stepped):
     def result(self) -> list[np.ndarray]:
-        """All that a step leaves, by environment."""
         solver, state = self.solver, self.state
         forces = [solver.contact_gradient, solver.friction_gradient]
         return [array.numpy().copy() for array in (state.positions, state.velocities, *forces)]
 
 
 class Pad(Arrays):
-    """A pad under a tool."""
-
     def __init__(
         self,
         env_count: int = 1,
@@ -80,7 +77,6 @@ class Pad(Arrays):
         super().__init__(made, pose(0, 0, START_Z), **config)
 
     def press(self) -> list[np.ndarray]:
-        """Down, then sideways, from the start."""
         start = everywhere(self.model.env_count, pose(0, 0, START_Z))
         self.state = initial_state(self.model, start)
         for x in (0, 1e-4):
@@ -198,7 +194,6 @@ class Cubes(Arrays):
 
 @pytest.mark.thorough
 def test_masses_weights_and_damping_follow_bitwise() -> None:
-    """Density of one soft body, moduli of another of the same group: the rest stays."""
     densities, young = np.array([500.0, 2000.0]), np.array([2e5, 6e4])
     both = Cubes(2)
     both.model.set_body("soft cube", density_kg_m3=densities)
@@ -248,7 +243,6 @@ def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
 
 
 def pendulum(env_count: int, density: float = 1000.0) -> Stepped:
-    """Two links on hinges, let go from the horizontal."""
     link = box_mesh((4e-3, 1e-3, 1e-3))
     scene = Scene(
         affine_bodies=[
@@ -266,8 +260,7 @@ def pendulum(env_count: int, density: float = 1000.0) -> Stepped:
 
 
 def test_mechanisms_take_masses_whatever_their_penalties() -> None:
-    """A link twenty times as heavy as the scene's, and one a twentieth: penalties are the scene's,
-    joints are closed to their tolerance all the same."""
+    """Of a link twenty times as heavy as the scene's, and of one a twentieth."""
     densities = np.array([50.0, 20000.0])
     run = pendulum(2)
     run.model.set_body("upper", density_kg_m3=densities)
@@ -308,7 +301,6 @@ def test_mass_of_a_soft_body_keeps_how_it_is_spread() -> None:
 
 
 def test_moduli_by_tet() -> None:
-    """A graded gel in each environment; the contact is as stiff as its stiffest tet."""
     young = np.stack([np.linspace(5e4, 1e5, TETS), np.linspace(3e5, 5e4, TETS)])
     run = Pad(2)
     run.model.set_body("pad", young_modulus_pa=young)
@@ -320,7 +312,6 @@ def test_moduli_by_tet() -> None:
 
 @pytest.mark.thorough
 def test_a_mask_a_later_change_and_what_is_left_out() -> None:
-    """A solver that has stepped takes what is set, in the environments of the mask alone."""
     run = Pad(3)
     first = run.press()
     run.model.set_body("pad", poisson_ratio=0.3, mask=np.array([False, True, True]))
@@ -359,7 +350,6 @@ GPU = [
 @pytest.mark.thorough(cases=("cpu",))
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=GPU)])
 def test_a_loop_in_torch_is_that_of_built_models_on_every_device(device: str) -> None:
-    """Values, masks and targets of the device; set again once steps are captured."""
     model = pad_under_tool(3, GEL).finalize(device)
     solver = SolverIPC(model)
     where = wp.device_to_torch(model.device)

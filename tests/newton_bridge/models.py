@@ -79,7 +79,6 @@ def largest_difference(builder: Any, robot: Robot) -> float:
 
 
 def read(text: str, tmp_path: Path) -> Any:
-    """A builder of an MJCF text."""
     path = tmp_path / "robot.xml"
     path.write_text(text, encoding="utf-8")
     builder = newton.ModelBuilder()

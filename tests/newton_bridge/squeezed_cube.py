@@ -41,7 +41,6 @@ HALF = np.sqrt(0.5)
 
 
 def jaws(time_s: float) -> np.ndarray:
-    """Poses of both jaws, [2, 7]."""
     squeeze = 3e-4 * min(time_s / CLOSE_S, 1.0)
     shift = 5e-4 * max(time_s - CLOSE_S, 0.0) / (END_S - CLOSE_S)
     x = EDGE / 2 + 6e-5 - squeeze
@@ -52,8 +51,7 @@ def jaws(time_s: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Run:
-    """Of each step: the cube's centre [m] and velocity [m/s], forces of gels on it [N], forces on
-    both gels [N]."""
+    """Of each step: the cube's place and velocity, forces of gels on it and on both gels."""
 
     dt_s: float
     positions: np.ndarray
@@ -68,7 +66,6 @@ class Run:
         return MASS * (self.velocities - before) - impulse
 
     def grip_impulse(self) -> float:
-        """Of one gel over the run [N s]."""
         return float(np.abs(self.on_gels[:, 0, 0]).sum() * self.dt_s)
 
 
@@ -77,7 +74,6 @@ def run_of(dt_s: float, rows: list[tuple[np.ndarray, ...]]) -> Run:
 
 
 def monolithic(dt_s: float, end_s: float = END_S) -> Run:
-    """Ours alone, in double precision."""
     shape = box_mesh((EDGE, EDGE, EDGE))
     scene = Scene(
         [replace(PAD, name=side, mount=f"{side} jaw") for side in SIDES],
@@ -99,7 +95,6 @@ def monolithic(dt_s: float, end_s: float = END_S) -> Run:
 
 
 def cube_builder(density: float = DENSITY) -> Any:
-    """Two kinematic jaws and a free cube."""
     builder = newton.ModelBuilder()
     for side, pose in zip(SIDES, jaws(0.0), strict=True):
         builder.add_body(xform=wp.transform(*pose.tolist()), is_kinematic=True, label=side)
@@ -129,7 +124,6 @@ class Simulation:
         self.time_s += dt_s
 
     def poses(self) -> np.ndarray:
-        """Of all bodies, [body, 7]."""
         return self.state.body_q.numpy().copy()
 
     def squeeze(self, steps: int = 1, dt_s: float = 1e-3) -> None:
@@ -142,7 +136,6 @@ class Simulation:
 
 
 def free_bodies(model: Any) -> Any:
-    """Newton's solver of what gels do not hold."""
     return newton.solvers.SolverSemiImplicit(model, angular_damping=0.0)
 
 

@@ -31,7 +31,6 @@ SensorTactile = pytest.importorskip("taccel_lab.newton_bridge.sensor_tactile").S
 
 @pytest.fixture(scope="module")
 def held() -> Simulation:
-    """A cube held between two pads."""
     run = Simulation(cube_model())
     run.solver.reset(run.state)
     run.squeeze(10)
@@ -39,7 +38,6 @@ def held() -> Simulation:
 
 
 def untouched() -> SolverGel:
-    """Of one pad, never stepped."""
     return Simulation(cube_model(), [BodyGel("left", PAD, name="pad")], []).solver
 
 
@@ -68,7 +66,6 @@ def test_a_gel_feels_the_cube_at_its_nodes(held: Simulation) -> None:
 
 
 def colored_profile() -> SensorProfile:
-    """A sensor of the pad, with made-up colours."""
     mesh, grid = PAD.mesh, PixelGrid(64, 48, 0.12, 0.16, 31.5, 23.5)
     colors = color_model(grid)
     color = ColorBlock(architecture=colors.config.to_dict(), provenance=ASSUMED)
@@ -80,7 +77,6 @@ def colored_profile() -> SensorProfile:
 @pytest.mark.thorough
 @pytest.mark.parametrize("own", [False, True], ids=["linear gel", "the profile's gel"])
 def test_a_gel_of_a_profile_has_images(own: bool) -> None:
-    """Untouched it shows its background; where the cube presses, something else."""
     profile = colored_profile()
     gels = [BodyGel(side, profile if own else PAD, name=side) for side in ("left", "right")]
     run = Simulation(cube_model(), gels)
@@ -142,7 +138,6 @@ def test_a_recording_of_newtons_has_where_the_bodies_were(held: Simulation, tmp_
 
 @pytest.mark.parametrize("env", [0, 1])
 def test_any_scene_goes_into_any_viewer(env: int) -> None:
-    """Quadratic gel, ball and plane, two environments, with newton's viewer that draws nothing."""
     gel, ball = SoftBody(PAD.mesh, PAD.material), KinematicBody(Ball(2e-3), name="ball")
     poses = np.array([[[0, 0, 2.1e-3, 0, 0, 0, 1.0]], [[1e-3, 0, 3e-3, 0, 0, 0, 1.0]]])
     run = Stepped(Scene(gel, ball, planes=Plane((0, 0, -0.1)), env_count=2), poses)

@@ -46,7 +46,6 @@ def test_a_cube_inside_moves_as_in_our_own_solve() -> None:
 
 @pytest.mark.thorough
 def test_a_lagged_cube_comes_to_our_own_solve_with_the_step() -> None:
-    """The wrench that acts is that of the step before: shorter steps come closer."""
     errors = []
     for dt in (1e-4, 5e-5):
         ours, theirs = monolithic(dt, 3e-3), coupled(dt, Coupling.LAGGED, 3e-3)
@@ -59,7 +58,6 @@ def test_a_lagged_cube_comes_to_our_own_solve_with_the_step() -> None:
 
 
 def test_what_others_do_to_a_body_inside_is_followed() -> None:
-    """A push by body_f, and a body that is put elsewhere between steps."""
     run = Simulation(cube_model())
     poses, rates = run.poses(), run.state.body_qd.numpy().copy()
     turn = np.array([0.0, np.sin(0.15), 0.0, np.cos(0.15)])
@@ -84,8 +82,7 @@ def test_what_others_do_to_a_body_inside_is_followed() -> None:
 
 @pytest.mark.thorough
 def test_a_body_bounces_on_its_gel() -> None:
-    """A free block of 50 g whose gel stands on newton's ground plane, which newton's solver,
-    without contacts, does not know: only the wrench of the gel holds it, around 0.1 mm deep."""
+    """Newton's solver knows no contact: only the gel's wrench holds 50 g, around 0.1 mm deep."""
     builder, inertia = newton.ModelBuilder(), wp.mat33(np.eye(3) * 1e-5)
     builder.add_ground_plane()
     down = wp.transform((0, 0, 5.5e-5), wp.quat(1.0, 0.0, 0.0, 0.0))
@@ -112,8 +109,7 @@ def test_a_body_bounces_on_its_gel() -> None:
 
 @pytest.mark.slow
 def test_a_drive_of_newton_presses_a_gel() -> None:
-    """A link on a slide, pushed by newton's drive through the ground: at rest the gel pushes back
-    as hard as the drive. Slow where newton's kernels are compiled."""
+    """At rest the gel pushes back as hard as newton's drive pushes its link."""
     builder, inertia = newton.ModelBuilder(gravity=(0, 0, 0)), wp.mat33(np.eye(3) * 1e-5)
     builder.add_ground_plane()
     finger = builder.add_link(mass=0.05, inertia=inertia, label="finger")
@@ -154,7 +150,6 @@ LATE = (0.0, 2e-3)
 
 
 def worlds(count: int, spacing_m: float = 0.0) -> Any:
-    """Side by side along y."""
     builder = newton.ModelBuilder()
     builder.add_ground_plane(height=-0.5)
     builder.replicate(cube_builder(), count, spacing=(0.0, spacing_m, 0.0))

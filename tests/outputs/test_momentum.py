@@ -67,7 +67,6 @@ def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> No
 
 
 def test_tractions_times_areas_are_the_forces() -> None:
-    """A uniform pressure on the top of a block, rim included, and a drag along x."""
     mesh = block_mesh((4, 4, 2), SIZE, jitter=0.2)
     model = Scene(linear(mesh)).finalize()
     x = (mesh.nodes_m * [1.2, 1.0, 0.9])[None]

@@ -39,7 +39,6 @@ def stresses(model: Model, f: np.ndarray) -> tuple[StressReader, np.ndarray, wp.
 
 
 def closed_form(law: MaterialModel, f: np.ndarray) -> np.ndarray:
-    """Cauchy stress from the textbook form of each energy."""
     j, b, eye = np.linalg.det(f), f @ f.T, np.eye(3)
     if law is MaterialModel.NEO_HOOKEAN:
         return (MU * (b - eye) + LAM * np.log(j) * eye) / j

@@ -20,7 +20,6 @@ from tests.verification.half_space import HalfSpace, half_space_mesh
 
 
 def whole(load: SurfaceLoad) -> np.ndarray:
-    """Sum of areas times tractions [N], shape [3]."""
     return (load.tractions.numpy()[0] * load.areas.numpy()[0][:, None]).sum(axis=0)
 
 

@@ -41,7 +41,6 @@ def box_at(z: float, name: str, **surface: Any) -> AffineBody:
 
 
 def started(*bodies: AffineBody) -> Stepped:
-    """Above a gel, under a ball that is far up, over a floor."""
     ball, floor = KinematicBody(Ball(1e-3), name="ball"), Plane((0, 0, -8e-3), name="floor")
     time = in_time(1e-2, 0.0)
     scene = Scene(GEL, ball, time=time, affine_bodies=bodies, planes=floor)

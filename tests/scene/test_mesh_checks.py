@@ -38,7 +38,6 @@ BLOCK = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2)
 
 
 def turned(points: np.ndarray, seed: int) -> np.ndarray:
-    """The same points in another frame, far from the origin."""
     return points @ random_turns(seed, 1)[0].T + [0.3, -0.2, 0.1]
 
 
@@ -170,7 +169,6 @@ def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
 
 
 def test_bodies_in_millimetres_are_refused() -> None:
-    """A gel of 8 mm that comes as 8 m, and a tool of 60 mm as 60 m."""
     gel = SoftBody(block_mesh((2, 2, 1), (8.0, 8.0, 2.0)), Material(1e5, 0.4))
     with pytest.raises(InputError, match=r"is 8 m across; at most 1 m .* 8 mm if its numbers are"):
         Scene(gel).finalize()

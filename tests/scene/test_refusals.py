@@ -74,7 +74,6 @@ def rests(second: np.ndarray) -> None:
 
 
 def on_cube(carrier: AffineBody | None = None, **options: Any) -> Scene:
-    """A gel on an affine body."""
     body = AffineBody(BOX, name="cube") if carrier is None else carrier
     pad = SoftBody(MESH, GEL, **{"name": "pad", "mount": "cube", **options})
     frame = KinematicBody(None, name="frame")
@@ -82,7 +81,6 @@ def on_cube(carrier: AffineBody | None = None, **options: Any) -> Scene:
 
 
 def joined(*joints: Joint) -> Scene:
-    """Two affine bodies and a frame, in two environments."""
     bodies = [AffineBody(BOX, name="a"), AffineBody(BOX, name="b")]
     frame = KinematicBody(None, name="k")
     return Scene((), frame, 2, DYNAMIC, affine_bodies=bodies, joints=joints)
@@ -93,7 +91,6 @@ def hinge(**options: Any) -> RevoluteJoint:
 
 
 def fan() -> TriangleMesh:
-    """Three faces on one edge."""
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]
     return TriangleMesh(np.array(corners) * 1e-3, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]))
 

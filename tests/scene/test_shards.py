@@ -61,7 +61,6 @@ def poses(count: int, seed: int) -> np.ndarray:
 
 
 def full_scene(count: int) -> Scene:
-    """Everything that can differ by environment does."""
     draw = np.random.default_rng(7)
     rest = MESH.nodes_m + 1e-5 * draw.normal(size=(count, MESH.node_count, 3))
     cube = box_mesh((1e-3,) * 3)
@@ -107,7 +106,6 @@ def test_every_field_is_known_to_be_shared_or_cut() -> None:
 
 
 def rows_of(scene: Scene, env: int) -> dict[str, object]:
-    """All that an environment has, by place in the description."""
     found: dict[str, object] = {}
 
     def look(item: object, where: str) -> None:

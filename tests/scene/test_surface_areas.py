@@ -43,7 +43,6 @@ def test_at_a_rim_it_is_one_side_and_not_the_sum() -> None:
 
 
 def test_preferred_faces_decide_alone() -> None:
-    """The rim of a pad with tall sides: only the contact face counts."""
     mesh = block_mesh((4, 4, 1), (1e-3, 1e-3, 3e-3))
     is_top = np.isclose(mesh.nodes_m[mesh.faces][..., 2], 0).all(axis=1)
     area = node_areas(mesh.nodes_m, mesh.faces, preferred=is_top)

@@ -11,7 +11,6 @@ from taccel_lab.tasks.result import TaskTrial
 
 
 def parameters(name: str) -> Any:
-    """Of the task's own kind."""
     return named(name).parameters
 
 

@@ -22,7 +22,6 @@ def is_as_measured(successes: int, measured: int, trials: int) -> bool:
 
 
 def run(name: str, successes: int, seeds: int = 64) -> TaskResult:
-    """The baseline, which succeeds as often as it was measured to."""
     result = run_task(named(name), range(seeds), "cpu")
     assert len(result.trials) == seeds
     assert result.table()["solver_failures"] == 0
@@ -105,7 +104,6 @@ def test_grasp_lift_matrix() -> None:
 
 
 def crossing(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the closed outlines [n, 2] and [m, 2] cross."""
     p, q = a[:, None], np.roll(a, -1, axis=0)[:, None]
     r, s = b[None], np.roll(b, -1, axis=0)[None]
 
@@ -118,8 +116,7 @@ def crossing(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def fits(start: dict[str, float], swollen_mm: float) -> bool:
-    """Whether the outline of the peg lies inside that of the hole where it is pushed down, the
-    peg's walls moved out by a gap."""
+    """Whether the peg, its walls moved out by a gap, lies inside the hole."""
     d = swollen_mm
     peg = dog_bone(15 + d, 17.5 + d, 5 + d, 11.7265 + d)
     hole = dog_bone(17, 20.9641, 4.4641, 13.7265)
@@ -129,8 +126,7 @@ def fits(start: dict[str, float], swollen_mm: float) -> bool:
 
 
 def test_peg_insertion_is_what_geometry_allows() -> None:
-    """A blind push: what fits goes in without touching, and what does not fit by a hair or more
-    meets the rim."""
+    """What fits goes in without touching; what does not fit by a hair or more meets the rim."""
     result = run("peg-insertion", 53)
     free = [t for t in result.trials if fits(t.start, 0.15)]
     blocked = [t for t in result.trials if not fits(t.start, -0.1)]
@@ -162,8 +158,7 @@ def test_round_pegs_that_fit_go_in(
     [("peg-vitac-cuboid", 13), ("peg-vitac-trapezoid", 9), ("peg-vitac-concave", 4)],
 )
 def test_pegs_on_the_rim(name: str, successes: int) -> None:
-    """None goes in at the first try: starts from which it would do not count. One that fails has
-    used up its tries, or stayed behind as the hand went down without feeling it."""
+    """None goes in at once; one that fails has used up its tries or stayed behind unfelt."""
     result = run(name, successes)
     for trial in result.trials:
         assert trial.figures["tries"] > 1 and trial.figures["jam_force_n"] > 3
@@ -172,7 +167,6 @@ def test_pegs_on_the_rim(name: str, successes: int) -> None:
 
 
 def test_twist() -> None:
-    """A gel of 2,601 nodes is within a tenth of Lubkin's torque."""
     result = run("twist", 60)
     for trial in result.trials:
         assert trial.figures["torque_of_closed_form"] == pytest.approx(1.0, abs=0.13)
@@ -181,9 +175,7 @@ def test_twist() -> None:
 
 
 def test_a_finer_twist_meets_the_closed_form() -> None:
-    """Elements of half the length: torque within 3.5 % (1.1, 2.5, 0.8 and 3.2 %; where the ring
-    that slips is as narrow as an element, at small turns, a mesh is stiffer), markers within 4 % of
-    the largest way."""
+    """Half the element: torque within 3.5 %, markers within 4 % of the largest way."""
     finer = task_with("twist", gel={"cells": (16, 16, 6)})
     result = run_task(finer, range(4), "cpu")
     assert result.successes == 4
@@ -204,8 +196,7 @@ def test_tac_man(name: str, median: int) -> None:
 
 @pytest.mark.timeout(3000)
 def test_object_classification() -> None:
-    """Parts are told by a network from sectors of turns that it has not seen, and better than by
-    the nearest grasp."""
+    """From sectors of turns that it has not seen, and better than the nearest grasp."""
     result = run("object-classification", 334, 400)
     right = {
         name: sum(trial.figures[name] for trial in result.trials)

@@ -120,7 +120,6 @@ def test_seeds_of_two_cells_are_two_solvers() -> None:
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_every_hand_begins_free_of_everything(hand: str) -> None:
-    """The widest and the lowest object."""
     seeds = [seed_of(hand, "gear", start) for start in (0, 1)]
     result = run_task(TASK, seeds, "cpu", steps=3)
     assert [trial.steps for trial in result.trials] == [3, 3]

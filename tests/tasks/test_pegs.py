@@ -41,7 +41,6 @@ def distance(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
 
 
 def area(outline: np.ndarray) -> float:
-    """Inside an outline [n, 2]."""
     x, y = outline.T
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
@@ -129,7 +128,6 @@ def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
 
 
 def test_tries_are_used_up() -> None:
-    """A policy that never steps aside stays on the rim."""
     policy = {"side_part": (1e3, 1e3), "tries": 2}
     trial = first_trial(task_with("touch-insertion", policy=policy), 1)
     assert not trial.success and trial.figures["tries"] == 2

@@ -49,7 +49,6 @@ def test_a_door_opens_and_needs_recovery() -> None:
 
 
 def test_a_hand_that_does_not_press_gives_up() -> None:
-    """Too few markers are pushed in: the grip is said to have failed."""
     task = task_with("tac-man-prismatic", policy={"squeeze_mm": 0.1})
     trial, policy = first_trial(task), parameters("tac-man-prismatic").policy
     assert trial.cause == "the grip failed" and trial.figures["markers"] < 6
@@ -73,7 +72,6 @@ def test_a_throw_as_meant_is_caught() -> None:
 
 @pytest.mark.thorough
 def test_the_ball_flies_as_thrown_bodies_do() -> None:
-    """While nothing touches it, its height has the second difference of free fall."""
     episode = even().begin([0], "cpu")
     assert isinstance(episode, ThrowCatch)
     heights, free = [], []

@@ -32,7 +32,6 @@ def box(
     rotation: Sequence[float] = (0, 0, 0, 1),
     **options: Any,
 ) -> AffineBody:
-    """A box about a centre."""
     pose = np.array([*center, *rotation], dtype=float)
     return AffineBody(box_mesh(size), name=name, initial_pose=pose, **options)
 
@@ -46,15 +45,12 @@ def affine_scene(
     gravity: tuple[float, float, float] = DOWN,
     **time: Any,
 ) -> Scene:
-    """Free bodies in time."""
     stepping = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=gravity, **time)
     parts = {"joints": joints, "planes": planes, "kinematic_bodies": kinematic}
     return Scene(affine_bodies=bodies, time=stepping, **parts)
 
 
 class Run(Stepped):
-    """A scene of affine bodies that is stepped."""
-
     def __init__(
         self, scene: Scene, config: SolverConfig | None = None, poses: np.ndarray | None = None
     ) -> None:
@@ -84,7 +80,6 @@ class Run(Stepped):
 
     @property
     def vertices(self) -> np.ndarray:
-        """Vertices of all affine bodies [m], shape [n, 3]."""
         bodies = [b for b in self.model.bodies if b.kind is BodyKind.AFFINE]
         return np.concatenate([self.x()[b.node_slice] for b in bodies])
 
@@ -101,17 +96,14 @@ class Run(Stepped):
 
     @property
     def weight(self) -> float:
-        """Of all bodies [N]."""
         return float(self.masses[:, 0].sum() * G)
 
     @property
     def momentum(self) -> np.ndarray:
-        """Linear momentum [kg m/s], shape [3]."""
         return (self.masses * self.v)[:, 0].sum(axis=0)
 
     @property
     def kinetic_energy(self) -> float:
-        """[J]"""
         return float(0.5 * (self.masses * self.v**2).sum())
 
     def angular_impulse(self, change: np.ndarray) -> np.ndarray:
@@ -121,5 +113,4 @@ class Run(Stepped):
 
     @property
     def angular_momentum(self) -> np.ndarray:
-        """About the origin [kg m^2/s], shape [3]."""
         return self.angular_impulse(self.v)

@@ -41,13 +41,10 @@ class Beside:
     left_out: int = 0
     """Steps that were not compared: taken again, or of models whose parameters were changed."""
     worst_force: float = 0.0
-    """Largest difference of forces, over what is allowed."""
     worst_motion: float = 0.0
-    """Largest difference of positions, over what is allowed."""
 
 
 def moved(state: State, device: str) -> State:
-    """A copy on another device."""
 
     def there(array: wp.array | None) -> Any:
         return None if array is None else wp.clone(array, device=device)
@@ -76,10 +73,7 @@ def body_forces(solver: SolverIPC) -> np.ndarray:
 def steps_beside(
     device: str, change: Callable[[SolverIPC], None] = lambda twin: None
 ) -> Iterator[Beside]:
-    """Take all steps within on ``device``, too; AssertionError where the two differ.
-
-    ``change``: what is done to each solver there once it is built; for tests of this comparison.
-    """
+    """Take all steps within on ``device``, too, on whose solvers ``change`` acts first; compare."""
     found = Beside(device)
     twins: dict[int, tuple[SolverIPC, SolverIPC, SolverIPC]] = {}
     step = SolverIPC.step
@@ -130,8 +124,7 @@ def _compare(
     state: State,
     there: State,
 ) -> None:
-    """Where both have converged, in as many parts of the step; where one alone has not, the other
-    should not have either."""
+    """Where both have converged, in as many parts; where one alone has not, neither should."""
     both = report.converged & other.converged & (report.substeps == other.substeps)
     found.steps += 1
     np.testing.assert_array_equal(

@@ -40,7 +40,6 @@ Rule = tuple[np.ndarray, np.ndarray]
 
 
 def tet_rule() -> Rule:
-    """Gauss-Legendre in collapsed cubes."""
     g, w = np.polynomial.legendre.leggauss(4)
     g, w = (g + 1) / 2, w / 2
     a, b, c = (v.ravel() for v in np.meshgrid(g, g, g, indexing="ij"))
@@ -107,7 +106,6 @@ def surface_load(
 
 
 def _grid(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of the unit cube and six tets around the diagonal of each cell (Kuhn)."""
     mesh = block_mesh(cells, (1.0, 1.0, 1.0))
     return mesh.nodes_m + [0.5, 0.5, 1.0], mesh.tets
 
@@ -180,13 +178,11 @@ def cook_error(element: Element, cells: int, poisson: float) -> float:
 
 
 def rate(cells: list[int], errors: list[float]) -> float:
-    """Order of convergence by least squares over all meshes given."""
     slope = np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
     return float(-slope)
 
 
 def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
-    """Cook's energy by scikit-fem, extrapolated."""
     import skfem  # pyright: ignore[reportMissingImports]
     from skfem.models.elasticity import linear_elasticity  # pyright: ignore[reportMissingImports]
 

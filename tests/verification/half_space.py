@@ -51,12 +51,10 @@ class HalfSpace(Stepped):
         super().__init__(scene, pose(0, 0, start_m), **settings)
 
     def move(self, x_m: float, z_m: float) -> StepReport:
-        """Bring the body's origin to (x, 0, z) in one step."""
         return self.step(pose(x_m, 0, z_m))
 
     @property
     def positions_m(self) -> np.ndarray:
-        """Of the nodes of the block, shape [node, 3]."""
         return self.x(0)
 
     @property
@@ -70,12 +68,10 @@ class HalfSpace(Stepped):
 
     @property
     def normal_n(self) -> np.ndarray:
-        """Contact force on each node of the block, shape [node, 3]."""
         return self.contact(0)
 
     @property
     def friction_n(self) -> np.ndarray:
-        """Friction force on each node of the block, shape [node, 3]."""
         return self.friction(0)
 
 
@@ -91,12 +87,10 @@ def half_space_mesh(
     roundness: float = CORE_ROUNDNESS,
     grading: float = 1.0,
 ) -> TetMesh:
-    """A block with its contact face at z = 0, bonded everywhere else on its outside.
+    """A block bonded outside at ``total_m``, ``cells`` cells in its fine half width ``core_m``.
 
-    ``core_m``: half width of the fine part [m], ``cells`` of which lie side by side in it;
-    ``total_m``: radius of the outside [m]; ``growth``: largest ratio of neighbouring shells.
-    ``roundness`` 1 makes a circle of nodes of radius ``core_m`` on the contact face, and
-    ``grading`` above 1 makes cells small near it: of size cells^-grading, for a punch's rim.
+    ``roundness`` 1 makes a circle of nodes of radius ``core_m``, ``grading`` above 1 cells of size
+    cells^-grading near it.
     """
     unit, core_tets = _half_cube(cells)
     if grading != 1.0:

@@ -63,8 +63,7 @@ def test_free_fall_is_exact() -> None:
 def test_free_rotation_of_an_asymmetric_body(
     scheme: TimeScheme, spin_rad_s: tuple[float, float, float]
 ) -> None:
-    """Steps that lower the residual from 1e-8 N to 1e-10 N lower the energy by 1e-19 J, less than
-    its last digit: one in 60 took 419 iterations when that was not allowed for."""
+    """Near 1e-10 N steps lower the energy by less than its last digit: it took 419 iterations."""
     body = wedge(initial_spin_rad_s=spin_rad_s, initial_velocity_m_s=(0.1, 0.2, 0.3))
     scene = affine_scene([body], gravity=NONE, dt=5e-3, scheme=scheme)
     # On some machines residuals below that are rounding.
@@ -107,8 +106,7 @@ def test_spin_about_a_principal_axis_follows_the_rotations() -> None:
 
 
 def test_a_tilted_plate_that_slides_and_turns_in_its_first_contact() -> None:
-    """It goes 15 of its lengths sideways in the step that stops its fall: the turn about the corner
-    that touches must not lift it off. On the screw of both it took 909 Newton iterations."""
+    """It goes 15 lengths sideways while it stops: turning about its corner must not lift it off."""
     tilt = turned((1, -1, 0.3), 0.7)
     plate = box("plate", (4e-3, 3.2e-3, 1.6e-4), (0, 0, 0), tilt, young_modulus_pa=4.6e6)
     vertices = rotate(tilt[None], plate.shape.vertices_m)
@@ -130,11 +128,7 @@ RADIUS, SLOPE = 20e-3, np.radians(10)
 
 @pytest.mark.parametrize("friction", [0.5, 0.02])
 def test_a_ball_on_a_slope(friction: float) -> None:
-    """It rolls where mu > 2/7 tan, at 5/7 g sin, and else slides at g (sin - mu cos).
-
-    A mesh rolls from facet to facet: edges of a tenth of the radius dip by a thousandth of it, half
-    of the layer that carries the ball, and its acceleration wavers by some thousandths.
-    """
+    """It rolls where mu > 2/7 tan, at 5/7 g sin, and else slides at g (sin - mu cos)."""
     # 2,562 vertices.
     mesh, dhat, n = sphere_mesh(RADIUS, 2e-3), 1e-4, 15
     properties = mass_properties(mesh, 1000.0)
@@ -188,9 +182,7 @@ def spring_forces(mass: float, limit: float, steps: int) -> np.ndarray:
 
 
 def test_a_block_pulled_by_a_spring_sticks_and_slips() -> None:
-    """The spring's end moves at V. The block sticks until k V t = mu N, and lets go at rest: the
-    spring overshoots mu N by V sqrt(k m), less what the steps damp, as an oscillator about mu N
-    that starts at speed -V, and settles to steady sliding at mu N."""
+    """It sticks until k V t = mu N, then the spring overshoots by V sqrt(k m), less damping."""
     size, place = (BLOCK, BLOCK, BLOCK), (0, 0, BLOCK / 2 + 0.9 * DHAT)
     block = box("block", size, place, friction_coefficient=MU)
     # It may sink and rise on a light carriage, which a spring pulls along x.
@@ -227,8 +219,7 @@ LENGTH, ANGLE = 60e-3, np.radians(45)
 
 @pytest.mark.parametrize("direction", [1, -1], ids=["trailing", "pushed"])
 def test_a_rod_dragged_by_its_upper_end(direction: int) -> None:
-    """Moments about the hinge: N (cos +- mu sin) = (W / 2) cos for the force N of the plane on the
-    tip of a rod at 45 degrees; + where it trails. (With mu tan = 1 a pushed rod would jam.)"""
+    """N (cos +- mu sin) = (W / 2) cos about the hinge, at 45 degrees; + where it trails."""
     top = np.array([0, 0, LENGTH * np.sin(ANGLE) + 2.0e-3])
     # The rod's lower end lies behind, at negative x.
     along = np.array([-np.cos(ANGLE), 0, -np.sin(ANGLE)])

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.skipif(BESIDE is not None, reason="does it itself")
 
 
 def press() -> None:
-    """A plate onto a block, then along it."""
     gel = SoftBody(block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)), Material(1e5, 0.4))
     plate = KinematicBody(box_mesh((3e-3, 3e-3, 1e-3)), friction_coefficient=0.5)
     solver = SolverIPC(Scene([gel], [plate]).finalize(), SolverConfig(dhat_m=1e-4))

@@ -52,7 +52,6 @@ def thread(source: str) -> Thread:
 @pytest.mark.thorough
 @pytest.mark.parametrize("source", variants(["published"], ["generated", "published"]))
 def test_a_turning_nut_lowers_a_screw(source: str) -> None:
-    """A twelfth of a turn, in steps of 7.5 degrees."""
     made = thread(source)
     place = pose(0, 0, -0.9 * made.slack)
     screw = AffineBody(

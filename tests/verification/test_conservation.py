@@ -75,7 +75,6 @@ class Free(Stepped):
             self.torque.append(now - then)
 
     def drift(self, name: str) -> float:
-        """Largest change from the start, as part of the initial size."""
         values = np.array(getattr(self, name))
         return float(np.abs(values - values[0]).max() / np.linalg.norm(values[0]))
 
@@ -90,7 +89,6 @@ class Free(Stepped):
 def block(
     scheme: TimeScheme, dt: float, stretch: float, spin: float, element: Element = Element.LINEAR
 ) -> Free:
-    """A block that is let go stretched, flying and spinning."""
     free = Free(Scene(SoftBody(MESH, SOFT, element=element), time=in_time(dt, 0, scheme=scheme)))
     x = free.state.positions.numpy().copy()
     centre = x.mean(axis=1, keepdims=True)
@@ -103,7 +101,6 @@ def block(
 @pytest.mark.thorough
 @pytest.mark.parametrize(("scheme", "order", "fewest"), [(EULER, 1, 32), (BDF2, 2, 16)])
 def test_measured_order_of_a_free_oscillation(scheme: TimeScheme, order: int, fewest: int) -> None:
-    """Halving the step divides the error by 2^order."""
     ends = []
     for steps in (fewest * 2**k for k in range(4)):
         free = block(scheme, 5e-3 / steps, 0.05, 0.0)
@@ -160,8 +157,7 @@ def test_a_body_and_the_gel_on_it_keep_their_momentum(scheme: TimeScheme, elemen
 
 @pytest.mark.thorough
 def test_how_angular_momentum_is_lost() -> None:
-    """In a quarter of a turn implicit Euler loses 2.6 % in 30 steps and 1.4 % in 60, BDF2 0.1 % and
-    0.03 %."""
+    """By 2.6 % in 30 steps of a quarter turn, 1.4 % in 60; BDF2 by 0.1 % and 0.03 %."""
     duration = np.pi / 2 / np.hypot(20.0, 6.0)
 
     def loss(scheme: TimeScheme, steps: int) -> float:
@@ -230,7 +226,6 @@ class Fall(Stepped):
         return total / (self.weights.sum() * HEIGHT)
 
     def run(self, seconds: float) -> np.ndarray:
-        """Energies over the steps."""
         found, touched = [self.energy()], False
         for _ in range(round(seconds / self.model.scene.time.dt_s)):
             touched |= bool(self.step().contact_force_n[0] > 0)
@@ -258,13 +253,11 @@ def test_no_step_of_an_impact_gives_energy(kind: str, tilt: float, dt: float) ->
 @pytest.mark.thorough(cases=("200000.0-0.0002",))
 @pytest.mark.parametrize(("young_pa", "dt"), [(2e4, 1e-3), (2e5, 2e-4)])
 def test_nor_does_one_of_a_long_contact(young_pa: float, dt: float) -> None:
-    """A soft cube of ten-node tets, whose force changes little from step to step, gained 0.8 and
-    0.9 % of m g h in one."""
+    """A soft cube of ten-node tets gained 0.8 and 0.9 % of m g h in one step."""
     assert np.diff(Fall("quadratic", 25.0, dt, young_pa).run(0.07)).max() < 5e-4
 
 
 def test_flight_stays_of_second_order() -> None:
-    """Before the impact nothing is handed over: positions are those of constant acceleration."""
     fall = Fall("affine", 25.0, 2e-3)
     centre = fall.model.affine.first_control
     start = fall.x()[centre, 2]

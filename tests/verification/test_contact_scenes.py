@@ -22,7 +22,6 @@ FREE = np.zeros(0, dtype=np.int64)
 
 
 def free(mesh: TetMesh) -> TetMesh:
-    """The mesh with nothing glued to anything."""
     return replace(mesh, face_regions=np.full(len(mesh.faces), int(Region.SIDE)))
 
 
@@ -38,7 +37,6 @@ def upside_down(x: float, z: float, deg: float = 0.0) -> np.ndarray:
 @pytest.mark.thorough
 @pytest.mark.parametrize("cells", variants([(6, 8)], [(6, 8), (8, 6), (7, 7)]))
 def test_a_gel_pressed_and_dragged_over_another(cells: tuple[int, int]) -> None:
-    """The upper one is held upside down by a hand."""
     lower, upper = (
         block_mesh((n, n, 3), (4e-3, 4e-3, 2e-3), jitter=0.2, seed=k + 1)
         for k, n in enumerate(cells)

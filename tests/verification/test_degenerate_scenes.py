@@ -82,7 +82,6 @@ CASES: dict[str, tuple[TriangleMesh, TriangleMesh | TetMesh, tuple[float, float,
 
 
 def falling(mesh: TriangleMesh | TetMesh, name: str, place: np.ndarray, **options: Any) -> dict:
-    """A stiff body of a surface, a soft one of tets, as a scene takes it."""
     options |= {"name": name, "initial_pose": place}
     if isinstance(mesh, TriangleMesh):
         return {"affine_bodies": AffineBody(mesh, 1000.0, **options)}
@@ -106,10 +105,7 @@ def test_bodies_in_degenerate_contact(name: str) -> None:
 
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_block_slides_over_a_seam(soft: bool) -> None:
-    """Two boxes side by side make one floor: without friction nothing may catch at their edges.
-
-    A node within dhat of a rim that it has just passed, or will reach, feels the edge sideways.
-    """
+    """Two boxes side by side make one floor: without friction nothing may catch at their edges."""
     speed, dt, apart = 0.5, 2e-3, 1e-6
     floor = box_mesh((20e-3, 30e-3, 5e-3))
     half = 10e-3 + apart / 2
@@ -177,8 +173,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
     "cells", [pytest.param(4, id="coarse"), pytest.param(8, id="fine", marks=pytest.mark.slow)]
 )
 def test_a_ball_is_drawn_through_two_rollers(cells: int) -> None:
-    """Rollers of 12 mm, 3 mm nearer than the ball is wide, turn against each other and draw a soft
-    ball through their gap by friction."""
+    """3 mm nearer than the ball is wide, they draw it through their gap by friction."""
     radius, roller, gap = 5e-3, 12e-3, 7e-3
     ball = ball_tets(radius, cells)
     half = roller + gap / 2
@@ -196,7 +191,6 @@ def test_a_ball_is_drawn_through_two_rollers(cells: int) -> None:
     lying = Rotation.from_euler("x", 90, degrees=True)
 
     def turned(deg: float) -> np.ndarray:
-        """Both axes along y; the upper sides move inwards."""
         turns = [Rotation.from_euler("y", side * deg, degrees=True) * lying for side in (1, -1)]
         places = ([-half, 0, 0], [half, 0, 0])
         poses = zip(places, turns, strict=True)

@@ -46,7 +46,6 @@ def held(element: Element, law: MaterialModel, poisson: float) -> ElementForces:
 
 
 def found_from_off(forces: ElementForces, exact: np.ndarray, tolerance_n: float) -> tuple:
-    """Equilibrium and Newton iterations from a start off the exact one inside."""
     start, inner = exact.copy(), forces.free
     start[inner] += np.random.default_rng(0).uniform(-3e-5, 3e-5, (len(inner), 3))
     return forces.equilibrium(np.zeros_like(exact), start=start, tolerance_n=tolerance_n)
@@ -87,8 +86,7 @@ def test_an_even_pressure_does_not_slow_newton(growth: float) -> None:
 @pytest.mark.parametrize("element", list(Element))
 @pytest.mark.parametrize("poisson", [0.3, 0.499])
 def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
-    """Cantilever 8 : 1 : 1 against Timoshenko's beam: two cells of quadratic tets in the height are
-    enough (one alone is 10 % too soft), four of linear ones are not."""
+    """Against Timoshenko: two quadratic cells in the height are enough, four linear are not."""
     length, height = 8e-3, 1e-3
     cells = (32, 4, 4) if element is Element.LINEAR else (16, 2, 2)
     mesh = block_mesh(cells, (length, height, height))
@@ -116,8 +114,7 @@ def test_thick_beam_in_bending(element: Element, poisson: float) -> None:
 
 @pytest.mark.thorough
 def test_smooth_fields_converge_with_the_order_of_the_element() -> None:
-    """Displacement in L2: second order for linear tets, third for quadratic ones, near nu = 0.5
-    too: 0.2 and 2.7 there."""
+    """In L2: second order for linear tets, third for quadratic ones, near nu = 0.5 too."""
     for poisson, least in ((0.3, 2.5), (0.499, 2.4)):
         cells = [2, 4, 6]
         errors = [swirl_error(Element.QUADRATIC, n, poisson) for n in cells]
@@ -150,8 +147,7 @@ def test_the_referee_of_cooks_membrane(poisson: float) -> None:
 
 
 def layer_press(element: Element, layers: int, poisson_ratio: float) -> tuple[int, list[float]]:
-    """Nodes, and forces [N] of a frictionless ball of 4 mm radius, 0.2, 0.6 and 1 mm into a bonded
-    gel of 24 x 24 x 4.25 mm, on meshes that are refined alike in all directions."""
+    """Nodes, and forces [N] of a ball 0.2, 0.6 and 1 mm deep in an evenly refined bonded gel."""
     pad = GelPad(24.0, 24.0, 1.5, thickness_mm=4.25, window_x_mm=18.0, window_y_mm=18.0)
     rings = max(5, round(2.3 * layers))
     focus = FocusOptions((0.0, 0.0), 3.5, 1.4 / layers, 2 * layers, rings, layers, layer_ratio=1.15)

@@ -41,11 +41,8 @@ HERTZ_RADIUS = float(np.sqrt(BALL * DEPTH))
 
 @dataclass(frozen=True)
 class Pressed:
-    """What a press gave, against Hertz."""
-
     force_n: float
     force_error: float
-    """Force over Hertz's, less 1."""
     radius_m: float
     """Contact radius [m] from the second moment of the contact forces: sum f r^2 = 2/5 a^2 F."""
     outermost_m: float
@@ -73,8 +70,7 @@ class Pressed:
 def pressed(
     cells: int, poisson: float = 0.3, dhat: float = 0.002, element: Element = Element.LINEAR
 ) -> Pressed:
-    """The ball pressed to its depth in one step: ``cells`` elements side by side from the axis to
-    the contact radius, contact from a gap of ``dhat`` depths on."""
+    """The ball pressed in one step: ``cells`` to the contact radius, ``dhat`` over the depth."""
     force = 4 / 3 * YOUNG / (1 - poisson**2) * float(np.sqrt(BALL)) * DEPTH**1.5
     # Shells about as long as wide; quadratic tets follow the field far away in larger steps.
     growth = float(np.exp((1.2 if element is Element.QUADRATIC else 0.8) / cells))
@@ -113,7 +109,6 @@ def pressed(
 
 
 def check_linear(cells: int) -> None:
-    """Contact radius and the ellipse of the pressure."""
     found = pressed(cells)
     assert found.element_m < 1.5 * HERTZ_RADIUS / cells
     found.check_radius(0.01)
@@ -151,11 +146,7 @@ def test_finer_linear_tets_come_closer_and_lock_as_poisson_ratio_grows() -> None
 @pytest.mark.thorough
 @pytest.mark.parametrize("cells", variants([(3, 4)], [(3, 4), (4, 6)]))
 def test_dhat_acts_like_depth(cells: tuple[int, int]) -> None:
-    """Contact begins at a gap of dhat: the force grows like that of a depth larger by dhat.
-
-    In the limit of fine meshes: at the small dhat the chords of coarse faces hold the ball up, at
-    the large one they do not reach it.
-    """
+    """The force grows like that of a depth larger by dhat, in the limit of fine meshes."""
 
     def limit(dhat: float) -> float:
         # Those of the usual dhat are known from the tests above.
@@ -191,7 +182,6 @@ class Punched:
     half_error: float
     """Force at half the depth over the formula's at that depth plus the gap, less 1."""
     error: float
-    """The same at the whole depth."""
     slope_error: float
     """Difference of the forces over the formula's, less 1."""
     gap: float
@@ -199,7 +189,6 @@ class Punched:
     spread: float
     """Radius of gyration of the pressure over that of the formula, sqrt(2 / 3) a."""
     leaning: float
-    """Tangential over normal force."""
 
 
 @lru_cache

@@ -42,7 +42,6 @@ def hinge(
 
 
 def slider(axis: Any = (0, 0, 1), **options: Any) -> Run:
-    """A body that slides along an axis through its centre."""
     return Run(
         affine_scene([box("b", ROD)], [PrismaticJoint("b", None, (0, 0, 0), axis, **options)])
     )
@@ -60,8 +59,7 @@ def reading(run: Run, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("stated", [False, True])
 def test_small_swings_of_a_pendulum(stated: bool) -> None:
-    """Implicit Euler of a'' = -w^2 a: a phase of atan(w dt) a step, and its damping; where mass,
-    centre and inertia are not those of the box, w^2 = m g d / (I + m d^2) all the same."""
+    """Implicit Euler of a'' = -w^2 a, w^2 = m g d / (I + m d^2), of stated masses too."""
     start, mass, about_hinge, below = 0.02, MASS, MOMENT, 0.05
     lever, rest, own = below, np.pi / 2, None
     if stated:
@@ -87,7 +85,6 @@ def test_small_swings_of_a_pendulum(stated: bool) -> None:
 
 
 def test_a_held_rod_needs_its_moment() -> None:
-    """A fixed joint carries force and torque: a cantilever."""
     run = Run(affine_scene([ROD_AT_REST], [FixedJoint("rod", None, (0, 0, 0))]))
     run.steps(3)
     weight = MASS * G
@@ -130,7 +127,6 @@ def test_a_double_pendulum_loses_energy_only(density: float) -> None:
 
 
 def test_a_floating_pair_keeps_its_momentum() -> None:
-    """Joint and drive act in pairs."""
     bodies = [
         box("a", ROD, (0.05, 0, 0), initial_spin_rad_s=(1, 2, 3)),
         box("b", (0.04, 0.05, 0.06), (0.13, 0, 0), initial_velocity_m_s=(0.1, 0.2, -0.3)),
@@ -229,7 +225,6 @@ def test_a_four_bar_linkage_follows_its_closed_form() -> None:
 
 
 def test_a_hinge_stops_at_its_limit_and_stays() -> None:
-    """A rod let go from the horizontal drops on its stop, which then carries the weight."""
     run = Run(affine_scene([ROD_AT_REST], [hinge(limits_deg=(-5, 30))]))
     limit = np.radians(30)
     for _ in range(30):
@@ -274,7 +269,6 @@ def test_a_motor_reaches_its_rate_with_its_force(effort: float) -> None:
 
 
 def test_a_joint_follows_a_kinematic_body() -> None:
-    """A rod hinged to a carriage that moves and turns by its own poses."""
     rod = box("rod", ROD, (0, 0, -0.05), turned((0, 1, 0), np.pi / 2))
     carriage = KinematicBody(None, name="carriage")
     run = Run(affine_scene([rod], [hinge("rod", "carriage")], kinematic=carriage))

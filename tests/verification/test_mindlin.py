@@ -50,12 +50,9 @@ MU = 0.3
 
 @dataclass(frozen=True)
 class Slid:
-    """One point of the tangential loading curve."""
-
     shift: float
     """dx over that at full slip."""
     ratio: float
-    """Q over mu F."""
     lost: float
     """Change of the normal force since there was no Q, over it."""
     across: float
@@ -67,7 +64,6 @@ class Slid:
     friction: np.ndarray
     """Their tangential force over mu times their normal force."""
     weight: np.ndarray
-    """Their part of the normal force."""
 
     @property
     def measured_stick_radius(self) -> float:
@@ -91,8 +87,7 @@ def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
 
 
 def pressed_block(cells: int, eps_m: float = EPS) -> tuple[HalfSpace, float, float]:
-    """A ball pressed into the half-space without friction, from now on with it, static below
-    ``eps_m`` a step at most; the load [N] and dx at full slip [m]."""
+    """A ball pressed in without friction, then with it; the load [N], dx at full slip [m]."""
 
     settings = {"dhat_m": DHAT, "relative_tolerance": 1e-5, "absolute_tolerance_n": 1e-12}
     block = HalfSpace(
@@ -114,7 +109,6 @@ def pressed_block(cells: int, eps_m: float = EPS) -> tuple[HalfSpace, float, flo
 
 @lru_cache
 def slid(cells: int, *shifts: float) -> list[Slid]:
-    """Press the ball in, then move it to each of ``shifts``, parts of dx at full slip."""
     block, load, full = pressed_block(cells)
     before = block.positions_m.copy()
     points = []
@@ -190,17 +184,14 @@ class Loop:
     steps: int
     """Of each of the three ways."""
     ratios: np.ndarray
-    """Q over mu F after each step, shape [3 * steps]."""
 
     @property
     def shifts(self) -> np.ndarray:
-        """dx over that at full slip, the same shape."""
         part = np.arange(1, self.steps + 1) / self.steps
         return LOOP * np.concatenate([part, 1 - 2 * part, 2 * part - 1])
 
     @property
     def expected(self) -> np.ndarray:
-        """Ratios by Mindlin and Deresiewicz."""
         first = [first_loading(shift) for shift in self.shifts[: self.steps]]
         return self.of_first(np.array(first))
 
@@ -229,8 +220,7 @@ def looped(cells: int, steps: int) -> Loop:
 
 
 def check_loop(loop: Loop, force: float, loss: float) -> None:
-    """Within ``force`` of mu F of the curve, and ``loss`` of what it takes; trapezoids lose alike
-    in both."""
+    """Within ``force`` of mu F of the curve, and ``loss`` of what it takes."""
     assert np.abs(loop.ratios - loop.expected).max() < force
     assert loop.loss(loop.ratios) == pytest.approx(loop.loss(loop.expected), rel=loss)
     # Closed, and of its own first loading, whatever the mesh makes of that.

@@ -26,7 +26,6 @@ def carried(points: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("element", variants([Element.QUADRATIC], Element))
 def test_a_mount_carries_the_gel_without_strain(element: Element) -> None:
-    """Large turns and shifts in one step: the gel is where its frame puts it."""
     start = pose(1e-2, -2e-2, 3e-2, (1, 2, 3), 30)
     gel = SoftBody(MESH, GEL, mount="hand", element=element)
     run = Stepped(Scene(gel, HAND), start, absolute_tolerance_n=1e-10)
@@ -44,7 +43,6 @@ def test_a_mount_carries_the_gel_without_strain(element: Element) -> None:
     [(Element.LINEAR, 0.0), (Element.LINEAR, 0.6), (Element.QUADRATIC, 0.0)],
 )
 def test_moving_the_gel_or_the_ball_is_the_same_press(element: Element, friction: float) -> None:
-    """Press, then shear by the same relative motion; compared in the frame of the gel."""
     ball, gap = KinematicBody(Ball(RADIUS), friction), RADIUS + 3 * DHAT
     still, config = pose(0, 0, gap), {"dhat_m": DHAT, "relative_tolerance": 1e-7}
     fixed = Stepped(Scene(SoftBody(MESH, GEL, element=element), ball), still, **config)

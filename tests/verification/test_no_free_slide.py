@@ -19,7 +19,6 @@ DHAT = 2e-5
 
 
 def uneven_plate(cells: int, size_m: float, seed: int) -> TriangleMesh:
-    """A flat sheet that faces down, triangulated at random."""
     grid = np.stack(np.meshgrid(*[np.arange(cells + 1)] * 2, indexing="ij"), -1).reshape(-1, 2)
     moves = np.random.default_rng(seed).uniform(-0.25, 0.25, grid.shape)
     moves[(grid == 0) | (grid == cells)] = 0

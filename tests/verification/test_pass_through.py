@@ -83,7 +83,6 @@ def test_a_free_face_is_pressed_whatever_its_label_says(
 
 @pytest.mark.parametrize("element", variants([Element.QUADRATIC], Element))
 def test_a_free_face_is_not_left_open_where_some_of_its_nodes_are_held(element: Element) -> None:
-    """Only the rim of the back is glued: its middle is a membrane that a body lies on."""
     back = MESH.region_nodes(Region.BOND)
     rim = back[np.abs(MESH.nodes_m[back, :2]).max(axis=1) > 2.9e-3]
     soft = SoftBody(MESH, SOFT, rim, element=element)
@@ -150,7 +149,6 @@ def test_the_mount_of_a_gel_may_coincide_with_its_glued_back() -> None:
 
 
 def test_a_glued_back_is_stopped_by_a_plane() -> None:
-    """The mount is driven into the floor, back first."""
     mount, floor = KinematicBody(None, name="mount"), Plane((0, 0, BACK - 1e-4))
     way = Way(Scene(linear(MESH, SOFT, mount="mount"), mount, planes=floor), **HASTY)
     assert not way.attempt(pose(0, 0, -1e-3)).converged[0]
@@ -177,8 +175,7 @@ def test_a_bar_that_turns_through_the_gel() -> None:
 
 @pytest.mark.parametrize("floor", [False, True])
 def test_a_pusher_drives_a_free_body_ahead_or_stops(floor: bool) -> None:
-    """It goes five times its own size through where the cube was; a cube that cannot give way on
-    a floor stops the pusher, which says so."""
+    """A cube that cannot give way on a floor stops the pusher, which says so."""
     pusher = KinematicBody(box_mesh((1.4e-3, 1.4e-3, 1e-3)))
     planes = [Plane((0, 0, -1e-3))] if floor else []
     cube = AffineBody(CUBE, 2000)
@@ -190,7 +187,6 @@ def test_a_pusher_drives_a_free_body_ahead_or_stops(floor: bool) -> None:
 
 
 def test_a_free_body_that_flies_at_a_thin_sheet() -> None:
-    """Twenty times its own size a step, at a sheet without volume."""
     sheet = KinematicBody(TriangleMesh(SHEET.vertices_m * [8, 8, 1], SHEET.faces))
     place = pose(0.3e-3, 0.2e-3, 3e-3)
     bullet = AffineBody(CUBE, 2000, initial_pose=place, initial_velocity_m_s=(0.0, 0.0, -4.0))

@@ -72,13 +72,11 @@ class Insertion(Watched):
             )
 
     def on_peg(self, kind: str, other: str | None = None) -> np.ndarray:
-        """Contact or friction force on the peg [N]: by a body, or by all."""
         pairs = getattr(self.outputs, f"{kind}_wrenches")().wrenches.numpy()[0, self.peg, :, :3]
         return pairs.sum(axis=0) if other is None else pairs[self.model.body_id(other)]
 
     @property
     def lowest(self) -> float:
-        """Of the peg [m]."""
         return float(self.x(self.peg)[:, 2].min())
 
 

@@ -42,7 +42,6 @@ INDENTERS: dict[str, tuple[TriangleMesh | Ball, float]] = {
 
 
 def path(reach: float) -> list[np.ndarray]:
-    """Down, then sideways, then about the axis, then up again."""
     down = [pose(0, 0, reach - d) for d in (0.1e-3, 0.25e-3, 0.4e-3)]
     side = [pose(s, -0.5 * s, reach - 0.4e-3) for s in (0.1e-3, 0.2e-3)]
     last = side[-1]
@@ -113,7 +112,6 @@ def test_every_frame_is_converged_separate_and_balanced(
 
 
 def test_the_force_does_not_depend_on_how_the_depth_is_reached() -> None:
-    """Without friction a quasi-static press has no memory."""
     forces = []
     for depths in ([0.4e-3], [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3], [0.6e-3, 0.4e-3]):
         made = Scene(linear(MESH), KinematicBody(Ball(1.5e-3)))
@@ -208,7 +206,6 @@ AT_MM = (1.0, -0.5)
 
 
 def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: float) -> float:
-    """Force of a press on a gel of quadratic tets, ``size`` elements to the contact radius."""
     radius_mm = (depth_mm * RADIUS_M * 1e3) ** 0.5
     mesh = press_mesh("gelsight", {}, AT_MM, radius_mm, PressMeshOptions(size, core=4, rings=8))
     gel, ball, config = Material(1.5e5, 0.46), Indenter("ball", shape), SolverConfig(dhat_m=dhat_m)

@@ -46,8 +46,6 @@ CUBE = block_mesh((2, 2, 2), (SIDE, SIDE, SIDE))
 
 
 class HeldCube(Stepped):
-    """A cube whose surface is moved by hand: its deformation is the same everywhere."""
-
     def __init__(self, branches: Branches, element: Element = Element.LINEAR) -> None:
         surface = np.unique(CUBE.faces)
         super().__init__(Scene(SoftBody(CUBE, gel(branches), surface, element=element)), **EXACT)
@@ -55,8 +53,7 @@ class HeldCube(Stepped):
         self.stretch = 1.0
 
     def pull(self, stretch: float, dt_s: float) -> float:
-        """Hold for that time, if any, then stretch along z within ``AT_ONCE_S``. Returns the pull
-        on the top face over its area [Pa]."""
+        """Hold for that time, then stretch along z at once; the pull on the top [Pa]."""
         if dt_s:
             self.step(Control(dt_s=dt_s))
         if stretch != self.stretch:
@@ -75,8 +72,7 @@ def stress(stretch: float) -> float:
 @pytest.mark.parametrize("element", list(Element))
 @pytest.mark.parametrize("stretch", [0.999, 0.7, 1.3])
 def test_held_strain_relaxes_as_the_closed_form(element: Element, stretch: float) -> None:
-    """F_e = F^(exp(-t / tau)) in each branch, whatever the steps; of small strains the pull is a
-    sum of exponentials."""
+    """F_e = F^(exp(-t / tau)) in each branch; of small strains a sum of exponentials."""
     cube = HeldCube(BRANCHES, element)
     time = 0.0
     for dt in (0.0, 0.1, 0.1, 1.0, 5.0, 10.0):
@@ -98,13 +94,11 @@ MEAN_M, SWING_M = 3e-5, 2e-6
 
 
 def harmonic(steps: int, omega: float, branches: Branches = ONE) -> complex:
-    """Force over depth [N/m] of a glued block under a plate that covers it, in the third cycle
-    about a depth at which the gel has relaxed."""
+    """Force over depth [N/m] of a block under a plate, in the third cycle about a relaxed depth."""
     made = Scene(linear(CUBE, gel(branches)), KinematicBody(box_mesh((4e-3, 4e-3, 1e-3))))
     block = Stepped(made, pose(0, 0, 0.5e-3 + 5e-6), dhat_m=2e-6, relative_tolerance=1e-9)
 
     def press(depth_m: float, dt_s: float) -> float:
-        """Force [N] at the end of a step to that depth."""
         target = everywhere(1, pose(0, 0, 0.5e-3 - depth_m))
         block.step(Control(target, dt_s=dt_s if branches else None))
         return float(-block.force(0)[2])
@@ -149,8 +143,6 @@ def test_no_closed_cycle_gains_energy(amplitude: float) -> None:
 
 
 class Column(Stepped):
-    """A block glued at its bottom, pulled by forces on its top."""
-
     def __init__(self, branches: Branches) -> None:
         super().__init__(Scene(linear(CUBE, gel(branches))), **EXACT)
         self.top = self.rest[:, 2] > self.rest[:, 2].max() - 1e-9
@@ -158,7 +150,6 @@ class Column(Stepped):
         self.forces[0, self.top, 2] = 1e-6
 
     def rise(self, dt_s: float) -> float:
-        """Mean displacement of the top after a step [m]."""
         self.step(Control(dt_s=dt_s, forces=self.forces))
         return float((self.x() - self.rest)[self.top, 2].mean())
 
@@ -180,13 +171,11 @@ def test_a_held_force_creeps_as_the_closed_form() -> None:
 
 
 def past(run: Stepped) -> np.ndarray:
-    """F_v^-1 of the branches at the end of the last step."""
     assert run.state.viscous_inverses is not None
     return run.state.viscous_inverses.numpy().copy()
 
 
 def test_a_falling_body_that_turns_has_no_stress() -> None:
-    """In dynamic scenes too: a block that spins freely keeps its size."""
     mesh = block_mesh((1, 1, 1), (SIDE, SIDE, SIDE))
     body = linear(mesh, gel(ONE), bonded_nodes=np.zeros(0, dtype=np.int64))
     run = Stepped(Scene(body, time=in_time(1e-3, 0.0)), **EXACT)
@@ -225,7 +214,6 @@ class Pressed(Stepped):
             assert report.converged[more.get("who", slice(None))].all(), report.summary()
 
     def forces(self) -> np.ndarray:
-        """Of the gel on the tool along z [N], [env_count]."""
         return self.solver.contact_gradient.numpy()[:, self.nodes(0), 2].sum(axis=1)
 
 
@@ -235,7 +223,6 @@ FIRST, SECOND = np.array([True, False]), np.array([False, True])
 
 @pytest.mark.thorough
 def test_a_step_that_fails_leaves_what_was_there() -> None:
-    """And an environment that is not stepped does not relax."""
     run = Pressed(2)
     run.press(*PATH[:2])
     before = past(run)
@@ -251,7 +238,6 @@ def test_a_step_that_fails_leaves_what_was_there() -> None:
 
 @pytest.mark.thorough
 def test_a_step_in_halves_relaxes_for_its_whole_time() -> None:
-    """As two steps of half the way and half the time."""
     few, twin = Pressed(friction=0.0, max_newton_iterations=14), Pressed(friction=0.0)
     assert few.step(Control(few.ball(6e-4), dt_s=0.8)).substeps[0] == 2
     twin.press(2.5e-4, 6e-4)
@@ -261,8 +247,7 @@ def test_a_step_in_halves_relaxes_for_its_whole_time() -> None:
 
 @pytest.mark.thorough
 def test_environments_have_their_own_past_and_moduli() -> None:
-    """One that is reset is as new, and stiffer when it is pressed faster; one twice as stiff has
-    twice the force."""
+    """One that is reset is as new; faster is stiffer; twice the modulus, twice the force."""
     run, second = Pressed(3), np.array([False, True, False])
     run.model.set_body("gel", young_modulus_pa=np.array([1, 1, 2]) * YOUNG)
     run.press(*PATH[:3])
@@ -278,7 +263,6 @@ def test_environments_have_their_own_past_and_moduli() -> None:
 
 @pytest.mark.thorough
 def test_a_step_that_is_taken_again_relaxes_for_its_own_time() -> None:
-    """To other targets and back: it ends where it had ended."""
     run = Pressed(relative_tolerance=1e-8)
     run.press(*PATH[:3])
     before, first = past(run), run.forces()[0]

@@ -99,8 +99,7 @@ class Slope(Stepped):
         return self.frame @ (self.x(self.block).mean(axis=0) - start)
 
     def acceleration(self, steps: int) -> float:
-        """Down the slope [m/s^2]. Positions of implicit Euler n steps apart differ twice by
-        a (n dt)^2."""
+        """Down the slope [m/s^2]: places n steps apart differ twice by a (n dt)^2."""
         first, second = (self.creep(steps)[0] for _ in range(2))
         return float(second - first) / (steps * self.dt) ** 2
 
@@ -142,7 +141,6 @@ def test_it_slides_just_beyond_the_friction_angle(block: str, floor: str) -> Non
     variants([("affine", "box"), ("linear", "plane")], ["affine", "linear"], FLOORS),
 )
 def test_the_wrench_balances_the_weight(block: str, floor: str) -> None:
-    """Between block and floor, to a micronewton."""
     slope = Slope(block, floor, 0.75 * MU, relative_tolerance=1e-8, absolute_tolerance_n=1e-9)
     slope.steps(40)
     outputs = Outputs(slope.solver).update(slope.state)
@@ -183,8 +181,6 @@ def test_creep_goes_by_time_whatever_the_step(dt: float, speed: float) -> None:
 
 
 class ShearedGel(Stepped):
-    """A gel below a ball that presses and shears it, the range 20 um."""
-
     def __init__(self, **config: float) -> None:
         mesh = block_mesh((4, 4, 2), (8e-3, 8e-3, 2e-3))
         made = Scene(linear(mesh), KinematicBody(Ball(4e-3), 0.5))
@@ -192,13 +188,11 @@ class ShearedGel(Stepped):
         super().__init__(made, pose(0, 0, 4.1e-3), **settings, **config)
 
     def drag(self, x: float) -> float:
-        """Friction [N] once the ball is there."""
         self.step(pose(x, 0, 3.7e-3))
         return float(self.friction(0)[:, 0].sum())
 
 
 def fail_whole_steps(solver: SolverIPC, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every step fail that is as long as the scene's, so that its halves are taken."""
     attempt = solver._attempt
 
     def failing(who: np.ndarray, dt: float, whole: bool = False) -> StepReport:
@@ -216,8 +210,7 @@ def fail_whole_steps(solver: SolverIPC, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gel sheared by a ball that then rests: what its friction lets go in some steps is the same
-    when they are taken in halves. The range is large, so that there is much to let go."""
+    """What a resting ball's friction lets go is the same when steps are taken in halves."""
     relaxed = []
     for halved in (False, True):
         gel = ShearedGel(friction_step_share=0.0)
@@ -231,7 +224,6 @@ def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_a_resting_tool_shears_stays() -> None:
-    """By default the range is a part of the tools' way: next to nothing where they rest."""
     gel = ShearedGel()
     gel.drag(0)
     first, *rests = (gel.drag(1e-4) for _ in range(11))
@@ -246,7 +238,6 @@ def test_static_ranges_are_a_part_of_the_longest_way() -> None:
     run = Stepped(Scene(gel, tools), first, pose(0, 0, 16e-3), friction_eps_m=1e-5)
 
     def after(shift_m: float, angle: float, again: bool = False) -> float:
-        """Range of a step of the second tool from where it is at first [m]."""
         run.step(first, pose(shift_m, 0, 16e-3, deg=np.degrees(angle)), again=again)
         return eps()
 
@@ -302,8 +293,7 @@ def test_a_gel_lets_a_block_go() -> None:
 
 @pytest.mark.parametrize("tangent", variants([0.99 * MU], [0.99 * MU, 1.01 * MU]))
 def test_tight_tolerances_are_met_where_energies_are_rounded(tangent: float) -> None:
-    """A turned block's elastic energy is a small difference of terms of 3 J: the line search must
-    not wait for a decrease that rounding hides (it used up all iterations)."""
+    """The line search must not wait for a decrease that rounding hides."""
     slope = Slope("linear", "plane", tangent, relative_tolerance=1e-7, max_substep_halvings=0)
     for _ in range(30):
         assert slope.step().newton_iterations[0] < 60

@@ -145,7 +145,6 @@ def test_the_page_says_it_all(trained: ForceCalibration, tmp_path: Path) -> None
 
 
 def row(episode: int, label: str, unit: int = 0, *, split: str = "train", seed: int = 3) -> dict:
-    """Of a data set's table of touches."""
     return {"split": split, "object": label, "unit": unit, "seed": seed, "episode": episode}
 
 

@@ -48,7 +48,6 @@ class _StoppedError(Exception):
 
 
 def stop_at(step: int) -> Progress:
-    """Interrupts the training there."""
 
     def progress(task: str, done: int, total: int) -> None:
         if task.startswith("training") and done >= step:
@@ -83,13 +82,11 @@ def often() -> Any:
 
 @pytest.fixture(scope="module")
 def touches(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Fewer than what a model is judged on."""
     return write_touches(planned(sensor, episodes=40), tmp_path_factory.mktemp("few") / "data")
 
 
 @pytest.fixture(scope="module")
 def whole(touches: Path) -> TrainedForces:
-    """Never stopped and kept nowhere."""
     return train(touches, None)
 
 
