@@ -39,9 +39,8 @@ def baseline(seeds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         before, after = np.interp(times, parameters.policy.times_s, path)
         part = (after - before) / (parameters.learning.speed_mm_s[2] * parameters.dt_s)
         going = np.isnan(depth)
-        _, _, terminated, truncated, info = env.step(
-            torch.tensor([[0.0, 0.0, part, 0.0]]).repeat(len(seeds), 1)
-        )
+        action = torch.tensor([[0.0, 0.0, part, 0.0]]).repeat(len(seeds), 1)
+        _, _, terminated, truncated, info = env.step(action)
         ended = terminated | truncated
         success |= going & terminated.numpy()
         now = going & ended.numpy()
@@ -188,12 +187,10 @@ def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.Monke
     absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]
     arguments = "--envs 3 --updates 2 --steps 6 --minibatches 18 --judge 0 --randomised --output"
-    code = SCRIPT.format(
-        absent=absent, arguments=[*arguments.split(), str(tmp_path)], path=str(EXAMPLE)
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    words = [*arguments.split(), str(tmp_path)]
+    code = SCRIPT.format(absent=absent, arguments=words, path=str(EXAMPLE))
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "update 2/2, 36 steps" in done.stdout
     curve = json.loads((tmp_path / "curve.json").read_text())
