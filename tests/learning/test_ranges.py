@@ -128,9 +128,6 @@ def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
         assert (item.what, item.low, item.high) == (listed.what, listed.low, listed.high)
 
 
-# Starts -------------------------------------------------------------------------------------------
-
-
 def test_numbers_are_even_and_differ_by_seed_episode_and_place() -> None:
     env = make_vec("peg-insertion", 64, observe=("proprioception",), device="cpu")
     draws = EpisodeDraws(env.model, 3)

@@ -92,9 +92,6 @@ def test_actions_move_both_gels_within_their_reach() -> None:
     np.testing.assert_allclose(seen, np.minimum(wanted, [9, 9, learning.reach_mm[2], 9]), atol=0.7)
 
 
-# Grasps -------------------------------------------------------------------------------------------
-
-
 def parameters(name: str = "grasp-lift") -> GraspLiftParameters:
     found = named(name).parameters
     assert isinstance(found, GraspLiftParameters)

@@ -87,9 +87,6 @@ def test_wrong_fingers_are_refused_by_name() -> None:
             Finger(joints=("slide_left",), path=path, gels=finger.gels, links=())  # type: ignore[arg-type]
 
 
-# The matrix ---------------------------------------------------------------------------------------
-
-
 def seed_of(hand: str, shape: str, start: int = 0) -> int:
     row = list(MATRIX.hands).index(hand)
     column = [thing.shape for thing in MATRIX.objects].index(shape)

@@ -96,9 +96,6 @@ def test_sizes_that_make_no_peg_are_refused() -> None:
             peg("round").replace(shape=shape, size_mm=size)
 
 
-# By touch -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.thorough
 def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
     """Without noise, from seeds that begin off the hole by more than its clearance."""

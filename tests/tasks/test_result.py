@@ -67,9 +67,6 @@ def test_cells_are_told_apart() -> None:
     assert "cells" not in TaskResult("lift", [TaskTrial(0, True, "", 9, {}, {})], 1.0, 1).table()
 
 
-# Torsion ------------------------------------------------------------------------------------------
-
-
 SHEAR_PA, CONTACT_M, FORCE_N = 3.5e4, 2e-3, 0.15
 
 

@@ -55,9 +55,6 @@ def test_a_hand_that_does_not_press_gives_up() -> None:
     assert trial.steps == policy.close_steps + policy.settle_steps
 
 
-# Throw and catch ----------------------------------------------------------------------------------
-
-
 def even(late_s: float = 0.0) -> Task:
     """Without anything drawn, but for how late gels close."""
     return task_with("throw-catch", start={"place_mm": 0.0, "speed_part": 0.0, "late_s": late_s})

@@ -25,9 +25,6 @@ def free(mesh: TetMesh) -> TetMesh:
     return replace(mesh, face_regions=np.full(len(mesh.faces), int(Region.SIDE)))
 
 
-# Gel on gel ----------------------------------------------------------------------------------
-
-
 def upside_down(x: float, z: float, deg: float = 0.0) -> np.ndarray:
     turn = np.deg2rad(deg) / 2
     # Half a turn about x, then ``deg`` about z.
@@ -50,9 +47,6 @@ def test_a_gel_pressed_and_dragged_over_another(cells: tuple[int, int]) -> None:
         assert below[2] < 0
     # Two gels as springs in series: half the strain in each, with the sides free to bulge.
     assert 0.15 < -run.force(0)[2] < 0.3
-
-
-# A body with itself ----------------------------------------------------------------------------
 
 
 def hairpin(self_contact: bool) -> Scene:
@@ -122,9 +116,6 @@ def test_a_mat_twisted_by_two_turns() -> None:
     assert across > 0.9 * width
 
 
-# Squeezing -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("friction", "lowest"), [pytest.param(0.0, 0.5e-3, marks=pytest.mark.slow), (0.5, 0.4e-3)]
 )
@@ -147,9 +138,6 @@ def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float
     plate, plane = run.force(1), run.force(2)
     assert plate[2] > 0.1
     assert plate[2] == pytest.approx(-plane[2], rel=1e-2), "all of it goes into the plane"
-
-
-# Edges on edges --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("turn", variants([20.0], [90.0, 20.0, 2.0]))

@@ -100,9 +100,6 @@ def test_bodies_in_degenerate_contact(name: str) -> None:
     assert max(forces) > (0 if stiff else 5e-3), "they never met"
 
 
-# Internal edges ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_block_slides_over_a_seam(soft: bool) -> None:
     """Two boxes side by side make one floor: without friction nothing may catch at their edges."""
@@ -127,9 +124,6 @@ def test_a_block_slides_over_a_seam(soft: bool) -> None:
     speeds = np.diff(places) / dt
     assert places[0] < -7e-3 and places[-1] > 7e-3
     np.testing.assert_allclose(speeds, speed, rtol=2e-3)
-
-
-# Mat on knives ----------------------------------------------------------------------------------
 
 
 @pytest.mark.thorough
@@ -163,9 +157,6 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
     # It sags between the edges, and below them beside the outer ones.
     low = run.x("gel")[:, 2]
     assert low.min() < -1e-4
-
-
-# Roller ball ------------------------------------------------------------------------------------
 
 
 @pytest.mark.thorough

@@ -221,9 +221,6 @@ def test_a_four_bar_linkage_follows_its_closed_form() -> None:
     assert coordinate(run, 0) == pytest.approx(52 * 0.02 * rate, rel=1e-3)
 
 
-# Limits and drives ------------------------------------------------------------------------------
-
-
 def test_a_hinge_stops_at_its_limit_and_stays() -> None:
     run = Run(affine_scene([ROD_AT_REST], [hinge(limits_deg=(-5, 30))]))
     limit = np.radians(30)

@@ -186,9 +186,6 @@ def test_a_falling_body_that_turns_has_no_stress() -> None:
     np.testing.assert_allclose(past(run), np.broadcast_to(np.eye(3), past(run).shape), atol=1e-12)
 
 
-# What stands in the state ---------------------------------------------------------------------
-
-
 class Pressed(Stepped):
     """Gels under balls, from 0.1 mm above; a step takes 0.4 s."""
 

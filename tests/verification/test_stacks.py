@@ -61,9 +61,6 @@ def test_stiffness_ratio_of_ten_thousand() -> None:
     np.testing.assert_allclose(run.force(-1)[2], -run.weight, rtol=1e-2)
 
 
-# Card house ------------------------------------------------------------------------------------
-
-
 HEIGHT, THICKNESS, WIDTH, LEAN = 0.1, 2e-3, 0.06, np.radians(20)
 REACH = THICKNESS / 2 * np.cos(LEAN) + HEIGHT / 2 * np.sin(LEAN)
 RISE = THICKNESS / 2 * np.sin(LEAN) + HEIGHT / 2 * np.cos(LEAN)
@@ -97,9 +94,6 @@ def test_two_cards_need_the_friction_that_statics_asks_for(stands: bool) -> None
         assert run.crossings() == []
     moved = np.abs(run.vertices - start).max()
     assert moved < 1e-5 if stands else moved > 1e-3
-
-
-# Masonry arch ----------------------------------------------------------------------------------
 
 
 def voussoir(inner: float, outer: float, low: float, high: float, depth: float) -> TriangleMesh:
