@@ -95,9 +95,7 @@ def assert_same(found: list[np.ndarray], env: int, expected: list[np.ndarray]) -
     ("material", "element"),
     [(GEL, Element.LINEAR), (GEL, Element.QUADRATIC), (MOONEY, Element.QUADRATIC)],
 )
-def test_a_press_is_that_of_a_model_built_with_these_values(
-    material: Material, element: Element
-) -> None:
+def test_a_press_is_that_of_a_built_model(material: Material, element: Element) -> None:
     """Bitwise: modulus, Poisson's ratio, friction, and the stiffness of the contact with them."""
     run = Pad(3, material, element)
     run.model.set_body("pad", young_modulus_pa=YOUNG, poisson_ratio=POISSON)

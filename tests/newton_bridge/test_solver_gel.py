@@ -185,9 +185,7 @@ def squeeze(
         pytest.param(Coupling.LAGGED, 40, 1e-4, 0.0, marks=pytest.mark.slow),
     ],
 )
-def test_worlds_do_what_they_do_alone(
-    coupling: Coupling, steps: int, dt: float, spacing_m: float
-) -> None:
+def test_worlds_are_as_alone(coupling: Coupling, steps: int, dt: float, spacing_m: float) -> None:
     model = worlds(2, spacing_m)
     assert model.world_count == 2
     run, wrenches = squeeze(model, LATE, coupling, steps, dt)

@@ -139,9 +139,7 @@ def test_peg_insertion_is_what_geometry_allows() -> None:
     ("name", "successes", "clearance_mm", "depth_mm"),
     [("peg-tacex", 62, 0.057, 24.5), ("peg-tacsl", 48, 0.2585, 22.6)],
 )
-def test_round_pegs_that_fit_go_in(
-    name: str, successes: int, clearance_mm: float, depth_mm: float
-) -> None:
+def test_round_pegs(name: str, successes: int, clearance_mm: float, depth_mm: float) -> None:
     """By their distance from the hole's axis; the flats of 64 sides take 0.1 % of a radius."""
     result = run(name, successes)
     for trial in result.trials:

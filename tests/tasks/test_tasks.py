@@ -71,9 +71,7 @@ def test_draws_fill_their_ranges_evenly() -> None:
         ("tac-man-revolute", "hinge_mm = 200.0\n", "", "'revolute' needs handle_mm, hinge_mm"),
     ],
 )
-def test_wrong_files_are_refused_by_name(
-    tmp_path: Path, name: str, old: str, new: str, message: str
-) -> None:
+def test_wrong_files(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
     text = (FILES / f"{name}.toml").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "mine.toml"

@@ -60,9 +60,7 @@ def test_free_fall_is_exact() -> None:
         [(6.0, -9.0, 4.0), (5.0, 7.0, -3.0), (-2.0, 8.0, 6.0)],
     ),
 )
-def test_free_rotation_of_an_asymmetric_body(
-    scheme: TimeScheme, spin_rad_s: tuple[float, float, float]
-) -> None:
+def test_free_rotation(scheme: TimeScheme, spin_rad_s: tuple[float, float, float]) -> None:
     """Near 1e-10 N steps lower the energy by less than its last digit: it took 419 iterations."""
     body = wedge(initial_spin_rad_s=spin_rad_s, initial_velocity_m_s=(0.1, 0.2, 0.3))
     scene = affine_scene([body], gravity=NONE, dt=5e-3, scheme=scheme)

@@ -79,9 +79,7 @@ def contact_areas(mesh: TetMesh) -> np.ndarray:
         (Element.QUADRATIC, 5, 8, 1e-4),
     ],
 )
-def test_a_uniform_load_is_a_uniform_pressure(
-    element: Element, gel_cells: int, plate_cells: int, depth: float
-) -> None:
+def test_uniform_pressure(element: Element, gel_cells: int, plate_cells: int, depth: float) -> None:
     """Contact-pressure patch test: no contraction (nu = 0), a plate that does not match the gel."""
     straight = element is Element.LINEAR
     cells = (gel_cells, gel_cells, gel_cells // 2)

@@ -66,9 +66,7 @@ class Way(Stepped):
         BODIES,
     ),
 )
-def test_a_free_face_is_pressed_whatever_its_label_says(
-    element: Element, region: Region, shape: str
-) -> None:
+def test_labels_open_no_free_face(element: Element, region: Region, shape: str) -> None:
     """The block hangs by its upper face; a body comes up against the face called glued."""
     regions = np.where(MESH.face_regions == Region.BOND, int(region), MESH.face_regions)
     mesh = replace(MESH, face_regions=regions)
@@ -123,9 +121,7 @@ def test_a_free_body_that_comes_from_behind_bounces_off(element: Element, mounte
         [MaterialModel.ST_VENANT_KIRCHHOFF, MaterialModel.NEO_HOOKEAN],
     ),
 )
-def test_a_body_pressed_through_a_gel_stops_at_its_glued_back(
-    element: Element, law: MaterialModel
-) -> None:
+def test_a_needle_stops_at_a_glued_back(element: Element, law: MaterialModel) -> None:
     """Step by step down, until the target lies beyond the back: never there, and it says so."""
     soft = SoftBody(MESH, Material(1e5, 0.3, model=law), element=element)
     needle = TriangleMesh(

@@ -72,9 +72,7 @@ def path(reach: float) -> list[np.ndarray]:
         )
     ],
 )
-def test_every_frame_is_converged_separate_and_balanced(
-    name: str, friction: float, element: Element
-) -> None:
+def test_every_frame_is_sound(name: str, friction: float, element: Element) -> None:
     shape, reach = INDENTERS[name]
     gel = SoftBody(MESHES[element], Material(1e5, 0.45), element=element)
     run = Watched(Scene(gel, KinematicBody(shape, friction)), pose(0, 0, reach + 3 * DHAT))

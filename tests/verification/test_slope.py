@@ -260,9 +260,7 @@ def test_static_ranges_are_a_part_of_the_longest_way() -> None:
         (False, "friction_eps_m", "friction_speed_m_s"),
     ],
 )
-def test_the_range_of_the_other_kind_of_scene_is_refused(
-    quasi_static: bool, option: str, says: str
-) -> None:
+def test_the_other_range_is_refused(quasi_static: bool, option: str, says: str) -> None:
     gel = linear(block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3)))
     model = Scene(gel, time=TimeStepping(quasi_static=quasi_static)).finalize()
     with pytest.raises(InputError, match=f"{option} means nothing.*{says}"):

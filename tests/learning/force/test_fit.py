@@ -57,9 +57,7 @@ def test_what_is_not_of_this_sensor_is_noticed(trained: ForceCalibration) -> Non
 
 
 @pytest.mark.thorough
-def test_touches_deeper_than_the_trainings_are_noticed(
-    sensor: Path, trained: ForceCalibration, tmp_path: Path
-) -> None:
+def test_deeper_touches_are_seen(sensor: Path, trained: ForceCalibration, tmp_path: Path) -> None:
     """At twice the depth, by what was not asked before: colours and forces of single patches."""
     deep = planned(sensor, episodes=24, depth_mm=(1.5, 1.7))
     data = Dataset(write_touches(deep, tmp_path / "deep"))
@@ -93,9 +91,7 @@ def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCali
 
 
 @pytest.mark.thorough
-def test_a_profile_keeps_it_and_scales_with_its_modulus(
-    touches: Path, trained: ForceCalibration, tmp_path: Path
-) -> None:
+def test_a_profile_scales_it(touches: Path, trained: ForceCalibration, tmp_path: Path) -> None:
     data = Dataset(touches)
     base = data.profile(0)
     save_profile(trained.apply_to(base), tmp_path / "p")
@@ -180,9 +176,7 @@ def test_small_data_sets_are_split_or_refused(count: int, seed: int, objects: in
 
 
 @pytest.mark.thorough
-def test_unusable_data_sets_and_options_are_refused(
-    touches: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_unusable_data_sets(touches: Path, sensor: Path, tmp_path: Path) -> None:
     bare = write_touches(planned(sensor, episodes=8, channels=["markers_px"]), tmp_path / "bare")
     profile, camera = load_profile(sensor), load_profile(sensor).camera
     colourless = profile.without("background", "color")
