@@ -4,7 +4,6 @@ own checkers and its own vector environments; changed copies of the peg insertio
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -13,8 +12,8 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from taccel_lab.learning.catalogue import make_vec
-from taccel_lab.tasks.catalogue import Task, named
-from taccel_lab.tasks.peg_insertion import PegInsertionParameters
+from taccel_lab.tasks.catalogue import Task
+from tests.tasks.changed import task_with
 
 
 def as_numpy(observation: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
@@ -48,16 +47,6 @@ class SingleEnv(gymnasium.Env):
         return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), figures
 
 
-def peg_parameters() -> PegInsertionParameters:
-    parameters = named("peg-insertion").parameters
-    assert isinstance(parameters, PegInsertionParameters)
-    return parameters
-
-
-def peg_task(**changes: Any) -> Task:
-    return replace(named("peg-insertion"), parameters=peg_parameters().replace(**changes))
-
-
-def short_task(steps: int = 7, depth_mm: float = 0.5) -> Task:
+def short_task(steps: int = 7) -> Task:
     """Episodes of a few steps: a peg that goes down at once succeeds in the fifth."""
-    return peg_task(steps=steps, goal=peg_parameters().goal.replace(depth_mm=depth_mm))
+    return task_with("peg-insertion", steps=steps, goal={"depth_mm": 0.5})

@@ -16,7 +16,7 @@ from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.learning.vector_env import EpisodeDraws, TactileVectorEnv
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.learning.envs import peg_parameters
+from tests.tasks.changed import parameters
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,9 @@ def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
             make_vec(task, 1, sensor=sensor, randomised=given, device="cpu")
     # The file's ranges are as they were.
     env = make_vec("peg-insertion", 1, device="cpu")
-    for item, listed in zip(env.task.ranges({}), peg_parameters().learning.randomise, strict=True):
+    for item, listed in zip(
+        env.task.ranges({}), parameters("peg-insertion").learning.randomise, strict=True
+    ):
         assert (item.what, item.low, item.high) == (listed.what, listed.low, listed.high)
 
 
@@ -168,7 +170,7 @@ def test_episodes_draw_the_parameters_that_the_file_names() -> None:
         }
 
     first = {name: value.copy() for name, value in values().items()}
-    for item in peg_parameters().learning.randomise:
+    for item in parameters("peg-insertion").learning.randomise:
         for names in item.of:
             value = first[", ".join(names)]
             assert item.low <= value.min() and value.max() <= item.high

@@ -24,8 +24,8 @@ from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
 from taccel_lab.robots import named as named_robot
 from taccel_lab.solvers import EnvStatus
 from taccel_lab.tasks.catalogue import named
-from taccel_lab.tasks.grasp_lift import GraspLiftParameters
-from tests.learning.envs import SingleEnv, as_numpy, peg_parameters, peg_task, short_task
+from tests.learning.envs import SingleEnv, as_numpy, short_task
+from tests.tasks.changed import parameters, task_with
 
 DOWN = [0.0, 0.0, -1.0, 0.0]
 
@@ -66,7 +66,7 @@ def _keys(value: object) -> object:
 @pytest.mark.parametrize("name", names())
 def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     """The file leaves nothing to defaults, which a bare machine does not know."""
-    assert _keys(read_toml(FILES / f"{name}.toml")) == _keys(named(name).parameters.model_dump())
+    assert _keys(read_toml(FILES / f"{name}.toml")) == _keys(parameters(name).model_dump())
     env = make(name, randomised=True, observe=("wrench", "depth_m", "proprioception"))
     first, _ = env.reset(seed=1)
     assert as_numpy(first) in env.observation_space
@@ -180,7 +180,7 @@ def test_a_simulation_that_fails_ends_with_its_cause() -> None:
 
 def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
     """The peg begins 2 mm deep in the block, where there is no room for it 4 mm beside."""
-    env = make(peg_task(policy=peg_parameters().policy.replace(peg_mm=(0.0, 0.0, 18.0))))
+    env = make(task_with("peg-insertion", policy={"peg_mm": (0.0, 0.0, 18.0)}))
     env.reset(seed=0, options={"start": [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]]})
     seen, _, _, truncated, info = env.step(torch.zeros(2, 4))
     assert info["cause"].tolist() == [None, EnvStatus.OVERLAP.name]
@@ -330,15 +330,12 @@ def test_what_cannot_be_controlled_is_refused() -> None:
 
 
 def test_an_environment_takes_targets() -> None:
-    parameters = named("grasp-lift-hand").parameters
-    assert isinstance(parameters, GraspLiftParameters)
-    learning = parameters.learning.replace(joint_actions="target")
-    task = replace(named("grasp-lift-hand"), parameters=parameters.replace(learning=learning))
+    task = task_with("grasp-lift-hand", learning={"joint_actions": "target"})
     env = make(task, 1, observe=("proprioception",))
     first = env.reset(seed=0)[0]["proprioception"][0]
     action = torch.zeros(1, 13)
     action[0, 5], action[0, 6] = 1.0, -1.0
     for _ in range(3):
         seen = env.step(action)[0]["proprioception"][0]
-    step = 3 * learning.joint_speed * parameters.dt_s
+    step = 3 * task.parameters.learning.joint_speed * task.parameters.dt_s
     np.testing.assert_allclose((seen - first)[5:7], [step, -step], atol=1e-3)
