@@ -124,9 +124,8 @@ def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
             make_vec(task, 1, sensor=sensor, randomised=given, device="cpu")
     # The file's ranges are as they were.
     env = make_vec("peg-insertion", 1, device="cpu")
-    for item, listed in zip(
-        env.task.ranges({}), parameters("peg-insertion").learning.randomise, strict=True
-    ):
+    listed_ranges = parameters("peg-insertion").learning.randomise
+    for item, listed in zip(env.task.ranges({}), listed_ranges, strict=True):
         assert (item.what, item.low, item.high) == (listed.what, listed.low, listed.high)
 
 

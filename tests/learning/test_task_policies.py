@@ -71,18 +71,18 @@ def test_the_baselines_rate_is_the_tasks() -> None:
 @pytest.mark.thorough
 def test_actions_move_both_gels_within_their_reach() -> None:
     """After the first step, which closes: by their speeds, and no farther than their reach."""
-    learning = parameters("peg-insertion").learning
+    learning, dt = parameters("peg-insertion").learning, parameters("peg-insertion").dt_s
     env = make_vec("peg-insertion", 1, observe=("proprioception",), device="cpu")
     env.reset(seed=0)
     poses = []
     for action in ([1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 0.5, 1.0], [9.0, 0.0, 0.0, -1.0]):
         seen = env.step(torch.tensor([action]))[0]["proprioception"][0]
         poses.append(env.state.poses.numpy()[0, :2].copy())
-    x, y, z = (speed * parameters("peg-insertion").dt_s for speed in learning.speed_mm_s)
+    x, y, z = (speed * dt for speed in learning.speed_mm_s)
     np.testing.assert_allclose(seen, [2 * x, -y, 0.5 * z, 0.0], atol=1e-5)
     closed, turned, _ = poses
     np.testing.assert_allclose(closed[1, :3], [16.5e-3, 0, 71e-3], atol=1e-12)
-    turn = np.radians(learning.turn_deg_s * parameters("peg-insertion").dt_s)
+    turn = np.radians(learning.turn_deg_s * dt)
     between = turned[1, :3] - turned[0, :3]
     np.testing.assert_allclose(between, 33e-3 * np.array([np.cos(turn), np.sin(turn), 0]))
     for _ in range(30):
@@ -146,18 +146,15 @@ def test_the_baseline_lifts_as_in_the_task(name: str) -> None:
 
 
 def test_an_empty_gripper_goes_where_it_is_told() -> None:
-    learning, dt = parameters("grasp-lift").learning, parameters("grasp-lift").dt_s
+    lift = parameters("grasp-lift")
+    learning, dt = lift.learning, lift.dt_s
     env = make_vec("grasp-lift", 1, observe=("proprioception",), device="cpu")
     env.reset(options={"start": [[0.0, 0.0, 90.0]]})
     before = env.state.poses.numpy()[0].copy()
     for action in ([1.0, 0.0, 1.0, 0.0, -1.0], [0.0, -0.5, 0.5, 1.0, 3.0]):
         seen = env.step(torch.tensor([action]))[0]["proprioception"][0]
     way = [learning.speed_mm_s[0], -0.5 * learning.speed_mm_s[1], 1.5 * learning.speed_mm_s[2]]
-    wanted = [
-        *(dt * speed for speed in way),
-        dt * learning.turn_deg_s,
-        parameters("grasp-lift").policy.open_mm,
-    ]
+    wanted = [*(dt * speed for speed in way), dt * learning.turn_deg_s, lift.policy.open_mm]
     np.testing.assert_allclose(seen, wanted, atol=1e-4)
     moved = 1e3 * (env.state.poses.numpy()[0].mean(axis=0) - before.mean(axis=0))[:3]
     # It began turned by -90 degrees, and moves in that frame.
