@@ -184,7 +184,7 @@ def test_loop_of_partial_slip(cells: int, force: float, loss: float) -> None:
     assert np.abs(ratios - expected).max() < force
     taken, wanted = (np.trapezoid(r[steps - 1 :], shifts[steps - 1 :]) for r in (ratios, expected))
     assert taken == pytest.approx(wanted, rel=loss)
-    # Closed, and of its own first loading, whatever the mesh makes of that.
+    # Closed, and what follows from its first loading, whatever the mesh makes of that.
     assert ratios[-1] == pytest.approx(first[-1], abs=2e-3)
     assert np.abs(ratios - ways(first)).max() < 0.008
 
