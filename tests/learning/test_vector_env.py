@@ -337,5 +337,5 @@ def test_an_environment_takes_targets() -> None:
     action[0, 5], action[0, 6] = 1.0, -1.0
     for _ in range(3):
         seen = env.step(action)[0]["proprioception"][0]
-    step = 3 * task.parameters.learning.joint_speed * task.parameters.dt_s
+    step = 3 * parameters("grasp-lift-hand").learning.joint_speed * task.parameters.dt_s
     np.testing.assert_allclose((seen - first)[5:7], [step, -step], atol=1e-3)

@@ -156,7 +156,7 @@ class Cubes(Arrays):
         density: float = 1000.0,
         **config: Any,
     ) -> None:
-        rubs = {"friction_coefficient": 0.5}
+        rubs: dict[str, Any] = {"friction_coefficient": 0.5}
         place = pose(8e-3, 0, -7.985e-3)
         gels = [
             linear(PAD, pad, name="pad", mount="hand", surface=Surface(collides_with=0b001)),
@@ -223,7 +223,7 @@ def test_lumped_masses_of_quadratic_tets_follow_bitwise() -> None:
 def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
     """To rounding: mass and moments of the solid are those of the scene times a factor."""
     densities = np.array([300.0, 4000.0])
-    exact = {"relative_tolerance": 1e-8, "absolute_tolerance_n": 1e-13}
+    exact: dict[str, Any] = {"relative_tolerance": 1e-8, "absolute_tolerance_n": 1e-13}
     both = Cubes(2, **exact)
     value = {"mass_kg": densities * 27e-9} if by_mass else {"density_kg_m3": densities}
     both.model.set_body("cube", **value)

@@ -33,7 +33,7 @@ class Stepped:
     named by name or number, of all without."""
 
     def __init__(
-        self, scene: Scene, *start: np.ndarray, config: SolverConfig | None = None, **settings: Any
+        self, scene: Scene, *start: np.ndarray, config: Any = None, **settings: Any
     ) -> None:
         """``start``: a pose [7] of each kinematic body, or the array of all environments;
         ``settings``: of the solver where ``config`` is not given."""

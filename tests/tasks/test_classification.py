@@ -91,7 +91,8 @@ def test_each_gel_closes_until_its_own_map_is_deep_enough() -> None:
     assert not episode.depths_m.any()
     while not episode.over:
         episode.advance()
-    size = (2, 2, task.parameters.maps.height_px, task.parameters.maps.width_px)
+    maps = parameters("object-classification").maps
+    size = (2, 2, maps.height_px, maps.width_px)
     assert episode.depths_m.shape == size
     for env, trial in enumerate(episode.trials()):
         assert trial.success and trial.felt is not None

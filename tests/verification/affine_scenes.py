@@ -28,8 +28,8 @@ def turned(axis: Sequence[float], angle: float) -> np.ndarray:
 def box(
     name: str,
     size: tuple[float, float, float],
-    center: Sequence[float] = (0, 0, 0),
-    rotation: Sequence[float] = (0, 0, 0, 1),
+    center: Any = (0, 0, 0),
+    rotation: Any = (0, 0, 0, 1),
     **options: Any,
 ) -> AffineBody:
     pose = np.array([*center, *rotation], dtype=float)

@@ -237,6 +237,7 @@ def test_a_slider_leaves_its_limit_when_pushed_back() -> None:
     run = slider(limits_mm=(-2, 2), drive=PositionDrive(1e-9))
     run.steps(8)
     assert coordinate(run) == pytest.approx(-2e-3, abs=1e-10)
+    assert run.state.joints is not None
     run.state.joints.targets.fill_(1e9 * 2 * MASS * G)
     run.step()
     # Net force: the drive pulls twice the weight.

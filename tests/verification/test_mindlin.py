@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +64,11 @@ def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
 
 def pressed_block(cells: int, eps_m: float = EPS) -> tuple[HalfSpace, float, float]:
     """A ball pressed in without friction, then with it; the load [N], dx at full slip [m]."""
-    settings = {"dhat_m": DHAT, "relative_tolerance": 1e-5, "absolute_tolerance_n": 1e-12}
+    settings: dict[str, Any] = {
+        "dhat_m": DHAT,
+        "relative_tolerance": 1e-5,
+        "absolute_tolerance_n": 1e-12,
+    }
     block = HalfSpace(
         half_space_mesh(RADIUS, cells, DOMAIN_OVER_RADIUS * RADIUS, GROWTH),
         Ball(BALL),

@@ -137,7 +137,7 @@ def random_shape(rng: np.random.Generator) -> TriangleMesh | Ball:
     return Ball(rng.uniform(0.5e-3, 2e-3))
 
 
-def reach(shape: TriangleMesh | Ball) -> float:
+def reach(shape: TriangleMesh | Ball | None) -> float:
     if isinstance(shape, Ball):
         return shape.radius_m
     return float(np.linalg.norm(shape.vertices_m, axis=1).max())

@@ -71,7 +71,8 @@ class Slope(Stepped):
             bodies["soft_bodies"] = SoftBody(mesh, gel, initial_pose=placed, element=kind)
         start = []
         if floor == "plane":
-            bodies["planes"] = Plane(normal=tuple(map(float, normal)), friction_coefficient=MU)
+            x, y, z = map(float, normal)
+            bodies["planes"] = Plane(normal=(x, y, z), friction_coefficient=MU)
         elif floor == "box":
             bodies["kinematic_bodies"] = KinematicBody(box_mesh((0.2, 0.2, 0.02)), MU)
             start = [np.append(-0.01 * normal, turn)]
