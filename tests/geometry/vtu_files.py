@@ -12,7 +12,6 @@ from taccel_lab.geometry import TetMesh
 
 
 def read_mesh_vtu(path: Path | str) -> TetMesh:
-    """The labelled mesh of a file."""
     grid = pyvista.read(path)
     assert isinstance(grid, pyvista.UnstructuredGrid)
     tets, faces = grid.cells_dict[10], grid.cells_dict[5]

@@ -13,15 +13,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.gradients import GelMotion, MotionRecord
 from taccel_lab.model import Model
-from taccel_lab.scene import (
-    Ball,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TriangleMesh,
-)
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig
 
 Array = np.ndarray
@@ -41,8 +33,7 @@ class Case:
 
     tool: TriangleMesh | Ball | None
     poses: Array
-    """[step_count + 1, env_count, tool_count, 7]: of the tool, and of the mount where there is
-    one."""
+    """[step + 1, env, tool, 7]: of the tool, and of the mount where there is one."""
     friction: float = 0.0
     material: Material = GEL
     element: Element = Element.LINEAR
@@ -76,14 +67,12 @@ class Case:
 def pose(
     xyz_mm: tuple[float, float, float], turn_deg: tuple[float, float, float] = (0, 0, 0)
 ) -> Array:
-    """World from tool, [7]."""
     turn = Rotation.from_rotvec(np.radians(turn_deg)).as_quat()
     return np.concatenate([np.array(xyz_mm) * 1e-3, turn])
 
 
 def press_and_shear(height_mm: float, depth_mm: float, tilt_deg: float = 0.0) -> Array:
-    """Down, further down with a little shear, sideways and turned: [4, 7]. ``height_mm``: of the
-    tool's origin where it touches."""
+    """Down, further with a little shear, sideways and turned, from where it touches: [4, 7]."""
     h = height_mm
     return np.stack(
         [
@@ -115,7 +104,6 @@ def losses(record: MotionRecord, seed: int = 0) -> tuple[Array, Array]:
 
 
 def loss(record: MotionRecord, weights: tuple[Array, Array]) -> Array:
-    """Of each environment, [env_count]."""
     return np.einsum("kenx,kenx->e", weights[0], record.positions) + np.einsum(
         "ketx,ketx->e", weights[1], record.wrenches
     )
@@ -124,6 +112,5 @@ def loss(record: MotionRecord, weights: tuple[Array, Array]) -> Array:
 def difference(
     changed: Callable[[float], Case], step: float, weights: tuple[Array, Array]
 ) -> Array:
-    """Central difference of the loss of the whole motion, run anew, [env_count]."""
     low, high = (loss(changed(side * step).run()[1], weights) for side in (-1, 1))
     return (high - low) / (2 * step)

@@ -23,14 +23,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.state import State
-from tests.gradients.gel_scenes import (
-    TIGHT,
-    Case,
-    difference,
-    losses,
-    moved,
-    press_and_shear,
-)
+from tests.gradients.gel_scenes import TIGHT, Case, difference, losses, moved, press_and_shear
 from tests.support.variants import variants
 
 Array = np.ndarray
@@ -40,12 +33,10 @@ MOUNT = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
 
 
 def one(*tools: Array) -> Array:
-    """Poses of one environment from those of each tool, [step_count + 1, 7]."""
     return np.stack(tools, axis=1)[:, None]
 
 
 def several() -> Array:
-    """Three environments, at three depths."""
     return np.stack([press_and_shear(3.0, depth)[:, None] for depth in (0.1, 0.25, 0.4)], axis=1)
 
 
@@ -89,7 +80,6 @@ LAWS = {
 def compare(
     case: Case, find: Callable[[Gradients], Array], changed: Callable[[float], Case], step: float
 ) -> Array:
-    """Relative error of a slope, [env_count], and that there is one."""
     motion, record = case.run()
     weights = losses(record)
     found = find(pull_back(motion, record, *weights))
@@ -135,59 +125,49 @@ RUBBING = {name: case for name, case in CASES.items() if case.friction > 0}
 @pytest.mark.parametrize("which", variants([*FAST[1:], "facets"], RUBBING))
 def test_friction(which: str) -> None:
     case = RUBBING[which]
-
-    def changed(by: float) -> Case:
-        return replace(case, friction=case.friction + by)
-
-    assert (compare(case, lambda g: g.friction[:, 0, 1], changed, 1e-5) < 1e-5).all()
+    errors = compare(
+        case,
+        lambda gradients: gradients.friction[:, 0, 1],
+        lambda by: replace(case, friction=case.friction + by),
+        1e-5,
+    )
+    assert (errors < 1e-5).all()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST[1:], "a stiffness of its own"], CASES))
 def test_size(which: str) -> None:
     case = CASES[which]
-
-    def changed(by: float) -> Case:
-        return replace(case, scale=1 + by)
-
-    assert (compare(case, lambda g: g.scale[:, 0], changed, 2e-6) < 1e-5).all()
+    errors = compare(case, lambda g: g.scale[:, 0], lambda by: replace(case, scale=1 + by), 2e-6)
+    assert (errors < 1e-5).all()
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", variants([*FAST, "box on its edge"], CASES))
 def test_ways_of_the_tools(which: str) -> None:
-    """Along random shifts and turns of all tools at the start and in all steps at once."""
     case = CASES[which]
     way = np.random.default_rng(1).normal(size=(*case.poses.shape[:-1], 6))
     way[..., 3:] *= 100
-
-    def changed(by: float) -> Case:
-        return replace(case, poses=moved(case.poses, way, by))
-
     small = (moved(case.poses, way, 1e-6) - moved(case.poses, way, -1e-6)) / 2e-6
-
-    def found(gradients: Gradients) -> Array:
-        return np.einsum("ketp,ketp->e", gradients.poses, small)
-
-    assert (compare(case, found, changed, 1e-8) < 1e-5).all()
+    errors = compare(
+        case,
+        lambda gradients: np.einsum("ketp,ketp->e", gradients.poses, small),
+        lambda by: replace(case, poses=moved(case.poses, way, by)),
+        1e-8,
+    )
+    assert (errors < 1e-5).all()
 
 
 FACE_DOWN = press_and_shear(0.0, 0.2) + [0.013e-3, 0.017e-3, 0, 0, 0, 0, 0]
 FACE_DOWN[:, 3:] = (
     Rotation.from_quat(FACE_DOWN[:, 3:]) * Rotation.from_rotvec([np.pi, 0, 0])
 ).as_quat()
-GELS = Case(
-    None,
-    one(FACE_DOWN),
-    0.4,
-    mesh=block_mesh((7, 7, 2), (7e-3, 7e-3, 3e-3)),
-    carried=Material(4e5, 0.4),
-)
+BLOCK = block_mesh((7, 7, 2), (7e-3, 7e-3, 3e-3))
+GELS = Case(None, one(FACE_DOWN), 0.4, mesh=BLOCK, carried=Material(4e5, 0.4))
 
 
 @pytest.mark.thorough
 def test_a_gel_pressed_onto_another() -> None:
-    """The slopes of a pair of gels, of which one is held by the tool that moves."""
     motion, record = GELS.run()
     weights = losses(record)
     found = pull_back(motion, record, *weights)
@@ -197,11 +177,8 @@ def test_a_gel_pressed_onto_another() -> None:
 
     def stiffer(own: float = 0.0, others: float = 0.0) -> Case:
         mine = replace(gel, young_modulus_pa=gel.young_modulus_pa + own)
-        return replace(
-            GELS,
-            material=mine,
-            carried=replace(other, young_modulus_pa=other.young_modulus_pa + others),
-        )
+        theirs = replace(other, young_modulus_pa=other.young_modulus_pa + others)
+        return replace(GELS, material=mine, carried=theirs)
 
     slopes = {
         "own modulus": (found.young_modulus[0, 0], stiffer, 50.0),

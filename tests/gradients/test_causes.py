@@ -10,16 +10,9 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.gradients import GelMotion, Gradients, pull_back
-from taccel_lab.scene import (
-    Ball,
-    KinematicBody,
-    Material,
-    MaterialField,
-    Scene,
-    SoftBody,
-    TimeStepping,
-)
+from taccel_lab.scene import Ball, KinematicBody, Material, MaterialField, Scene, SoftBody
 from tests.gradients.gel_scenes import GEL, MESH, TIGHT, Case, losses, pose, press_and_shear
+from tests.support.scene_steps import in_time
 
 PRESS = press_and_shear(3.0, 0.3)
 
@@ -62,7 +55,6 @@ def test_a_step_that_began_over_a_border_has_two_slopes() -> None:
 
 
 def test_an_end_that_is_no_stable_equilibrium_has_no_slope() -> None:
-    """A record whose gel is squeezed far beyond where its surface folds."""
     for friction in (0.0, 0.3):
         case = Case(Ball(3e-3), PRESS[:, None, None], friction)
         motion, record = case.run()
@@ -93,14 +85,13 @@ def test_moduli_that_tie_for_the_contact_have_no_slope_alone() -> None:
 def test_what_is_not_supported_is_named() -> None:
     gel, ball = SoftBody(MESH, GEL), KinematicBody(Ball(3e-3))
     field = MaterialField(np.full(MESH.tet_count, 2e5), np.full(MESH.tet_count, 0.4))
-    quick = TimeStepping(quasi_static=False)
     for scene, match in (
-        (Scene(gel, (ball,), time=quick), "affine bodies, joints and inertia"),
-        (Scene(replace(gel, material=field), (ball,)), "'gel' varies by tet"),
+        (Scene(gel, ball, time=in_time(1e-2, 0.0)), "affine bodies, joints and inertia"),
+        (Scene(replace(gel, material=field), ball), "'gel' varies by tet"),
     ):
         with pytest.raises(InputError, match=match):
             GelMotion(scene.finalize("cpu"))
-    motion = GelMotion(Scene(gel, (ball,)).finalize("cpu"))
+    motion = GelMotion(Scene(gel, ball).finalize("cpu"))
     motion.model.set_body("gel", young_modulus_pa=np.linspace(1e5, 2e5, MESH.tet_count)[None])
     record = motion.run(PRESS[:, None, None])
     with pytest.raises(InputError, match="'gel' was set by tet"):

@@ -42,16 +42,23 @@ def of_forces(moved: MovedGels) -> torch.Tensor:
     return moved.wrenches[..., :3].square().sum()
 
 
+def tensors(**values: float) -> dict[str, torch.Tensor]:
+    shapes = {"friction": (1,)}
+    return {
+        name: torch.full(shapes.get(name, (1, 1)), value, dtype=torch.float64, requires_grad=True)
+        for name, value in values.items()
+    }
+
+
+def young_of(value: float) -> torch.Tensor:
+    return tensors(young_modulus_pa=value)["young_modulus_pa"]
+
+
 @pytest.mark.parametrize("loss", [of_markers, of_heights, of_forces])
 def test_gradients_are_those_of_differences(loss: Callable[[MovedGels], torch.Tensor]) -> None:
     moving = TorchMotion(CASE.model(), TIGHT)
-    values = {
-        "young_modulus_pa": torch.full((1, 1), 1.8e5, dtype=torch.float64),
-        "poisson_ratio": torch.full((1, 1), 0.4, dtype=torch.float64),
-        "friction": torch.full((1,), 0.35, dtype=torch.float64),
-    }
+    inputs = tensors(young_modulus_pa=1.8e5, poisson_ratio=0.4, friction=0.35)
     poses = torch.tensor(CASE.poses, requires_grad=True)
-    inputs = {name: value.requires_grad_() for name, value in values.items()}
     loss(moving(poses, **inputs)).backward()
     down = torch.zeros_like(poses)
     down[-1, ..., 2] = 1.0
@@ -96,23 +103,13 @@ def test_bad_shapes_are_refused() -> None:
         moving(torch.tensor(CASE.poses), young_modulus_pa=torch.tensor([2e5]))
 
 
-def young_of(value: float) -> torch.Tensor:
-    return torch.full((1, 1), value, dtype=torch.float64, requires_grad=True)
-
-
 def slope(poses: torch.Tensor, values: dict[str, float], name: str, step: float) -> float:
-    """Central difference of the forces' loss, by a motion of its own."""
     moving = TorchMotion(CASE.model(), TIGHT)
-
-    def at(by: float) -> float:
-        shifted = {key: value + (by if key == name else 0.0) for key, value in values.items()}
-        tensors = {
-            key: torch.full((1,) if key == "friction" else (1, 1), value, dtype=torch.float64)
-            for key, value in shifted.items()
-        }
-        return float(of_forces(moving(poses, **tensors)))
-
-    return (at(step) - at(-step)) / (2 * step)
+    high, low = (
+        float(of_forces(moving(poses, **tensors(**{**values, name: values[name] + by}))).detach())
+        for by in (step, -step)
+    )
+    return (high - low) / (2 * step)
 
 
 @pytest.mark.thorough
@@ -121,10 +118,9 @@ def test_two_calls_before_one_way_back() -> None:
     moving = TorchMotion(CASE.model(), TIGHT)
     whole, short = torch.tensor(CASE.poses), torch.tensor(CASE.poses[:3])
     of_scene = whole.clone().requires_grad_()
-    friction = torch.full((1,), 0.2, dtype=torch.float64, requires_grad=True)
+    friction = tensors(friction=0.2)["friction"]
     soft, hard = young_of(1.2e5), young_of(3.1e5)
-    total = of_forces(moving(of_scene))
-    total = total + of_forces(moving(whole, young_modulus_pa=soft))
+    total = of_forces(moving(of_scene)) + of_forces(moving(whole, young_modulus_pa=soft))
     total = total + of_forces(moving(short, young_modulus_pa=hard, friction=friction))
     after = moving.motion.model.pair_friction.numpy().copy()
     total.backward()
@@ -151,9 +147,7 @@ def test_ways_back_in_any_order_and_again() -> None:
     soft, hard = young_of(1.2e5), young_of(3.1e5)
     first, second = (of_forces(moving(poses, young_modulus_pa=young)) for young in (soft, hard))
     slopes = {}
-    for turn, (loss, young) in enumerate(
-        [(first, soft), (second, hard), (first, soft), (second, hard)]
-    ):
+    for turn, (loss, young) in enumerate([(first, soft), (second, hard)] * 2):
         (slopes[turn],) = torch.autograd.grad(loss, young, retain_graph=True)
     assert slopes[0] == slopes[2] and slopes[1] == slopes[3]
     for turn, value in ((0, 1.2e5), (1, 3.1e5)):
@@ -192,20 +186,21 @@ def test_what_is_no_tensor_is_named(name: str) -> None:
     given = {"poses": torch.tensor(CASE.poses), name: np.array([[0.4]])}
     with pytest.raises(InputError, match=f"^{name} must be a torch tensor, got ndarray"):
         TorchMotion(CASE.model(), TIGHT)(**given)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"^positions must be a torch tensor, got ndarray"):
-        marker_places(MESH.nodes_m[None], MARKERS)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"^positions must be a torch tensor, got ndarray"):
-        height_map(MESH.nodes_m[None], FACES, GRID)  # type: ignore[arg-type]
+    for read in (
+        lambda: marker_places(MESH.nodes_m[None], MARKERS),  # type: ignore[arg-type]
+        lambda: height_map(MESH.nodes_m[None], FACES, GRID),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(InputError, match=r"^positions must be a torch tensor, got ndarray"):
+            read()
 
 
 def test_where_the_motion_is_given_markers_do_not_know_the_modulus() -> None:
     """The stiffness of the contact follows it, so that all forces scale and nothing else moves."""
     moving = TorchMotion(CASE.model(), TIGHT)
-    young = torch.full((1, 1), 1.8e5, dtype=torch.float64, requires_grad=True)
-    friction = torch.full((1,), 0.35, dtype=torch.float64, requires_grad=True)
-    moved = moving(torch.tensor(CASE.poses), young_modulus_pa=young, friction=friction)
+    given = tensors(young_modulus_pa=1.8e5, friction=0.35)
+    young, moved = given["young_modulus_pa"], moving(torch.tensor(CASE.poses), **given)
     by_young, by_friction = torch.autograd.grad(
-        of_markers(moved), (young, friction), retain_graph=True
+        of_markers(moved), tuple(given.values()), retain_graph=True
     )
     assert abs(float(1.8e5 * by_young)) < 1e-7 * abs(float(0.35 * by_friction))
     (of_force,) = torch.autograd.grad(moved.wrenches[-1, 0, 0, 2], young)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -14,13 +16,13 @@ from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.gel_views import GelViews
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
+from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
 from taccel_lab.signals import MarkerLayout
 from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
-from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
 from tests.solvers.driven_grasp import SIDES, START_M, driven_squeeze, face_pose, prescribed_squeeze
+from tests.support.scene_steps import Stepped
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +36,8 @@ def pressed() -> tuple:
     return env, {name: part.numpy() for name, part in seen.items()}
 
 
-def in_gel(env: object, vectors: np.ndarray, gel: int, origin: bool) -> np.ndarray:
-    """World vectors or points [env, n, 3] in the frame of a gel's mount."""
-    pose = env.state.poses.numpy()[:, None, gel]  # type: ignore[attr-defined]
+def in_gel(env: Any, vectors: np.ndarray, gel: int, origin: bool) -> np.ndarray:
+    pose = env.state.poses.numpy()[:, None, gel]
     inverse = pose[..., 3:] * [-1, -1, -1, 1]
     return rotate(inverse, vectors - pose[..., :3] * origin)
 
@@ -94,44 +95,42 @@ def test_wrenches_and_tractions_are_those_of_the_nodes(pressed: tuple) -> None:
 
 
 def test_a_gel_on_a_driven_finger_shows_what_one_on_a_frame_does() -> None:
-    """Two pads squeezed by drives, and the same two on frames that come to where the fingers are:
-    depth, markers, wrenches and tractions are those of the gel's own frame."""
+    """Two pads squeezed by drives, and on frames that come to where the fingers are."""
     linear = (Element.LINEAR, Element.LINEAR)
-    driven = SolverIPC(driven_squeeze(linear, 1e11).finalize("cpu"), SolverConfig(dhat_m=5e-5))
-    state = initial_state(driven.model)
-    for _ in range(60):
-        assert driven.step(state).converged.all()
-    assert driven.joints is not None
-    slides = driven.joints.coordinates.numpy()[0]
-    on_frames = SolverIPC(prescribed_squeeze(linear).finalize("cpu"), SolverConfig(dhat_m=5e-5))
+    driven = Stepped(driven_squeeze(linear, 1e11), dhat_m=5e-5)
+    driven.steps(60)
+    assert driven.solver.joints is not None
+    slides = driven.solver.joints.coordinates.numpy()[0]
 
     def poses(part: float) -> np.ndarray:
         sides = zip(SIDES, slides, strict=True)
         faces = [face_pose(side, START_M - part * slide) for side, slide in sides]
         return np.array([[*faces, [0, 0, 0, 0, 0, 0, 1]]])
 
-    other = initial_state(on_frames.model, poses(0))
-    for step in range(60):
-        assert on_frames.step(other, poses(min((step + 1) / 10, 1.0))).converged.all()
+    on_frames = Stepped(prescribed_squeeze(linear), poses(0), dhat_m=5e-5)
+    on_frames.walk(poses(min((step + 1) / 10, 1.0)) for step in range(60))
     names = ("depth_m", "markers_px", "wrench", "traction_pa")
-    views = [GelViews(solver, names) for solver in (driven, on_frames)]
+    views = [(GelViews(run.solver, names), run.state) for run in (driven, on_frames)]
     for name in names:
-        found, wanted = (
-            view.read(name, at).numpy() for view, at in zip(views, (state, other), strict=True)
-        )
+        found, wanted = (view.read(name, state).numpy() for view, state in views)
         size = np.abs(wanted).max()
         assert size > 1e-5
         np.testing.assert_allclose(found, wanted, atol=2e-3 * size, err_msg=name)
+
+
+def background(sensor: SensorProfile, height: int, width: int) -> np.ndarray:
+    rgb = sensor.background_rgb
+    assert rgb is not None
+    rows, columns = rgb.shape[0] // height, rgb.shape[1] // width
+    return rgb.reshape(height, rows, width, columns, 3).mean(axis=(1, 3))
 
 
 def test_a_tasks_gels_have_those_of_the_stock_sensor() -> None:
     env = make_vec("peg-insertion", 2, observe=("rgb", "depth_m"), size_px=(40, 30), device="cpu")
     first, _ = env.reset(seed=0)
     assert first["rgb"].shape == (2, 2, 30, 40, 3) and first["rgb"].dtype is torch.uint8
-    starter = stock_sensor("gelsight_mini")
-    assert starter.background_rgb is not None
-    background = starter.background_rgb.reshape(30, 8, 40, 8, 3).mean(axis=(1, 3))
-    assert np.abs(first["rgb"].numpy() - background).max() <= 1
+    differs = np.abs(first["rgb"].numpy() - background(stock_sensor("gelsight_mini"), 30, 40))
+    assert differs.max() <= 1
     for _ in range(3):
         seen = env.step(torch.tensor([[0.0, 0.0, -1.0, 0.0]] * 2))[0]
     assert (seen["rgb"].int() - first["rgb"].int()).abs().max() > 3
@@ -139,14 +138,11 @@ def test_a_tasks_gels_have_those_of_the_stock_sensor() -> None:
 
 @pytest.mark.thorough
 def test_a_calibrated_sensor_has_its_own_and_its_cameras_pixels() -> None:
-    pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
     sensor = stock_sensor("gelsight_mini")
     env = make_vec("grasp-lift", 1, sensor=sensor, observe=("rgb",), size_px=(64, 48), device="cpu")
     assert env.views.grids[0] == sensor.grid().resized(64, 48)
     first, _ = env.reset(seed=0)
-    assert sensor.background_rgb is not None
-    background = sensor.background_rgb.reshape(48, 5, 64, 5, 3).mean(axis=(1, 3))
-    assert np.abs(first["rgb"][0, 0].numpy() - background).max() <= 1
+    assert np.abs(first["rgb"][0, 0].numpy() - background(sensor, 48, 64)).max() <= 1
 
 
 @pytest.mark.thorough

@@ -16,14 +16,11 @@ from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.learning.vector_env import EpisodeDraws, TactileVectorEnv
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.learning.tasks import peg_parameters
-
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+from tests.tasks.changed import parameters
 
 
 @pytest.fixture(scope="module")
 def assumed() -> SensorProfile:
-    """A sensor of the catalogue on a mesh of 72 nodes."""
     mini = catalogue_profile("gelsight_mini")
     mesh = block_mesh((5, 5, 1), (20.75e-3, 25.25e-3, 4e-3), 0.1)
     gel = mini.gel.replace(node_count=mesh.node_count, tet_count=mesh.tet_count)
@@ -42,21 +39,16 @@ def measured(assumed: SensorProfile) -> SensorProfile:
         "valid_region": {"depth_mm": (0.0, 1.0)},
     }
     interval = {"young_modulus_pa": (8e4, 1.2e5), "poisson_ratio": (0.44, 0.46)}
-    material = assumed.material.replace(
-        young_modulus_pa=1e5,
-        poisson_ratio=0.45,
-        friction_coefficient=0.8,
-        provenance=Provenance(**evidence, interval=interval),
-    )
+    source = Provenance(**evidence, interval=interval)
+    values = {"young_modulus_pa": 1e5, "poisson_ratio": 0.45, "friction_coefficient": 0.8}
+    material = assumed.material.replace(**values, provenance=source)
     units = PerturbationBlock(friction_coefficient=0.1, provenance=Provenance(**evidence))
     return assumed.with_block(material).with_block(units)
 
 
 def drawn(env: TactileVectorEnv, gels: list[str]) -> dict[str, np.ndarray]:
-    """What 32 environments have, [env, gel] or [env]."""
     model = env.model
-    ids = [model.body_id(gel) for gel in gels]
-    held = model.body_id("object")
+    ids, held = [model.body_id(gel) for gel in gels], model.body_id("object")
     return {
         "modulus": model.largest_moduli.numpy()[:, ids],
         "friction": model.pair_friction.numpy()[:, ids, held],
@@ -97,58 +89,44 @@ def test_ranges_that_are_given_stand_in_place(measured: SensorProfile) -> None:
         env = make_vec("grasp-lift", 8, sensor=sensor, randomised=given, device="cpu")
         env.reset(seed=0)
         found = drawn(env, ["left pad", "right pad"])
-        assert (found["modulus"] >= 2e5).all() and (found["modulus"] <= 2.1e5).all()
-        assert (found["friction"] >= 0.5).all() and (found["friction"] <= 0.6).all()
+        for name, low, high in (("modulus", 2e5, 2.1e5), ("friction", 0.5, 0.6)):
+            assert (found[name] >= low).all() and (found[name] <= high).all()
         np.testing.assert_allclose(found["mass"], 0.2)
         poisson = [item for item in env.task.ranges(given) if item.what == "poisson_ratio"]
         assert len(poisson) == (sensor is not None)
 
 
 def test_a_sensor_without_measured_spread_is_refused(assumed: SensorProfile) -> None:
-    def make(**options: object) -> TactileVectorEnv:
-        return make_vec("grasp-lift", 1, sensor=assumed, device="cpu", **options)
-
-    with pytest.raises(
-        InputError, match=r"'gelsight_mini' states no measured spread of (friction|young_modulus)"
+    modulus = {"young_modulus_pa": (1e5, 2e5)}
+    for given, message in (
+        (True, r"'gelsight_mini' states no measured spread of (friction|young_modulus)"),
+        (modulus, "no measured spread of friction: its material is"),
     ):
-        make(randomised=True)
-    with pytest.raises(InputError, match="no measured spread of friction: its material is"):
-        make(randomised={"young_modulus_pa": (1e5, 2e5)})
-    make(randomised={"young_modulus_pa": (1e5, 2e5), "friction": (0.3, 0.5)}).reset(seed=0)
-    make().reset(seed=0)
+        with pytest.raises(InputError, match=message):
+            make_vec("grasp-lift", 1, sensor=assumed, randomised=given, device="cpu")
+    for given in (modulus | {"friction": (0.3, 0.5)}, False):
+        env = make_vec("grasp-lift", 1, sensor=assumed, randomised=given, device="cpu")
+        env.reset(seed=0)
 
 
 def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
-    for given, message in (
-        ({"colour": (0.0, 1.0)}, "range of 'colour'; episodes of this task draw friction, mass_kg"),
-        ({"mass_kg": (2.0, 1.0)}, "range of mass_kg must be low <= high, got 2 and 1"),
+    skin = {"young_modulus_pa": 1e5, "poisson_ratio": 0.4, "density_kg_m3": 1e3, "name": "skin"}
+    layers = measured.with_block(measured.material.replace(layers=(skin,)))
+    colour = "range of 'colour'; episodes of this task draw friction, mass_kg"
+    mass = "range of mass_kg must be low <= high, got 2 and 1"
+    for task, sensor, given, message in (
+        *(("grasp-lift", who, {"colour": (0.0, 1.0)}, colour) for who in (None, measured)),
+        *(("grasp-lift", who, {"mass_kg": (2.0, 1.0)}, mass) for who in (None, measured)),
+        ("peg-insertion", measured, False, "a sensor goes into grasp-lift"),
+        ("grasp-lift", layers, False, "a gel of several layers"),
     ):
-        for sensor in (None, measured):
-            with pytest.raises(InputError, match=message):
-                make_vec("grasp-lift", 1, sensor=sensor, randomised=given, device="cpu")
-    with pytest.raises(InputError, match="a sensor goes into grasp-lift"):
-        make_vec("peg-insertion", 1, sensor=measured, device="cpu")
-    layers = measured.with_block(
-        measured.material.replace(
-            layers=(
-                {
-                    "name": "skin",
-                    "young_modulus_pa": 1e5,
-                    "poisson_ratio": 0.4,
-                    "density_kg_m3": 1e3,
-                },
-            )
-        )
-    )
-    with pytest.raises(InputError, match="a gel of several layers"):
-        make_vec("grasp-lift", 1, sensor=layers, device="cpu")
+        with pytest.raises(InputError, match=message):
+            make_vec(task, 1, sensor=sensor, randomised=given, device="cpu")
     # The file's ranges are as they were.
     env = make_vec("peg-insertion", 1, device="cpu")
-    for item, listed in zip(env.task.ranges({}), peg_parameters().learning.randomise, strict=True):
+    listed_ranges = parameters("peg-insertion").learning.randomise
+    for item, listed in zip(env.task.ranges({}), listed_ranges, strict=True):
         assert (item.what, item.low, item.high) == (listed.what, listed.low, listed.high)
-
-
-# Starts -------------------------------------------------------------------------------------------
 
 
 def test_numbers_are_even_and_differ_by_seed_episode_and_place() -> None:
@@ -173,27 +151,25 @@ def test_numbers_are_even_and_differ_by_seed_episode_and_place() -> None:
 
 
 def test_episodes_draw_the_parameters_that_the_file_names() -> None:
-    env = make_vec(
-        "peg-insertion", 16, randomised=True, autoreset_mode=AutoresetMode.DISABLED, device="cpu"
-    )
+    mode = AutoresetMode.DISABLED
+    env = make_vec("peg-insertion", 16, randomised=True, autoreset_mode=mode, device="cpu")
     env.reset(seed=0)
     model = env.model
-    ids = {name: model.body_id(name) for name in ("left", "right", "peg", "hole")}
-    control = model.affine.first_control
+    left, right, peg, hole = map(model.body_id, ("left", "right", "peg", "hole"))
 
     def values() -> dict[str, np.ndarray]:
-        friction = model.pair_friction.numpy()
+        friction, moduli = model.pair_friction.numpy(), model.largest_moduli.numpy()
         return {
-            "left": model.largest_moduli.numpy()[:, ids["left"]],
-            "right": model.largest_moduli.numpy()[:, ids["right"]],
-            "left, peg": friction[:, ids["left"], ids["peg"]],
-            "right, peg": friction[:, ids["right"], ids["peg"]],
-            "peg, hole": friction[:, ids["peg"], ids["hole"]],
-            "peg": model.masses.numpy()[:, control],
+            "left": moduli[:, left],
+            "right": moduli[:, right],
+            "left, peg": friction[:, left, peg],
+            "right, peg": friction[:, right, peg],
+            "peg, hole": friction[:, peg, hole],
+            "peg": model.masses.numpy()[:, model.affine.first_control],
         }
 
     first = {name: value.copy() for name, value in values().items()}
-    for item in peg_parameters().learning.randomise:
+    for item in parameters("peg-insertion").learning.randomise:
         for names in item.of:
             value = first[", ".join(names)]
             assert item.low <= value.min() and value.max() <= item.high

@@ -18,31 +18,28 @@ from gymnasium.vector import AutoresetMode
 from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import named, run_task
-from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 from taccel_lab.tasks.grasp_scene import GRASPERS
-from tests.learning.tasks import peg_parameters
 from tests.support.variants import variants
+from tests.tasks.changed import parameters
 from tests.test_architecture import HEAVY
 
 
 def baseline(seeds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Success and last depth [mm] of the task's policy, told as actions, on its own starts."""
-    parameters = peg_parameters()
+    peg = parameters("peg-insertion")
     env = make_vec("peg-insertion", len(seeds), autoreset_mode=AutoresetMode.DISABLED, device="cpu")
-    starts, _ = parameters.start.draw(seeds)
+    starts, _ = peg.start.draw(seeds)
     rows = [[start[name] for name in env.task.start_names] for start in starts]
     env.reset(options={"start": rows})
     success = np.zeros(len(seeds), dtype=bool)
     depth = np.full(len(seeds), np.nan)
-    path = np.array(parameters.policy.gel_mm)[:, 2]
-    for step in range(1, parameters.steps + 1):
-        times = parameters.dt_s * np.array([step - 1, step])
-        before, after = np.interp(times, parameters.policy.times_s, path)
-        part = (after - before) / (parameters.learning.speed_mm_s[2] * parameters.dt_s)
+    path = np.array(peg.policy.gel_mm)[:, 2]
+    for step in range(1, peg.steps + 1):
+        times = peg.dt_s * np.array([step - 1, step])
+        before, after = np.interp(times, peg.policy.times_s, path)
+        part = (after - before) / (peg.learning.speed_mm_s[2] * peg.dt_s)
         going = np.isnan(depth)
-        _, _, terminated, truncated, info = env.step(
-            torch.tensor([[0.0, 0.0, part, 0.0]]).repeat(len(seeds), 1)
-        )
+        action = torch.tensor([[0.0, 0.0, part, 0.0]]).repeat(len(seeds), 1)
+        _, _, terminated, truncated, info = env.step(action)
         ended = terminated | truncated
         success |= going & terminated.numpy()
         now = going & ended.numpy()
@@ -74,18 +71,18 @@ def test_the_baselines_rate_is_the_tasks() -> None:
 @pytest.mark.thorough
 def test_actions_move_both_gels_within_their_reach() -> None:
     """After the first step, which closes: by their speeds, and no farther than their reach."""
-    learning = peg_parameters().learning
+    learning, dt = parameters("peg-insertion").learning, parameters("peg-insertion").dt_s
     env = make_vec("peg-insertion", 1, observe=("proprioception",), device="cpu")
     env.reset(seed=0)
     poses = []
     for action in ([1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 0.5, 1.0], [9.0, 0.0, 0.0, -1.0]):
         seen = env.step(torch.tensor([action]))[0]["proprioception"][0]
         poses.append(env.state.poses.numpy()[0, :2].copy())
-    x, y, z = (speed * peg_parameters().dt_s for speed in learning.speed_mm_s)
+    x, y, z = (speed * dt for speed in learning.speed_mm_s)
     np.testing.assert_allclose(seen, [2 * x, -y, 0.5 * z, 0.0], atol=1e-5)
     closed, turned, _ = poses
     np.testing.assert_allclose(closed[1, :3], [16.5e-3, 0, 71e-3], atol=1e-12)
-    turn = np.radians(learning.turn_deg_s * peg_parameters().dt_s)
+    turn = np.radians(learning.turn_deg_s * dt)
     between = turned[1, :3] - turned[0, :3]
     np.testing.assert_allclose(between, 33e-3 * np.array([np.cos(turn), np.sin(turn), 0]))
     for _ in range(30):
@@ -94,16 +91,7 @@ def test_actions_move_both_gels_within_their_reach() -> None:
     np.testing.assert_allclose(seen, np.minimum(wanted, [9, 9, learning.reach_mm[2], 9]), atol=0.7)
 
 
-# Grasps -------------------------------------------------------------------------------------------
-
-
-def parameters(name: str = "grasp-lift") -> GraspLiftParameters:
-    found = named(name).parameters
-    assert isinstance(found, GraspLiftParameters)
-    return found
-
-
-def starts(seeds: list[int], name: str = "grasp-lift") -> list[list[float]]:
+def starts(seeds: list[int], name: str) -> list[list[float]]:
     drawn, _ = parameters(name).start.draw(seeds)
     return [[start[name] for name in ("x_mm", "y_mm", "yaw_deg")] for start in drawn]
 
@@ -158,14 +146,15 @@ def test_the_baseline_lifts_as_in_the_task(name: str) -> None:
 
 
 def test_an_empty_gripper_goes_where_it_is_told() -> None:
-    learning, dt = parameters().learning, parameters().dt_s
+    lift = parameters("grasp-lift")
+    learning, dt = lift.learning, lift.dt_s
     env = make_vec("grasp-lift", 1, observe=("proprioception",), device="cpu")
     env.reset(options={"start": [[0.0, 0.0, 90.0]]})
     before = env.state.poses.numpy()[0].copy()
     for action in ([1.0, 0.0, 1.0, 0.0, -1.0], [0.0, -0.5, 0.5, 1.0, 3.0]):
         seen = env.step(torch.tensor([action]))[0]["proprioception"][0]
     way = [learning.speed_mm_s[0], -0.5 * learning.speed_mm_s[1], 1.5 * learning.speed_mm_s[2]]
-    wanted = [*(dt * speed for speed in way), dt * learning.turn_deg_s, parameters().policy.open_mm]
+    wanted = [*(dt * speed for speed in way), dt * learning.turn_deg_s, lift.policy.open_mm]
     np.testing.assert_allclose(seen, wanted, atol=1e-4)
     moved = 1e3 * (env.state.poses.numpy()[0].mean(axis=0) - before.mean(axis=0))[:3]
     # It began turned by -90 degrees, and moves in that frame.
@@ -189,12 +178,10 @@ def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.Monke
     absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]
     arguments = "--envs 3 --updates 2 --steps 6 --minibatches 18 --judge 0 --randomised --output"
-    code = SCRIPT.format(
-        absent=absent, arguments=[*arguments.split(), str(tmp_path)], path=str(EXAMPLE)
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    words = [*arguments.split(), str(tmp_path)]
+    code = SCRIPT.format(absent=absent, arguments=words, path=str(EXAMPLE))
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "update 2/2, 36 steps" in done.stdout
     curve = json.loads((tmp_path / "curve.json").read_text())

@@ -23,11 +23,9 @@ from taccel_lab.learning.grasp_lift import JointControl
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
 from taccel_lab.robots import named as named_robot
 from taccel_lab.solvers import EnvStatus
-from taccel_lab.tasks import catalogue
 from taccel_lab.tasks.catalogue import named
-from taccel_lab.tasks.grasp_lift import GraspLiftParameters
-from tests.learning.single_env import SingleEnv, as_numpy
-from tests.learning.tasks import peg_parameters, peg_task, short_task
+from tests.learning.envs import SingleEnv, as_numpy, short_task
+from tests.tasks.changed import parameters, task_with
 
 DOWN = [0.0, 0.0, -1.0, 0.0]
 
@@ -37,11 +35,8 @@ def make(task: Any = "peg-insertion", count: int = 2, **options: Any) -> Tactile
 
 
 def test_observations_are_of_their_spaces() -> None:
-    env = make(
-        observe=OBSERVATIONS,
-        colors=lambda grid: (color_model(grid), background(grid)),
-        size_px=(40, 30),
-    )
+    colors = {"colors": lambda grid: (color_model(grid), background(grid)), "size_px": (40, 30)}
+    env = make(observe=OBSERVATIONS, **colors)
     assert isinstance(env, gymnasium.vector.VectorEnv)
     first, _ = env.reset(seed=0)
     assert first["rgb"].shape == (2, 2, 30, 40, 3) and first["depth_m"].shape == (2, 2, 30, 40)
@@ -59,33 +54,24 @@ def test_observations_are_of_their_spaces() -> None:
     assert seen["depth_m"].max() > 1e-4 and seen["traction_pa"].abs().max() > 1e3
     assert seen["contact"].any() and not first["contact"].any()
     assert (seen["rgb"].int() - first["rgb"].int()).abs().max() > 3
-    assert env.action_space.shape == (2, 4)
-    assert np.zeros((2, 4), np.float32) in env.action_space
+    assert env.action_space.shape == (2, 4) and np.zeros((2, 4), "f4") in env.action_space
 
 
 def _keys(value: object) -> object:
-    """The keys of a table, and of those in it."""
     if isinstance(value, dict):
         return {key: _keys(inner) for key, inner in value.items()}
     return [_keys(inner) for inner in value] if isinstance(value, (list, tuple)) else None
 
 
 @pytest.mark.parametrize("name", names())
-def test_files_leave_nothing_to_defaults(name: str) -> None:
-    """A machine that learns reads them without the models that know the defaults."""
-    table = read_toml(FILES / f"{name}.toml")
-    assert _keys(table) == _keys(named(name).parameters.model_dump())
-
-
-@pytest.mark.parametrize("name", names())
 def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
-    pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+    """The file leaves nothing to defaults, which a bare machine does not know."""
+    assert _keys(read_toml(FILES / f"{name}.toml")) == _keys(parameters(name).model_dump())
     env = make(name, randomised=True, observe=("wrench", "depth_m", "proprioception"))
     first, _ = env.reset(seed=1)
     assert as_numpy(first) in env.observation_space
     for _ in range(3):
-        action = torch.ones(env.action_space.shape)
-        seen, reward, terminated, truncated, info = env.step(action)
+        seen, reward, terminated, truncated, info = env.step(torch.ones(env.action_space.shape))
         assert as_numpy(seen) in env.observation_space and torch.isfinite(reward).all()
         assert not (terminated | truncated).any() and "cause" not in info
     assert not torch.equal(seen["proprioception"], first["proprioception"])
@@ -102,7 +88,6 @@ def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     ],
 )
 def test_gymnasiums_checkers_pass(name: str, actions: int, options: dict[str, Any]) -> None:
-    pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
     check_env(SingleEnv(name, randomised=True, **options), skip_render_check=True)
     short = short_task() if actions == 4 else name
     pair = [SingleEnv(short, randomised=True, **options) for _ in range(2)]
@@ -118,7 +103,6 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:
 def both(
     mode: AutoresetMode, count: int, seed: int, randomised: bool
 ) -> tuple[TactileVectorEnv, SyncVectorEnv]:
-    """Ours and gymnasium's of single environments, which have begun alike."""
     task = short_task()
     ours = make(task, count, autoreset_mode=mode, randomised=randomised)
     singles = [lambda: SingleEnv(task, randomised=randomised)] * count
@@ -129,7 +113,6 @@ def both(
 
 
 def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray) -> np.ndarray:
-    """What was terminated and truncated, [2, count]; all else agrees."""
     seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
     wanted = theirs.step(actions)
     same(seen, wanted[0])
@@ -141,7 +124,6 @@ def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray
 
 @pytest.mark.thorough
 def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
-    """Of single environments with the seeds 5, 6, 7; two end at other moments than the third."""
     ours, theirs = both(AutoresetMode.NEXT_STEP, 3, 5, True)
     actions = np.array([DOWN, [0.4, 0.1, -0.2, 0.3], [0.0, 0.0, -0.7, 0.0]], dtype=np.float32)
     ends = np.sum([step_both(ours, theirs, actions) for _ in range(18)], axis=0)
@@ -198,7 +180,7 @@ def test_a_simulation_that_fails_ends_with_its_cause() -> None:
 
 def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
     """The peg begins 2 mm deep in the block, where there is no room for it 4 mm beside."""
-    env = make(peg_task(policy=peg_parameters().policy.replace(peg_mm=(0.0, 0.0, 18.0))))
+    env = make(task_with("peg-insertion", policy={"peg_mm": (0.0, 0.0, 18.0)}))
     env.reset(seed=0, options={"start": [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]]})
     seen, _, _, truncated, info = env.step(torch.zeros(2, 4))
     assert info["cause"].tolist() == [None, EnvStatus.OVERLAP.name]
@@ -211,14 +193,12 @@ def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
 def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
     env = make()
     env.reset(seed=0)
-    _, _, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
-    assert truncated.tolist() == [False, False], "the first step only closes the gels"
-    _, reward, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
-    assert truncated.tolist() == [False, True] and info["_cause"].tolist() == [False, True]
+    half = torch.tensor([[0.0] * 4, [float("nan")] * 4])
+    assert env.step(half)[3].tolist() == [False, False], "the first step only closes the gels"
+    _, reward, _, truncated, info = env.step(half)
+    assert truncated.tolist() == [False, True] == info["_cause"].tolist()
     seen, *_ = env.step(torch.zeros(2, 4))
-    assert (
-        all(torch.isfinite(part).all() for part in seen.values()) and torch.isfinite(reward).all()
-    )
+    assert all(torch.isfinite(part).all() for part in (reward, *seen.values()))
 
 
 @pytest.mark.thorough
@@ -244,7 +224,22 @@ def test_seeds() -> None:
     assert not torch.equal(holes[0, 0], holes[0, 1])
 
 
-def test_bad_input_is_refused_in_a_sentence() -> None:
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"observe": ("smell",)}, r"observe names some of rgb, .*; got smell"),
+        ({"autoreset_mode": AutoresetMode.SAME_STEP}, "autoreset_mode must be NEXT_STEP or DISAB"),
+        ({"task": "juggle"}, r"be learned.*peg-insertion"),
+        ({"task": named("ball-rolling")}, r"be learned.*peg-insertion"),
+        ({"count": 0}, "num_envs must be at least 1"),
+    ],
+)
+def test_environments_that_cannot_be_made(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make(**options)
+
+
+def test_bad_resets_and_actions_are_refused() -> None:
     env = make(count=2, autoreset_mode=AutoresetMode.DISABLED)
     with pytest.raises(InputError, match="have no episode"):
         env.step(torch.zeros(2, 4))
@@ -259,25 +254,13 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
     env.reset()
     with pytest.raises(InputError, match=r"actions must have shape \[2, 4\], got \[2, 3\]"):
         env.step(torch.zeros(2, 3))
-    with pytest.raises(InputError, match=r"observe names some of rgb, .*; got smell"):
-        make(observe=("smell",))
-    with pytest.raises(InputError, match="autoreset_mode must be NEXT_STEP or DISABLED"):
-        make(autoreset_mode=AutoresetMode.SAME_STEP)
+
+
+def test_gymnasium_knows_every_task_and_makes_ours() -> None:
     lifts = ["grasp-lift", *(f"grasp-lift-{what}" for what in ("ball", "cylinder", "hand"))]
     assert names() == [*lifts, "peg-insertion"]
-    for task in ("juggle", named("ball-rolling")):
-        with pytest.raises(InputError, match=r"be learned.*peg-insertion"):
-            make(task)
-    with pytest.raises(InputError, match="num_envs must be at least 1"):
-        make(count=0)
-
-
-def test_every_task_is_registered() -> None:
     assert {f"taccel_lab/{env_id(task)}" for task in names()} <= set(gymnasium.registry)
     assert env_id("peg-insertion") == "PegInsertion-v0"
-
-
-def test_gymnasium_makes_ours() -> None:
     env = gymnasium.make_vec("taccel_lab/PegInsertion-v0", num_envs=2, device="cpu")
     assert isinstance(env, TactileVectorEnv) and env.num_envs == 2
     with pytest.raises(InputError, match="num_envs must be at least 1"):
@@ -289,9 +272,13 @@ STEP = np.full(9, 0.1)
 EVERYONE = torch.tensor([True, True])
 
 
+def attached(control: JointControl, count: int) -> JointControl:
+    control.attach(count, "cpu")
+    return control
+
+
 def test_steps_stay_within_limits() -> None:
-    control = JointControl(HAND, HAND.rest_q, STEP)
-    control.attach(2, "cpu")
+    control = attached(JointControl(HAND, HAND.rest_q, STEP), 2)
     action = torch.zeros(2, 9, dtype=torch.float64)
     action[0], action[1, 2] = 0.5, -1.0
     for _ in range(40):
@@ -309,19 +296,14 @@ def test_steps_stay_within_limits() -> None:
 
 
 def test_targets_are_approached_at_the_joint_s_speed() -> None:
-    gripper = named_robot("parallel_gripper")
-    control = JointControl(gripper, np.array([0.03]), np.array([4e-3]), actions="target")
-    control.attach(1, "cpu")
-    found = []
-    for _ in range(4):
-        control.act(EVERYONE[:1], torch.tensor([[0.0]]))
-        found.append(control.in_mm_and_deg().item())
-    np.testing.assert_allclose(found, [26, 22, 20, 20], atol=1e-9)
+    gripper, start = named_robot("parallel_gripper"), np.array([0.03])
+    control = attached(JointControl(gripper, start, np.array([4e-3]), actions="target"), 1)
     assert control.names == ("slide_left_mm",)
-    near = JointControl(
-        gripper, np.array([0.03]), np.array([1.0]), actions="target", reach=np.array([5e-3])
-    )
-    near.attach(1, "cpu")
+    for wanted in (26, 22, 20, 20):
+        control.act(EVERYONE[:1], torch.tensor([[0.0]]))
+        assert control.in_mm_and_deg().item() == pytest.approx(wanted, abs=1e-9)
+    near = JointControl(gripper, start, np.array([1.0]), actions="target", reach=np.array([5e-3]))
+    attached(near, 1)
     for action, wanted in ((-1.0, 25.0), (1.0, 35.0)):
         near.act(EVERYONE[:1], torch.tensor([[action]]))
         assert near.in_mm_and_deg().item() == pytest.approx(wanted)
@@ -340,25 +322,20 @@ def test_nothing_is_read_from_the_device() -> None:
 def test_what_cannot_be_controlled_is_refused() -> None:
     with pytest.raises(InputError, match=r"coordinate 2 of joint 'spread_1' .* out of its limits"):
         JointControl(HAND, np.full(9, 2.0), STEP)
-    endless = replace(
-        HAND, joints=(replace(HAND.joints[0], lower=-np.inf, upper=np.inf), *HAND.joints[1:])
-    )
+    free = replace(HAND.joints[0], lower=-np.inf, upper=np.inf)
+    endless = replace(HAND, joints=(free, *HAND.joints[1:]))
     with pytest.raises(InputError, match="joint 'spread_1' has no limits that a target could lie"):
         JointControl(endless, HAND.rest_q, STEP, actions="target")
     JointControl(endless, HAND.rest_q, STEP, actions="target", reach=np.full(9, 0.5))
 
 
 def test_an_environment_takes_targets() -> None:
-    task = catalogue.named("grasp-lift-hand")
-    assert isinstance(task.parameters, GraspLiftParameters)
-    learning = task.parameters.learning.replace(joint_actions="target")
-    task = replace(task, parameters=task.parameters.replace(learning=learning))
-    env = make_vec(task, 1, observe=("proprioception",), device="cpu")
+    task = task_with("grasp-lift-hand", learning={"joint_actions": "target"})
+    env = make(task, 1, observe=("proprioception",))
     first = env.reset(seed=0)[0]["proprioception"][0]
     action = torch.zeros(1, 13)
     action[0, 5], action[0, 6] = 1.0, -1.0
     for _ in range(3):
         seen = env.step(action)[0]["proprioception"][0]
-    step = learning.joint_speed * task.parameters.dt_s
-    np.testing.assert_allclose(seen[5] - first[5], 3 * step, atol=1e-3)
-    np.testing.assert_allclose(seen[6] - first[6], -3 * step, atol=1e-3)
+    step = 3 * parameters("grasp-lift-hand").learning.joint_speed * task.parameters.dt_s
+    np.testing.assert_allclose((seen - first)[5:7], [step, -step], atol=1e-3)

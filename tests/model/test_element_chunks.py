@@ -14,9 +14,7 @@ from taccel_lab.model.matrix_pattern import pair_nodes
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 150), min_size=1, max_size=4), st.integers(0, 2**31))
-def test_every_element_has_one_lane_and_bodies_keep_to_themselves(
-    sizes: list[int], seed: int
-) -> None:
+def test_every_element_has_one_lane_of_its_body(sizes: list[int], seed: int) -> None:
     ends = np.cumsum([0, *sizes])
     parts = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
     places = np.random.default_rng(seed).normal(size=(ends[-1], 3))

@@ -7,7 +7,6 @@ Two pads of 8 x 8 x 3 mm (E 0.1 MPa, nu 0.45, 300 linear tets) close on a cube o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,31 +16,22 @@ import warp as wp
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
-from taccel_lab.solvers import Control, SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.scene import AffineBody, KinematicBody, Material, Scene, TimeStepping, box_mesh
+from taccel_lab.solvers import SolverConfig
+from tests.support.scene_steps import Stepped, linear
 
 newton = pytest.importorskip("newton", reason="newton is not installed")
 
-from taccel_lab.newton_bridge.solver_gel import (  # noqa: E402
-    BodyGel,
-    Coupling,
-    SolverGel,
-)
+from taccel_lab.newton_bridge.solver_gel import BodyGel, Coupling, SolverGel  # noqa: E402
 
-MESH = block_mesh((5, 5, 2), (8e-3, 8e-3, 3e-3))
-PAD = SoftBody(
-    MESH, Material(1e5, 0.45), friction_coefficient=0.8, element=Element.LINEAR, name="pad"
+PAD = linear(
+    block_mesh((5, 5, 2), (8e-3, 8e-3, 3e-3)),
+    Material(1e5, 0.45),
+    friction_coefficient=0.8,
+    name="pad",
 )
+SIDES = ("left", "right")
+GELS = [BodyGel(side, PAD, name=f"{side} pad") for side in SIDES]
 EDGE, DENSITY, FRICTION = 6e-3, 1200.0, 0.8
 MASS = DENSITY * EDGE**3
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -51,7 +41,6 @@ HALF = np.sqrt(0.5)
 
 
 def jaws(time_s: float) -> np.ndarray:
-    """Poses of both jaws, [2, 7]."""
     squeeze = 3e-4 * min(time_s / CLOSE_S, 1.0)
     shift = 5e-4 * max(time_s - CLOSE_S, 0.0) / (END_S - CLOSE_S)
     x = EDGE / 2 + 6e-5 - squeeze
@@ -62,8 +51,7 @@ def jaws(time_s: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Run:
-    """Of each step: the cube's centre [m] and velocity [m/s], forces of gels on it [N], forces on
-    both gels [N]."""
+    """Of each step: the cube's place and velocity, forces of gels on it and on both gels."""
 
     dt_s: float
     positions: np.ndarray
@@ -78,43 +66,37 @@ class Run:
         return MASS * (self.velocities - before) - impulse
 
     def grip_impulse(self) -> float:
-        """Of one gel over the run [N s]."""
         return float(np.abs(self.on_gels[:, 0, 0]).sum() * self.dt_s)
 
 
+def run_of(dt_s: float, rows: list[tuple[np.ndarray, ...]]) -> Run:
+    return Run(dt_s, *(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
+
+
 def monolithic(dt_s: float, end_s: float = END_S) -> Run:
-    """Ours alone, in double precision."""
+    shape = box_mesh((EDGE, EDGE, EDGE))
     scene = Scene(
-        [replace(PAD, name=side, mount=f"{side} jaw") for side in ("left", "right")],
-        [KinematicBody(None, name=f"{side} jaw") for side in ("left", "right")],
-        affine_bodies=AffineBody(
-            box_mesh((EDGE, EDGE, EDGE)), DENSITY, name="cube", friction_coefficient=FRICTION
-        ),
+        [replace(PAD, name=side, mount=f"{side} jaw") for side in SIDES],
+        [KinematicBody(None, name=f"{side} jaw") for side in SIDES],
+        affine_bodies=AffineBody(shape, DENSITY, name="cube", friction_coefficient=FRICTION),
         time=TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=tuple(GRAVITY.tolist())),
     )
-    model = scene.finalize("cpu")
-    solver = SolverIPC(model, CONFIG)
-    outputs = Outputs(solver)
-    state = initial_state(model, jaws(0.0)[None])
-    first = model.affine.first_control
+    run = Stepped(scene, jaws(0.0)[None], config=CONFIG)
+    outputs, first = Outputs(run.solver), run.model.affine.first_control
     rows = []
     for step in range(1, round(end_s / dt_s) + 1):
-        report = solver.step(state, Control(target_poses=jaws(step * dt_s)[None]))
-        assert report.converged.all(), report.summary()
-        outputs.update(state)
+        run.step(jaws(step * dt_s)[None])
+        outputs.update(run.state)
         totals = outputs.contact_wrenches().totals().numpy()[0]
         totals = (totals + outputs.friction_wrenches().totals().numpy()[0])[:, :3]
-        rows.append(
-            (state.positions.numpy()[0, first].copy(), state.velocities.numpy()[0, first].copy())
-            + (totals[2], totals[:2])
-        )
-    return Run(dt_s, *(np.array(column) for column in zip(*rows, strict=True)))
+        speed = run.state.velocities.numpy()[0, first].copy()
+        rows.append((run.x()[first], speed, totals[2], totals[:2]))
+    return run_of(dt_s, rows)
 
 
-def cube_builder(density: float = DENSITY) -> object:
-    """Two kinematic jaws and a free cube."""
+def cube_builder(density: float = DENSITY) -> Any:
     builder = newton.ModelBuilder()
-    for side, pose in zip(("left", "right"), jaws(0.0), strict=True):
+    for side, pose in zip(SIDES, jaws(0.0), strict=True):
         builder.add_body(xform=wp.transform(*pose.tolist()), is_kinematic=True, label=side)
     cube = builder.add_body(label="cube")
     cfg = newton.ModelBuilder.ShapeConfig(density=density, mu=FRICTION)
@@ -122,40 +104,49 @@ def cube_builder(density: float = DENSITY) -> object:
     return builder
 
 
-def cube_model() -> object:
-    """They as newton's model."""
-    return cube_builder().finalize(device="cpu")  # type: ignore[attr-defined]
+def cube_model() -> Any:
+    return cube_builder().finalize(device="cpu")
 
 
-def squeezing(solver: SolverGel, states: list, steps: int, dt_s: float = 1e-3) -> Iterator[Any]:
-    """The state after each step in which the jaws go their way."""
-    for step in range(1, steps + 1):
-        before, after = states
-        poses = before.body_q.numpy()
-        poses[:2] = jaws(step * dt_s)
-        before.body_q.assign(poses)
-        solver.step(before, after, None, None, dt_s)
-        yield after
-        states = [after, before]
+class Simulation:
+    """A model of newton that is stepped with gels; ``state`` is the latest."""
+
+    def __init__(
+        self, model: Any, gels: list[BodyGel] = GELS, touched: Any = ("cube",), **options: Any
+    ) -> None:
+        self.model, self.time_s = model, 0.0
+        self.solver = SolverGel(model, gels, touched, config=CONFIG, **options)
+        self.state, self._next = model.state(), model.state()
+
+    def step(self, dt_s: float = 1e-3, control: Any = None) -> None:
+        self.solver.step(self.state, self._next, control, None, dt_s)
+        self.state, self._next = self._next, self.state
+        self.time_s += dt_s
+
+    def poses(self) -> np.ndarray:
+        return self.state.body_q.numpy().copy()
+
+    def squeeze(self, steps: int = 1, dt_s: float = 1e-3) -> None:
+        """Steps in which the jaws go their way."""
+        for _ in range(steps):
+            poses = self.poses()
+            poses[:2] = jaws(self.time_s + dt_s)
+            self.state.body_q.assign(poses)
+            self.step(dt_s)
+
+
+def free_bodies(model: Any) -> Any:
+    return newton.solvers.SolverSemiImplicit(model, angular_damping=0.0)
 
 
 def coupled(dt_s: float, coupling: Coupling, end_s: float = END_S) -> Run:
     """The same in newton, whose own solver moves what is not inside."""
     model = cube_model()
-    solver = SolverGel(
-        model,
-        [BodyGel(side, PAD, name=f"{side} pad") for side in ("left", "right")],
-        ["cube"],
-        rigid=newton.solvers.SolverSemiImplicit(model, angular_damping=0.0),
-        coupling=coupling,
-        config=CONFIG,
-    )
-    states = [model.state(), model.state()]  # type: ignore[attr-defined]
-    solver.reset(states[0])
+    run = Simulation(model, rigid=free_bodies(model), coupling=coupling)
+    run.solver.reset(run.state)
     rows = []
-    for after in squeezing(solver, states, round(end_s / dt_s), dt_s):
-        rows.append(
-            (after.body_q.numpy()[2, :3].copy(), after.body_qd.numpy()[2, :3].copy())
-            + (solver.wrenches[2, :3].copy(), solver.wrenches[:2, :3].copy())
-        )
-    return Run(dt_s, *(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
+    for _ in range(round(end_s / dt_s)):
+        run.squeeze(1, dt_s)
+        speed, wrenches = run.state.body_qd.numpy()[2, :3].copy(), run.solver.wrenches
+        rows.append((run.poses()[2, :3], speed, wrenches[2, :3].copy(), wrenches[:2, :3].copy()))
+    return run_of(dt_s, rows)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,27 +22,20 @@ ROUNDING = 5e-7
 """Of FP32 over a chain of a few joints of up to 1 m: some 1.2e-7 each."""
 
 
-def test_links_of_an_mjcf_file_are_where_newton_has_them(tmp_path: Path) -> None:
+def test_a_robot_of_an_mjcf_file_is_where_and_as_heavy_as_newton_has_it(tmp_path: Path) -> None:
     """Joints off the origin of their link, three on one body, and one that mimics another."""
     builder = read(ARM, tmp_path)
     robot = load_mjcf(tmp_path / "robot.xml")
-    assert robot.base == "world" and robot.name == "robot"
-    assert {"base", "upper", "fore", "finger", "thumb"} < set(robot.link_names)
-    assert robot.dof == 5
+    assert robot.base == "world" and robot.name == "robot" and robot.dof == 5
+    names = {"base", "upper", "fore", "finger", "thumb"}
+    assert names < set(robot.link_names)
+    assert {body.name for body in robot.kinematic_bodies()} == {f"robot/{name}" for name in names}
     assert robot.limits[0] == pytest.approx(np.radians([-60, 80]), abs=1e-6)
     mimic = next(joint.mimic for joint in robot.joints if joint.name == "right")
     assert mimic is not None and (mimic.joint, mimic.multiplier) == ("left", 1.0)
     assert largest_difference(builder, robot) < ROUNDING
-
-
-def test_a_robot_of_an_mjcf_file_weighs_what_newton_says(tmp_path: Path) -> None:
-    builder = read(ARM, tmp_path)
-    robot = load_mjcf(tmp_path / "robot.xml")
     masses = [link.mass.mass_kg for link in robot.links if link.mass is not None]
-    assert sum(masses) == pytest.approx(sum(builder.body_mass), rel=1e-6)  # type: ignore[attr-defined]
-    assert {body.name for body in robot.kinematic_bodies()} == {
-        f"robot/{name}" for name in ("base", "upper", "fore", "finger", "thumb")
-    }
+    assert sum(masses) == pytest.approx(sum(builder.body_mass), rel=1e-6)
     for link in robot.links:
         for shape in link.shapes:
             surface, _ = shape.surface()
@@ -58,17 +52,11 @@ def test_a_gripper_of_newton_is_driven(tmp_path: Path) -> None:
     for side, sign in (("left", 1.0), ("right", -1.0)):
         link = builder.add_link(label=side)
         builder.add_shape_box(link, hx=0.005, hy=0.01, hz=0.02)
-        joints.append(
-            builder.add_joint_prismatic(
-                -1,
-                link,
-                parent_xform=wp.transform((0.03 * sign, 0, 0), wp.quat_identity()),
-                axis=(sign, 0, 0),
-                limit_lower=-0.02,
-                limit_upper=0.02,
-                label=f"{side} slide",
-            )
-        )
+        at = wp.transform((0.03 * sign, 0, 0), wp.quat_identity())
+        options = {"limit_lower": -0.02, "limit_upper": 0.02, "label": f"{side} slide"}
+        axis = (sign, 0, 0)
+        slide = builder.add_joint_prismatic(-1, link, parent_xform=at, axis=axis, **options)
+        joints.append(slide)
     builder.add_articulation(joints)
     builder.set_joint_mimic(joints[1], joints[0])
     scene = import_model(builder)
@@ -76,9 +64,8 @@ def test_a_gripper_of_newton_is_driven(tmp_path: Path) -> None:
     assert scene.robot.dof_names == ["left slide"]
     assert scene.gravity_m_s2 == pytest.approx((0, 0, -9.81), abs=1e-6)
     driven = drive(scene.robot, PositionDrive(stiffness=100.0))
-    assert [body.stated_mass.mass_kg for body in driven.affine_bodies if body.stated_mass] == (
-        pytest.approx([0.008] * 2, rel=1e-6)
-    )
+    masses = [body.stated_mass.mass_kg for body in driven.affine_bodies if body.stated_mass]
+    assert masses == pytest.approx([0.008] * 2, rel=1e-6)
     assert largest_difference(builder, scene.robot) < ROUNDING
 
 
@@ -89,11 +76,8 @@ def test_links_of_a_usd_file_are_where_newton_has_them(file: str, dof: int) -> N
     builder = newton.ModelBuilder()
     builder.add_usd(str(ASSETS / file), floating=False)
     assert robot.dof == dof
-    assert largest_difference(builder, robot) < ROUNDING * (1 + max(1.0, reach(robot)))
-
-
-def reach(robot: object) -> float:
-    return max(robot.tree.length_m(link) for link in robot.link_names)  # type: ignore[attr-defined]
+    reach = max(robot.tree.length_m(link) for link in robot.link_names)
+    assert largest_difference(builder, robot) < ROUNDING * (1 + max(1.0, reach))
 
 
 def test_free_bodies_planes_and_gels_are_taken_over() -> None:
@@ -142,7 +126,7 @@ def test_free_bodies_planes_and_gels_are_taken_over() -> None:
         scene.robot.kinematic_bodies(),
         affine_bodies=scene.affine_bodies,
         planes=scene.planes,
-        time=TimeStepping(quasi_static=False, dt_s=0.01, gravity_m_s2=scene.gravity_m_s2),
+        time=TimeStepping(False, 0.01, scene.gravity_m_s2),
     ).finalize("cpu")
     assert model.soft_count == len(builder.particle_q)
 
@@ -162,91 +146,64 @@ def test_meshes_are_closed_where_newton_splits_their_vertices(hull: bool) -> Non
     assert len(taken.shape.vertices_m) == 8
 
 
-def add_grid(builder: object, place: tuple[float, ...], **options: bool) -> None:
-    builder.add_soft_grid(  # type: ignore[attr-defined]
-        pos=wp.vec3(*place),
-        rot=wp.quat_identity(),
-        vel=wp.vec3(),
-        dim_x=2,
-        dim_y=2,
-        dim_z=2,
-        cell_x=0.002,
-        cell_y=0.002,
-        cell_z=0.002,
-        density=900.0,
-        k_mu=3.5e4,
-        k_lambda=3.15e5,
-        k_damp=0.0,
-        **options,
-    )
+def add_grid(builder: Any, place: tuple[float, ...], **options: bool) -> None:
+    sizes = {f"dim_{axis}": 2 for axis in "xyz"} | {f"cell_{axis}": 0.002 for axis in "xyz"}
+    material = {"density": 900.0, "k_mu": 3.5e4, "k_lambda": 3.15e5, "k_damp": 0.0}
+    still = {"rot": wp.quat_identity(), "vel": wp.vec3()}
+    builder.add_soft_grid(pos=wp.vec3(*place), **still, **sizes, **material, **options)
 
 
-def one_link() -> tuple[object, int]:
-    builder = newton.ModelBuilder()
-    return builder, builder.add_link(label="arm")
+def ball(builder: Any, link: int) -> None:
+    builder.add_articulation([builder.add_joint_ball(-1, link, label="hip")])
 
 
-def ball() -> object:
-    builder, link = one_link()
-    builder.add_articulation([builder.add_joint_ball(-1, link, label="hip")])  # type: ignore[attr-defined]
-    return builder
-
-
-def height_field() -> object:
-    builder = newton.ModelBuilder()
+def height_field(builder: Any, link: int) -> None:
     field = newton.Heightfield(data=np.zeros((4, 4), dtype=np.float32), nrow=4, ncol=4)
     builder.add_shape_heightfield(heightfield=field, label="hills")
-    return builder
 
 
-def floating() -> object:
-    builder = newton.ModelBuilder()
-    base, arm = builder.add_link(label="base"), builder.add_link(label="arm")
-    joints = [builder.add_joint_free(base, label="free"), builder.add_joint_revolute(base, arm)]
-    builder.add_articulation(joints)
-    return builder
+def floating(builder: Any, link: int) -> None:
+    base = builder.add_link(label="base")
+    free = builder.add_joint_free(base, label="free")
+    builder.add_articulation([free, builder.add_joint_revolute(base, link)])
 
 
-def massless() -> object:
-    builder = newton.ModelBuilder()
+def massless(builder: Any, link: int) -> None:
     body = builder.add_body(label="ghost")
     cfg = newton.ModelBuilder.ShapeConfig(density=0.0)
     builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=cfg)
-    return builder
 
 
-def loose_particle() -> object:
-    builder = newton.ModelBuilder()
+def loose_particle(builder: Any, link: int) -> None:
     builder.add_particle((0, 0, 0), (0, 0, 0), 1.0)
-    return builder
 
 
-def held_by_a_free_body() -> object:
-    builder = newton.ModelBuilder()
+def held_by_a_free_body(builder: Any, link: int) -> None:
     cube = builder.add_body(label="cube")
     builder.add_shape_box(cube, hx=0.01, hy=0.01, hz=0.01)
     add_grid(builder, (0.0, 0.0, 0.0))
     builder.add_attachment_particle_body(0, cube, body_point=(0, 0, 0))
-    return builder
 
 
-def stretched() -> object:
-    builder, link = one_link()
-    builder.add_articulation([builder.add_joint_revolute(-1, link)])  # type: ignore[attr-defined]
+def stretched(builder: Any, link: int) -> None:
+    builder.add_articulation([builder.add_joint_revolute(-1, link)])
     add_grid(builder, (0.0, 0.0, 0.0))
-    builder.add_attachment_particle_body(0, link, body_point=(0, 0, 0.001))  # type: ignore[attr-defined]
-    return builder
+    builder.add_attachment_particle_body(0, link, body_point=(0, 0, 0.001))
 
 
-def two_worlds() -> object:
-    builder = newton.ModelBuilder()
+def two_worlds(builder: Any, link: int) -> None:
     for _ in range(2):
-        builder.add_world(held_by_a_free_body())
-    return builder
+        world = newton.ModelBuilder()
+        held_by_a_free_body(world, 0)
+        builder.add_world(world)
+
+
+LINKED = (ball, floating, stretched)
+"""Those that begin with a link."""
 
 
 @pytest.mark.parametrize(
-    ("builder", "message"),
+    ("add", "message"),
     [
         (ball, "joint 'hip' is a ball joint"),
         (height_field, "'hills' is a hfield"),
@@ -256,12 +213,19 @@ def two_worlds() -> object:
         (held_by_a_free_body, "attached to 'cube', which moves freely"),
         (stretched, "starts 0.001 m from where particle 0 is attached"),
         (two_worlds, "has 2 worlds"),
-        (lambda: 3, "newton.ModelBuilder or newton.Model is needed, got int"),
+        (None, "newton.ModelBuilder or newton.Model is needed, got int"),
     ],
 )
-def test_what_cannot_be_taken_over_is_refused_by_name(builder: object, message: str) -> None:
+def test_what_cannot_be_taken_over_is_refused_by_name(add: Any, message: str) -> None:
+    builder = newton.ModelBuilder()
+    if add is not None:
+        add(builder, builder.add_link(label="arm") if add in LINKED else -1)
     with pytest.raises(InputError, match=message):
-        import_model(builder())  # type: ignore[operator]
+        import_model(builder if add is not None else 3)
+
+
+FLOOR = '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'
+WELD = '<weld body1="finger" body2="thumb"/><joint joint1'
 
 
 @pytest.mark.parametrize(
@@ -269,14 +233,8 @@ def test_what_cannot_be_taken_over_is_refused_by_name(builder: object, message: 
     [
         ("<mujoco><size nope='x'><worldbody>", "is not valid XML"),
         ("<mujoco><worldbody/></mujoco>", "it holds no robot"),
-        (
-            ARM.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="0 0 1"/>'),
-            "it holds more than a robot: .*floor",
-        ),
-        (
-            ARM.replace("<joint joint1", '<weld body1="finger" body2="thumb"/><joint joint1'),
-            "is the child of two joints",
-        ),
+        (ARM.replace("<worldbody>", FLOOR), "it holds more than a robot: .*floor"),
+        (ARM.replace("<joint joint1", WELD), "is the child of two joints"),
     ],
 )
 def test_files_of_anything_but_a_robot_are_refused(text: str, message: str, tmp_path: Path) -> None:

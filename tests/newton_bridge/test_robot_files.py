@@ -7,7 +7,9 @@ from __future__ import annotations
 import os
 import struct
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -118,6 +120,9 @@ def test_an_mjcf_file_of_several_parts_is_one_robot(folder: Path) -> None:
     assert [len(link.shapes) for link in robot.links] == [0, 2, 2]
 
 
+INERTIAL = '<inertial pos="0 0 0" mass="{}" diaginertia="1 1 1"/>'
+
+
 @pytest.mark.thorough(cases=("text19-more than 500,000 elements",))
 @pytest.mark.parametrize(
     ("text", "message"),
@@ -133,14 +138,8 @@ def test_an_mjcf_file_of_several_parts_is_one_robot(folder: Path) -> None:
         (mesh('file="scene.gltf"'), "allowed are .stl, .obj, .msh"),
         (mesh('file="short.stl"'), "no triangles"),
         (mesh('file="short.msh"'), "Invalid MuJoCo mesh"),
-        (
-            mjcf(inner='<inertial pos="0 0 0" mass="nan" diaginertia="1 1 1"/>'),
-            "mass of <inertial>",
-        ),
-        (
-            mjcf(inner='<inertial pos="0 0 0" mass="-1" diaginertia="1 1 1"/>'),
-            "at least 0, got '-1'",
-        ),
+        (mjcf(inner=INERTIAL.format("nan")), "mass of <inertial>"),
+        (mjcf(inner=INERTIAL.format("-1")), "at least 0, got '-1'"),
         (mjcf(inner='<body pos="1e300 0 0"/>'), "pos of <body> '' must be finite"),
         (mjcf(inner='<body quat="0 0 0 0"/>'), "quat of <body> '' must be of a length above 0"),
         (mjcf(inner='<joint name="j" range="nan 1"/>'), "range of <joint> 'j' must be finite"),
@@ -153,9 +152,7 @@ def test_an_mjcf_file_of_several_parts_is_one_robot(folder: Path) -> None:
         ('<!DOCTYPE m [<!ENTITY e SYSTEM "/etc/passwd">]>' + mjcf(), "has a document type"),
     ],
 )
-def test_a_damaged_mjcf_file_is_one_sentence(
-    text: str, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_mjcf_file(text: str, message: str, folder: Path, capsys: Any) -> None:
     os.mkfifo(folder / "pipe")
     os.mkfifo(folder / "pipe.stl")
     (folder / "short.stl").write_bytes(stl()[:200])
@@ -231,6 +228,10 @@ CLIPS = """clips = {
     }"""
 
 
+needs_usd = pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not installed")
+
+
+@needs_usd
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -256,10 +257,7 @@ CLIPS = """clips = {
         ("PXR-USDC" + "x" * 1000, "no readable USD layer"),
     ],
 )
-def test_a_usd_file_names_nothing_outside_its_folder(
-    text: str, message: str, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("pxr", reason="usd-core is not installed")
+def test_a_usd_file_stays_inside(text: str, message: str, folder: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(folder.parent)  # Where USD would look for what is nowhere else.
     (folder / "link.usda").symlink_to("../secret.usda")
     (folder / "link.png").symlink_to("/etc/passwd")
@@ -273,9 +271,9 @@ def test_a_usd_file_names_nothing_outside_its_folder(
         load_usd(folder / "hand.usda")
 
 
+@needs_usd
 def test_a_usd_file_of_several_layers_is_read_as_it_is_now(folder: Path) -> None:
     """A process that read a file of this name before does not answer with that."""
-    pytest.importorskip("pxr", reason="usd-core is not installed")
     path = folder / "hand.usda"
     path.write_text(usda(layer="subLayers = [@./sub/a.usda@]", inner="asset t = @OmniPBR.mdl@"))
     (folder / "sub" / "a.usda").write_text("#usda 1.0\n(\n    subLayers = [@../b.usda@]\n)\n")
@@ -288,6 +286,7 @@ def test_a_usd_file_of_several_layers_is_read_as_it_is_now(folder: Path) -> None
 OTHER = '#usda 1.0\n(\n    defaultPrim = "x"\n)\ndef Xform "x"\n{\n}\n'
 
 
+@needs_usd
 @pytest.mark.parametrize(
     ("members", "message"),
     [
@@ -299,10 +298,7 @@ OTHER = '#usda 1.0\n(\n    defaultPrim = "x"\n)\ndef Xform "x"\n{\n}\n'
         (None, "is no USDZ package"),
     ],
 )
-def test_a_usdz_package_holds_all_that_it_names(
-    members: dict[str, str] | None, message: str | None, folder: Path
-) -> None:
-    pytest.importorskip("pxr", reason="usd-core is not installed")
+def test_a_usdz_package_holds_all(members: Any, message: str | None, folder: Path) -> None:
     path = folder / "hand.usdz"
     path.write_text("x")
     if members is not None:

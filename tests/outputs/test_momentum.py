@@ -6,26 +6,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.external import pressure_forces, traction_forces
 from taccel_lab.outputs.momentum import MomentumReader
 from taccel_lab.outputs.surface_load import SurfaceLoadReader
-from taccel_lab.scene import (
-    AffineBody,
-    Ball,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
-from taccel_lab.state import initial_state
-from tests.support.blocks import everywhere, pose
+from taccel_lab.scene import AffineBody, Ball, KinematicBody, Scene, box_mesh
+from tests.support.blocks import pose
+from tests.support.scene_steps import Stepped, in_time, linear
 
-DYNAMIC = TimeStepping(quasi_static=False)
+DYNAMIC = in_time(1e-2, 0.0)
 SIZE = (1e-2, 2e-2, 3e-2)
 SPIN = np.array([3.0, -5.0, 7.0])
 SPEED = np.array([0.2, -0.1, 0.4])
@@ -40,15 +31,12 @@ def test_an_affine_body_turns_like_a_rigid_one() -> None:
         initial_velocity_m_s=tuple(SPEED),
         initial_spin_rad_s=tuple(SPIN),
     )
-    model = Scene(affine_bodies=body, env_count=2, time=DYNAMIC).finalize()
-    state = initial_state(model)
-    solid = model.affine.properties[0]
-    from scipy.spatial.transform import Rotation
-
+    run = Stepped(Scene(affine_bodies=body, env_count=2, time=DYNAMIC))
+    solid, state = run.model.affine.properties[0], run.state
     turn = Rotation.from_quat(place[3:]).as_matrix()
     inertia = turn @ solid.inertia_kg_m2 @ turn.T
     center = np.array([0.05, 0.0, -0.1])
-    momentum = MomentumReader(model).read(state.positions, state.velocities, tuple(center))
+    momentum = MomentumReader(run.model).read(state.positions, state.velocities, tuple(center))
     mass = 2000 * np.prod(SIZE)
     linear = mass * SPEED
     angular = inertia @ SPIN + np.cross(place[:3] - center, linear)
@@ -61,12 +49,10 @@ def test_an_affine_body_turns_like_a_rigid_one() -> None:
 
 def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> None:
     mesh = block_mesh((2, 2, 2), SIZE, jitter=0.2)
-    soft = SoftBody(
-        mesh, Material(1e5, 0.4), bonded_nodes=np.array([], dtype=int), element=Element.LINEAR
-    )
-    model = Scene(soft, KinematicBody(Ball(1e-2)), time=DYNAMIC).finalize()
-    state = initial_state(model, everywhere(1, pose(0, 0, 0.1)))
-    x = state.positions.numpy()[0]
+    soft = linear(mesh, bonded_nodes=np.array([], dtype=int))
+    ball = KinematicBody(Ball(1e-3))
+    run = Stepped(Scene(soft, ball, time=DYNAMIC), pose(0, 0, 0.1))
+    model, state, x = run.model, run.state, run.x()
     velocities = np.cross(SPIN, x) + SPEED
     state.velocities.assign(velocities[None])
     momentum = MomentumReader(model).read(state.positions, state.velocities)
@@ -81,9 +67,8 @@ def test_a_soft_body_sums_its_lumped_masses_and_a_kinematic_one_has_none() -> No
 
 
 def test_tractions_times_areas_are_the_forces() -> None:
-    """A uniform pressure on the top of a block, rim included, and a drag along x."""
     mesh = block_mesh((4, 4, 2), SIZE, jitter=0.2)
-    model = Scene(SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR)).finalize()
+    model = Scene(linear(mesh)).finalize()
     x = (mesh.nodes_m * [1.2, 1.0, 0.9])[None]
     top = mesh.region_faces(1)
     normal, drag = pressure_forces(x, top, 2e3), traction_forces(x, top, np.array([500.0, 0, 0]))

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import warp as wp
@@ -13,27 +11,23 @@ from taccel_lab.benchmarks.stress.gaps import SurfacePairs
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.model import Model
 from taccel_lab.outputs import GelFrames, Outputs, to_torch
 from taccel_lab.scene import (
     AffineBody,
     Ball,
-    Element,
     KinematicBody,
     Material,
     Plane,
     Scene,
-    SoftBody,
     TimeStepping,
     box_mesh,
 )
 from taccel_lab.signals import SignalTactile, resultant_wrench
-from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.tangent import Tangent
-from taccel_lab.state import State, initial_state
+from taccel_lab.state import State
 from tests.support.blocks import pose
 from tests.support.intersection import find_intersections
+from tests.support.scene_steps import Stepped, linear
 
 DT, G = 5e-3, np.array([0.3, 0.0, -9.81])
 GEL, CUBE, BALL = 0, 1, 3
@@ -41,13 +35,9 @@ DHAT = 2e-5
 GRID = PixelGrid(4, 4, 0.5, 0.5)
 
 
-@dataclass
-class Pressed:
+class Pressed(Stepped):
     """A cube between a gel and a ball, and one on a floor, after some steps in two environments."""
 
-    model: Model
-    solver: SolverIPC
-    state: State
     before: State
     outputs: Outputs
 
@@ -55,45 +45,36 @@ class Pressed:
 @pytest.fixture(scope="module")
 def pressed() -> Pressed:
     mesh = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.2)
-    side = 1.5e-3
-    floor = -4e-3
+    side, floor = 1.5e-3, -4e-3
     cubes = [
         AffineBody(
             box_mesh((side,) * 3),
             density_kg_m3=8000,
             friction_coefficient=0.5,
-            initial_pose=pose(x, 0, z, (0, 0, 1), 20.0),
+            initial_pose=pose(x, 0, z + 0.5 * side + 1e-5, (0, 0, 1), 20.0),
             name=name,
         )
-        for name, x, z in (
-            ("cube", 1e-4, 0.5 * side + 1e-5),
-            ("brick", 8e-3, floor + 0.5 * side + 1e-5),
-        )
+        for name, x, z in (("cube", 1e-4, 0), ("brick", 8e-3, floor))
     ]
-    model = Scene(
-        SoftBody(mesh, Material(1e5, 0.45), friction_coefficient=0.5, element=Element.LINEAR),
+    scene = Scene(
+        linear(mesh, Material(1e5, 0.45), friction_coefficient=0.5),
         KinematicBody(Ball(1e-3), 0.5, name="ball"),
         2,
         TimeStepping(False, DT, tuple(G)),
         affine_bodies=cubes,
         planes=Plane((0, 0, floor), friction_coefficient=0.5, name="floor"),
-    ).finalize()
-    solver = SolverIPC(
-        model, SolverConfig(dhat_m=DHAT, relative_tolerance=1e-9, absolute_tolerance_n=1e-9)
     )
 
     def ball(k: int) -> np.ndarray:
         z = side + 1.1e-3 - 4e-5 * k
         return np.stack([pose(2e-5 * k, e * 1e-4, z, (0, 1, 0), 0.5 * k)[None] for e in (0, 1)])
 
-    state = initial_state(model, ball(0))
-    before = state.copy()
+    run = Pressed(scene, ball(0), dhat_m=DHAT, relative_tolerance=1e-9, absolute_tolerance_n=1e-9)
     for k in range(1, 6):
-        before = state.copy()
-        report = solver.step(state, ball(k))
-        assert report.converged.all(), report.summary()
-        assert (report.substeps == 1).all()
-    return Pressed(model, solver, state, before, Outputs(solver).update(state))
+        run.before = run.state.copy()
+        assert (run.step(ball(k)).substeps == 1).all()
+    run.outputs = Outputs(run.solver).update(run.state)
+    return run
 
 
 def test_action_is_reaction_for_each_pair(pressed: Pressed) -> None:
@@ -250,13 +231,9 @@ def test_only_an_update_reads_anew(pressed: Pressed) -> None:
 
 def test_a_scene_without_friction_reads_zero() -> None:
     mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
-    model = Scene(
-        SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), KinematicBody(Ball(1e-3))
-    ).finalize()
-    solver = SolverIPC(model)
-    state = initial_state(model, pose(0, 0, 1.1e-3)[None, None])
-    solver.step(state, pose(0, 0, 0.9e-3)[None, None])
-    outputs = Outputs(solver).update(state)
+    run = Stepped(Scene(linear(mesh), KinematicBody(Ball(1e-3))), pose(0, 0, 1.1e-3))
+    run.step(pose(0, 0, 0.9e-3))
+    outputs = Outputs(run.solver).update(run.state)
     assert not outputs.friction_wrenches().wrenches.numpy().any()
     assert not outputs.friction_forces.numpy().any()
     assert outputs.contact_wrenches().wrenches.numpy()[0, 0, 1, 2] < -1e-4
@@ -264,18 +241,15 @@ def test_a_scene_without_friction_reads_zero() -> None:
     assert isinstance(outputs.normal_forces, wp.array)
 
 
-def _squeezed(young_modulus_pa: float) -> SolverIPC:
-    mesh = block_mesh((2, 2, 1), (4e-3, 4e-3, 2e-3))
-    gel = SoftBody(mesh, Material(young_modulus_pa, 0.45), element=Element.LINEAR)
-    model = Scene(gel, KinematicBody(Ball(1e-3), name="ball")).finalize()
-    return SolverIPC(model, SolverConfig(dhat_m=DHAT))
-
-
 def test_a_state_of_another_model_is_read_by_nobody() -> None:
     """Of a gel that has the same nodes and another stiffness no array tells the difference."""
-    solver, other = _squeezed(1e5), _squeezed(5e5)
+    mesh, ball = block_mesh((2, 2, 1), (4e-3, 4e-3, 2e-3)), KinematicBody(Ball(1e-3))
     start = pose(0, 0, 1.1e-3)[None, None]
-    own, theirs = (initial_state(one.model, start) for one in (solver, other))
+    run, other = (
+        Stepped(Scene(linear(mesh, Material(young, 0.45)), ball), start, dhat_m=DHAT)
+        for young in (1e5, 5e5)
+    )
+    solver, own, theirs = run.solver, run.state, other.state
     frames, signals = GelFrames(solver.model), SignalTactile.from_solver(solver, GRID)
     Outputs(solver).update(own)
     for state in (theirs, theirs.copy()):

@@ -8,15 +8,17 @@ import pytest
 import warp as wp
 
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.scene import Element, Material, MaterialModel, MaxwellBranch, Scene, SoftBody
-from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import initial_state
+from tests.support.scene_steps import Stepped
 
 E, NU = 1e5, 0.4
 MU, LAM = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
+F = np.array([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.15], [0.05, 0.0, 1.1]])
+LAWS = [law for law in MaterialModel if law is not MaterialModel.MOONEY_RIVLIN]
 MESH = block_mesh((3, 2, 2), (3e-3, 2e-3, 2e-3), jitter=0.25)
 
 
@@ -37,7 +39,6 @@ def stresses(model: Model, f: np.ndarray) -> tuple[StressReader, np.ndarray, wp.
 
 
 def closed_form(law: MaterialModel, f: np.ndarray) -> np.ndarray:
-    """Cauchy stress from the textbook form of each energy."""
     j, b, eye = np.linalg.det(f), f @ f.T, np.eye(3)
     if law is MaterialModel.NEO_HOOKEAN:
         return (MU * (b - eye) + LAM * np.log(j) * eye) / j
@@ -55,15 +56,10 @@ def closed_form(law: MaterialModel, f: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("element", list(Element))
 @pytest.mark.parametrize(
-    "law",
-    [
-        MaterialModel.NEO_HOOKEAN,
-        MaterialModel.STABLE_NEO_HOOKEAN,
-        MaterialModel.ST_VENANT_KIRCHHOFF,
-    ],
+    "law", [law for law in MaterialModel if law is not MaterialModel.MOONEY_RIVLIN]
 )
 def test_a_uniform_deformation_has_the_closed_form(law: MaterialModel, element: Element) -> None:
-    f = np.array([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.15], [0.05, 0.0, 1.1]])
+    f = F
     expected = closed_form(law, f)
     reader, by_element, nodal = stresses(block(law, element), f)
     scale = np.abs(expected).max()
@@ -82,23 +78,19 @@ def test_branches_add_what_has_not_relaxed(element: Element) -> None:
     branches = MaxwellBranch(0.5, 1.0), MaxwellBranch(0.2, 3.0)
     law = MaterialModel.NEO_HOOKEAN
     material = Material(E, NU, model=law, branches=branches)
-    model = Scene(SoftBody(MESH, material, element=element)).finalize()
-    f = np.array([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.15], [0.05, 0.0, 1.1]])
+    run, f = Stepped(Scene(SoftBody(MESH, material, element=element))), F
     kept = np.array([np.diag([0.8, 1.1, 1.0]), np.eye(3) + 0.1 * np.eye(3, k=1)])
     expected = closed_form(law, f)
     for branch, inverse in zip(branches, kept, strict=True):
         volume = np.linalg.det(f @ inverse) / np.linalg.det(f)
         expected = expected + branch.relative_modulus * volume * closed_form(law, f @ inverse)
-    solver = SolverIPC(model)
-    state = initial_state(model, np.zeros((1, 0, 7)))
-    x = model.rest_positions.numpy()[0] @ f.T
-    state.positions = wp.array(x[None], dtype=wp.vec3d)
-    points = model.viscous_point_count // 2
-    state.viscous_inverses = wp.array(np.repeat(kept, points, axis=0)[None], dtype=wp.mat33d)
-    found = Outputs(solver).update(state).nodal_stresses.numpy()[0]
+    run.state.positions = wp.array((run.rest @ f.T)[None], dtype=wp.vec3d)
+    inverses = np.repeat(kept, run.model.viscous_point_count // 2, axis=0)[None]
+    run.state.viscous_inverses = wp.array(inverses, dtype=wp.mat33d)
+    found = Outputs(run.solver).update(run.state).nodal_stresses.numpy()[0]
     np.testing.assert_allclose(found - expected, 0, atol=1e-10 * np.abs(expected).max())
-    state.viscous_inverses = None
-    found = Outputs(solver).update(state).nodal_stresses.numpy()[0]
+    run.state.viscous_inverses = None
+    found = Outputs(run.solver).update(run.state).nodal_stresses.numpy()[0]
     sudden = 1.7 * closed_form(law, f)
     np.testing.assert_allclose(found - sudden, 0, atol=1e-10 * np.abs(sudden).max())
 
@@ -106,13 +98,9 @@ def test_branches_add_what_has_not_relaxed(element: Element) -> None:
 @pytest.mark.parametrize("element", list(Element))
 def test_stress_balances_the_forces_of_the_potential(element: Element) -> None:
     """sum_e sigma V = sum_i x_i (x) g_i: the virial of the gradient, in any deformation."""
-    from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
-
     model = block(MaterialModel.MOONEY_RIVLIN, element, 0.3)
-    x = (
-        model.rest_positions.numpy()
-        + np.random.default_rng(0).normal(size=(1, model.node_count, 3)) * 2e-5
-    )
+    x = model.rest_positions.numpy()
+    x = x + np.random.default_rng(0).normal(size=x.shape) * 2e-5
     positions = wp.array(x, dtype=wp.vec3d)
     gradient = wp.zeros(positions.shape, dtype=wp.vec3d)
     active = wp.full(1, 1, dtype=wp.int32)

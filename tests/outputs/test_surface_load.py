@@ -12,25 +12,21 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs, SurfaceLoad
 from taccel_lab.outputs.surface_load import SurfaceLoadReader
 from taccel_lab.presses import PressEnv, parse_indenter
-from taccel_lab.scene import Ball, Element, Material, Scene, SoftBody
+from taccel_lab.scene import Ball, Material, Scene, SoftBody
 from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig
 from tests.support.variants import variants
-from tests.verification.half_space import HalfSpace
-from tests.verification.half_space_mesh import half_space_mesh
+from tests.verification.half_space import HalfSpace, half_space_mesh
 
 
 def whole(load: SurfaceLoad) -> np.ndarray:
-    """Sum of areas times tractions [N], shape [3]."""
     return (load.tractions.numpy()[0] * load.areas.numpy()[0][:, None]).sum(axis=0)
 
 
 def test_a_uniform_load_on_quadratic_faces_is_uniform() -> None:
     """With the shares of a contact, 19 of 20 parts at the middles; sides are not touched."""
     size = (1e-2, 2e-2, 3e-2)
-    body = SoftBody(block_mesh((6, 6, 2), size, jitter=0.2), Material(1e5, 0.4), element=Element(
-        "quadratic"
-    ))  # fmt: skip
+    body = SoftBody(block_mesh((6, 6, 2), size, jitter=0.2), Material(1e5, 0.4))
     model = Scene(body).finalize()
     mesh = body.nodal_mesh
     top = mesh.region_nodes(Region.CONTACT)
@@ -58,8 +54,9 @@ def test_hertz_peak_and_the_whole_force(cells: int) -> None:
         Ball(radius),
         young_pa=1e5,
         poisson=0.3,
-        config=SolverConfig(dhat_m=0.01 * depth, absolute_tolerance_n=1e-12),
         start_m=radius + 0.1 * depth,
+        dhat_m=0.01 * depth,
+        absolute_tolerance_n=1e-12,
     )
     space.move(0.0, radius - depth)
     load = Outputs(space.solver).update(space.state).surface_load
@@ -90,24 +87,17 @@ def test_pressure_on_a_bonded_pad_is_that_of_a_fine_mesh() -> None:
 
     def peak(options: PressMeshOptions) -> tuple[float, np.ndarray, np.ndarray]:
         mesh = press_mesh("gelsight", {}, at_mm, 0.85, options)
-        env = PressEnv(
-            mesh,
-            Material(1.5e5, 0.46),
-            parse_indenter("sphere:2.0"),
-            np.array([at_mm]),
-            config=SolverConfig(dhat_m=5e-6),
-        )
+        gel, ball = Material(1.5e5, 0.46), parse_indenter("sphere:2.0")
+        config = SolverConfig(dhat_m=5e-6)
+        env = PressEnv(mesh, gel, ball, np.array([at_mm]), config=config)
         env.move_to(depth_mm)
         load = Outputs(env.solver).update(env.state).surface_load
         soft = slice(0, env.model.soft_count)
         pressure, area = load.pressures.numpy()[0, soft], load.areas.numpy()[0, soft]
         force = np.linalg.norm(env.contact_forces[0], axis=1)
         x = env.positions[0]
-        return (
-            float(pressure.max()),
-            (area * pressure) @ x / (area @ pressure),
-            force @ x / force.sum(),
-        )
+        weight = area * pressure
+        return float(pressure.max()), weight @ x / weight.sum(), force @ x / force.sum()
 
     coarse, found, true = peak(PressMeshOptions(3.0, core=4, rings=8))
     fine, _, _ = peak(PressMeshOptions(6.0, core=6, rings=11))

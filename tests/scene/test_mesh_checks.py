@@ -23,13 +23,13 @@ from taccel_lab.scene import (
     Material,
     Scene,
     SoftBody,
-    TimeStepping,
     TriangleMesh,
     box_mesh,
     cylinder_mesh,
     sphere_mesh,
 )
 from tests.support.blocks import bumpy_body
+from tests.support.scene_steps import in_time
 from tests.support.turns import random_turns
 
 BALL = sphere_mesh(1e-3, 5e-4)
@@ -38,7 +38,6 @@ BLOCK = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2)
 
 
 def turned(points: np.ndarray, seed: int) -> np.ndarray:
-    """The same points in another frame, far from the origin."""
     return points @ random_turns(seed, 1)[0].T + [0.3, -0.2, 0.1]
 
 
@@ -77,32 +76,25 @@ def test_open_sheets_are_for_kinematic_bodies_only() -> None:
         check(BALL.vertices_m, faces)
 
 
-def with_faces(*extra: tuple[int, int, int]) -> np.ndarray:
-    return np.concatenate([BALL.faces, np.array(extra)])
-
-
 def test_faults_of_surfaces_are_named() -> None:
     v, f = BALL.vertices_m, BALL.faces
-    flipped = f.copy()
+    flipped, twin, flat = f.copy(), f.copy(), v.copy()
     flipped[7] = flipped[7, ::-1]
-    with pytest.raises(InputError, match="oriented differently at 3 edges"):
-        check(v, flipped)
-    a, b = f[0, :2]
-    with pytest.raises(InputError, match=rf"not manifold: 1 edges.*\({min(a, b)}, {max(a, b)}\)"):
-        check(np.vstack([v, [0.0, 0.0, 5e-3]]), with_faces((a, b, len(v))), closed=False)
-    with pytest.raises(InputError, match="1 faces name a vertex twice: faces 80"):
-        check(v, with_faces((a, a, b)))
-    with pytest.raises(InputError, match=rf"1 vertices belong to no face: vertices {len(v)}"):
-        check(np.vstack([v, [0.0, 0.0, 5e-3]]), f)
-    twin = f.copy()
     row, corner = np.argwhere(f == 3)[0]
     twin[row, corner] = len(v)
-    with pytest.raises(InputError, match=rf"1 pairs of vertices.*\(3, {len(v)}\); merge"):
-        check(np.vstack([v, v[3] + 1e-14]), twin)
-    flat = v.copy()
     flat[f[5, 2]] = 0.3 * v[f[5, 0]] + 0.7 * v[f[5, 1]]
-    with pytest.raises(InputError, match=r"faces have no area to speak of: faces 5"):
-        check(flat, f)
+    above, (a, b) = np.vstack([v, [0.0, 0.0, 5e-3]]), f[0, :2]
+    edge = rf"not manifold: 1 edges.*\({min(a, b)}, {max(a, b)}\)"
+    for vertices, faces, closed, words in (
+        (v, flipped, True, "oriented differently at 3 edges"),
+        (above, np.vstack([f, [a, b, len(v)]]), False, edge),
+        (v, np.vstack([f, [a, a, b]]), True, "1 faces name a vertex twice: faces 80"),
+        (above, f, True, rf"1 vertices belong to no face: vertices {len(v)}"),
+        (np.vstack([v, v[3] + 1e-14]), twin, True, rf"1 pairs of.*\(3, {len(v)}\); merge"),
+        (flat, f, True, r"faces have no area to speak of: faces 5"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check(vertices, faces, closed)
 
 
 def test_parts_that_meet_in_a_point_are_refused() -> None:
@@ -150,21 +142,18 @@ def test_self_intersections_agree_with_ipctk(seed: int, depth: float) -> None:
 
 
 def test_faults_of_tets_are_named() -> None:
-    nodes, tets = BLOCK.nodes_m, BLOCK.tets
-    regions = BLOCK.face_regions
-    alone = TetMesh(np.vstack([nodes, [0, 0, 1.0]]), tets, BLOCK.faces, regions)
-    with pytest.raises(InputError, match=f"1 nodes belong to no tet: nodes {len(nodes)}"):
-        check_tets(alone, "gel")
-    fewer = TetMesh(nodes, tets, BLOCK.faces[1:], regions[1:])
-    with pytest.raises(InputError, match=rf"has {len(fewer.faces)} faces, of which 0 are not"):
-        check_tets(fewer, "gel")
-    inward = BLOCK.faces.copy()
+    nodes, tets, faces, regions = BLOCK.nodes_m, BLOCK.tets, BLOCK.faces, BLOCK.face_regions
+    inward, one = faces.copy(), faces[np.zeros(len(faces), int)]
     inward[4] = inward[4, ::-1]
-    with pytest.raises(InputError, match="of which 1 are not outward faces"):
-        check_tets(TetMesh(nodes, tets, inward, regions), "gel")
-    one = BLOCK.faces[np.zeros(len(BLOCK.faces), int)]
-    with pytest.raises(InputError, match=f"and {len(one) - 1} are repeated"):
-        check_tets(TetMesh(nodes, tets, one, regions), "gel")
+    lost = f"1 nodes belong to no tet: nodes {len(nodes)}"
+    for mesh, words in (
+        (TetMesh(np.vstack([nodes, [0, 0, 1.0]]), tets, faces, regions), lost),
+        (TetMesh(nodes, tets, faces[1:], regions[1:]), f"has {len(one) - 1} faces, of which 0 are"),
+        (TetMesh(nodes, tets, inward, regions), "of which 1 are not outward faces"),
+        (TetMesh(nodes, tets, one, regions), f"and {len(one) - 1} are repeated"),
+    ):
+        with pytest.raises(InputError, match=words):
+            check_tets(mesh, "gel")
 
 
 def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
@@ -180,13 +169,12 @@ def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
 
 
 def test_bodies_in_millimetres_are_refused() -> None:
-    """A gel of 8 mm that comes as 8 m, and a tool of 60 mm as 60 m."""
     gel = SoftBody(block_mesh((2, 2, 1), (8.0, 8.0, 2.0)), Material(1e5, 0.4))
     with pytest.raises(InputError, match=r"is 8 m across; at most 1 m .* 8 mm if its numbers are"):
         Scene(gel).finalize()
     box = box_mesh((0.06, 0.06, 0.02))
     shape = TriangleMesh(1e3 * box.vertices_m, box.faces)
-    moving = Scene(PAD, affine_bodies=AffineBody(shape), time=TimeStepping(quasi_static=False))
+    moving = Scene(PAD, affine_bodies=AffineBody(shape), time=in_time(1e-2, 0.0))
     for scene in (Scene(PAD, KinematicBody(shape)), moving):
         with pytest.raises(InputError, match=r"is 60 m across; at most 10 m .* 60 mm if"):
             scene.finalize()

@@ -74,7 +74,6 @@ def rests(second: np.ndarray) -> None:
 
 
 def on_cube(carrier: AffineBody | None = None, **options: Any) -> Scene:
-    """A gel on an affine body."""
     body = AffineBody(BOX, name="cube") if carrier is None else carrier
     pad = SoftBody(MESH, GEL, **{"name": "pad", "mount": "cube", **options})
     frame = KinematicBody(None, name="frame")
@@ -82,12 +81,9 @@ def on_cube(carrier: AffineBody | None = None, **options: Any) -> Scene:
 
 
 def joined(*joints: Joint) -> Scene:
-    """Two affine bodies and a frame, in two environments."""
     bodies = [AffineBody(BOX, name="a"), AffineBody(BOX, name="b")]
     frame = KinematicBody(None, name="k")
-    return Scene(
-        affine_bodies=bodies, kinematic_bodies=[frame], joints=joints, env_count=2, time=DYNAMIC
-    )
+    return Scene((), frame, 2, DYNAMIC, affine_bodies=bodies, joints=joints)
 
 
 def hinge(**options: Any) -> RevoluteJoint:
@@ -95,9 +91,12 @@ def hinge(**options: Any) -> RevoluteJoint:
 
 
 def fan() -> TriangleMesh:
-    """Three faces on one edge."""
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]
     return TriangleMesh(np.array(corners) * 1e-3, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]))
+
+
+def in_three(body: AffineBody) -> Scene:
+    return Scene(affine_bodies=body, env_count=3, time=DYNAMIC)
 
 
 def lidless() -> Scene:
@@ -105,6 +104,29 @@ def lidless() -> Scene:
     return Scene(affine_bodies=body, time=DYNAMIC)
 
 
+KINDS = "must be the name of one kinematic or affine body; there are 'cube', 'frame'"
+AT = pose(0, 0, 1e-3)
+ON_CUBE: list[tuple[dict[str, Any], str]] = [
+    ({"mount": "hand"}, f"mount 'hand' of 'pad' {KINDS}"),
+    ({"mount": "frame", "mount_pose": AT}, "is for a mount that is an affine body; 'frame' is kin"),
+    ({"mount": None, "mount_pose": AT}, "'pad' has a mount_pose, but no mount"),
+    (
+        {"mount_pose": np.tile(AT, (2, 1))},
+        r"mount_pose of 'pad' must have shape .*7.*, got \[2, 7\]",
+    ),
+    ({"mount_pose": 2 * STILL}, "of mount_pose of 'pad' must have unit length"),
+    ({"initial_pose": AT}, "'pad' has a mount: its pose is the mount's"),
+    ({"initial_velocity_m_s": (0, 0, 1.0)}, "'pad' starts to move as its mount 'cube' does"),
+    (
+        {"carrier": AffineBody(BOX, name="cube", surface=Surface(environments=(0,)))},
+        "'cube' carries 'pad': it must be present in all environments",
+    ),
+    (
+        {"rest_positions_m": np.stack([MESH.nodes_m, MESH.nodes_m * 1.01])},
+        "rest_positions_m of 'pad' must have the bonded nodes in the same places in all",
+    ),
+    ({"bonded_nodes": np.zeros(0, int)}, "'pad' has a mount, but no bonded nodes to hold it there"),
+]
 REFUSED: list[tuple[Callable[[], Any], str]] = [
     # Materials.
     (lambda: Material(-1e5, 0.4), "Young's modulus.*100 Pa.*-100000"),
@@ -145,10 +167,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
         ),
         "of tet 1",
     ),
-    (
-        lambda: SoftBody(MESH, field(young_modulus_pa=np.full(5, 1e5))),
-        "moduli of 5 tets, the mesh has 24 tets",
-    ),
+    (lambda: SoftBody(MESH, field(young_modulus_pa=np.full(5, 1e5))), "of 5 tets, the mesh has 24"),
     # Shapes.
     (lambda: Ball(0.0), "ball radius"),
     (lambda: Ball(NAN), "ball radius.*nan"),
@@ -181,18 +200,8 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: Scene(soft_bodies=()), "at least one soft or affine body"),
     (lambda: Scene(gel(), pair_friction={("gel", "nobody"): 0.3}), "'nobody', which 0 bodies"),
     (lambda: Scene([gel(), gel(name="b")], pair_friction={("gel", "b"): -1.0}), r"\[0, 10\]"),
-    (
-        lambda: Scene(gel(), KinematicBody(None, surface=Surface(environments=(0, 5))), 3),
-        r"must lie in \[0, 2\]",
-    ),
-    (
-        lambda: Scene(
-            affine_bodies=AffineBody(BOX, initial_pose=np.tile(STILL, (2, 1))),
-            env_count=3,
-            time=DYNAMIC,
-        ),
-        "expected 3",
-    ),
+    (lambda: Scene(gel(), KinematicBody(None, surface=Surface(environments=(0, 5))), 3), "0, 2"),
+    (lambda: in_three(AffineBody(BOX, initial_pose=np.tile(STILL, (2, 1)))), "expected 3"),
     (lambda: lidless().finalize(), r"body 0 \('peg'\) is not closed: 4 edges"),
     (lambda: Plane(normal=(0, 0, 0)), "normal.*must not be zero"),
     (lambda: Plane(point_m=(0, 0, NAN)), "point_m"),
@@ -206,50 +215,13 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: TimeStepping(gravity_m_s2=(0, 0, -9.81)), r"gravity.*quasi_static"),
     # Gels in scenes.
     (lambda: Scene(gel(), env_count=0), "env_count must be at least 1, got 0"),
-    (
-        lambda: Scene(gel(rest_positions_m=np.zeros((2, 18, 3))), env_count=3),
-        r"rest_positions_m has shape \(2, 18, 3\).*\(3, 18, 3\)",
-    ),
+    (lambda: Scene(gel(rest_positions_m=np.zeros((2, 18, 3))), env_count=3), r"\(2, 18.*\(3, 18"),
     (lambda: Scene(gel(bonded_nodes=np.array([0, 1]))), "at least three bonded nodes"),
     (lambda: Scene(gel(bonded_nodes=np.array([0, 2, 4, 18]))).finalize(), "bonded_nodes"),
     (lambda: Scene(gel(bonded_nodes=np.arange(18))).finalize(), "bonded"),
     (lambda: rests(MESH.nodes_m * [1, 1, -1]), "environment 1 is inverted"),
     (lambda: rests(MESH.nodes_m * NAN), "environment 1"),
-    (
-        lambda: on_cube(mount="hand"),
-        "mount 'hand' of 'pad' must be the name of one kinematic or affine body; there are "
-        "'cube', 'frame'",
-    ),
-    (
-        lambda: on_cube(mount="frame", mount_pose=pose(0, 0, 1e-3)),
-        "mount_pose of 'pad' is for a mount that is an affine body; 'frame' is kinematic",
-    ),
-    (
-        lambda: on_cube(mount=None, mount_pose=pose(0, 0, 1e-3)),
-        "'pad' has a mount_pose, but no mount",
-    ),
-    (
-        lambda: on_cube(mount_pose=np.tile(pose(0, 0, 1e-3), (2, 1))),
-        r"mount_pose of 'pad' must have shape \[7\], got \[2, 7\]",
-    ),
-    (lambda: on_cube(mount_pose=2 * STILL), "of mount_pose of 'pad' must have unit length"),
-    (lambda: on_cube(initial_pose=pose(0, 0, 1e-3)), "'pad' has a mount: its pose is the mount's"),
-    (
-        lambda: on_cube(initial_velocity_m_s=(0, 0, 1.0)),
-        "'pad' starts to move as its mount 'cube' does",
-    ),
-    (
-        lambda: on_cube(AffineBody(BOX, name="cube", surface=Surface(environments=(0,)))),
-        "'cube' carries 'pad': it must be present in all environments",
-    ),
-    (
-        lambda: on_cube(rest_positions_m=np.stack([MESH.nodes_m, MESH.nodes_m * 1.01])),
-        "rest_positions_m of 'pad' must have the bonded nodes in the same places in all",
-    ),
-    (
-        lambda: on_cube(bonded_nodes=np.zeros(0, dtype=int)),
-        "'pad' has a mount, but no bonded nodes to hold it there",
-    ),
+    *((lambda options=options: on_cube(**options), words) for options, words in ON_CUBE),
     # Joints and drives.
     (lambda: hinge(axis=(0, 0, 0)), "axis of joint 'j' must not be zero"),
     (lambda: hinge(axis=(0, NAN, 1)), "axis of joint 'j' holds NaN"),
@@ -269,22 +241,13 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: VelocityDrive(damping=0), "damping"),
     (lambda: VelocityDrive(damping=1, max_effort=NAN), "max_effort"),
     (lambda: VelocityDrive(damping=1, target=np.zeros((2, 2))), "target"),
-    (
-        lambda: joined(FixedJoint("c")),
-        "first of joint 'joint' must be the name of one affine body, got 'c'",
-    ),
+    (lambda: joined(FixedJoint("c")), "first of joint 'joint' must be .* one affine body, got 'c'"),
     (lambda: joined(FixedJoint("k")), "there are 'a', 'b'"),
-    (
-        lambda: joined(FixedJoint("a", "c")),
-        "second of joint.*affine or kinematic body.*'a', 'b', 'k'",
-    ),
+    (lambda: joined(FixedJoint("a", "c")), "second of.*affine or kinematic body.*'a', 'b', 'k'"),
     (lambda: joined(Joint("a")), "must be a FixedJoint, RevoluteJoint or PrismaticJoint"),
     (lambda: joined(FixedJoint("a"), FixedJoint("b")), "2 joints are called 'joint'"),
     (lambda: joined(FixedJoint("a", anchor_m=np.zeros((3, 3)))), "anchor_m of.*3 rows, expected 2"),
-    (
-        lambda: joined(FixedJoint("a", "b", second_pose=STILL)),
-        "'b' is affine and has its own initial pose",
-    ),
+    (lambda: joined(FixedJoint("a", "b", second_pose=STILL)), "'b' is affine and has its own init"),
     (
         lambda: joined(PrismaticJoint("a", drive=PositionDrive(1.0, target=np.zeros(3)))),
         r"drive target.*\(3,\), expected a number or \[2\]",

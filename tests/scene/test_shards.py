@@ -19,10 +19,8 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
-    Element,
     FixedJoint,
     KinematicBody,
-    Material,
     Plane,
     PositionDrive,
     PrismaticJoint,
@@ -30,14 +28,13 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
     Surface,
-    TimeStepping,
     VelocityDrive,
     box_mesh,
 )
 from taccel_lab.scene.shards import PER_ENVIRONMENT, cut_scene, shard_of, shard_slice
+from tests.support.scene_steps import in_time, linear
 
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
-GEL = Material(1e5, 0.4)
 SHARED = {
     SoftBody: "mesh material bonded_nodes name friction_coefficient mount mount_pose element "
     "self_contact surface initial_velocity_m_s",
@@ -64,27 +61,20 @@ def poses(count: int, seed: int) -> np.ndarray:
 
 
 def full_scene(count: int) -> Scene:
-    """Everything that can differ by environment does."""
     draw = np.random.default_rng(7)
     rest = MESH.nodes_m + 1e-5 * draw.normal(size=(count, MESH.node_count, 3))
     cube = box_mesh((1e-3,) * 3)
     return Scene(
         [
-            SoftBody(
-                MESH,
-                GEL,
-                rest_positions_m=rest,
-                initial_pose=poses(count, 1),
-                element=Element.LINEAR,
-            ),
-            SoftBody(MESH, GEL, name="mounted", mount="frame", element=Element.LINEAR),
+            linear(MESH, rest_positions_m=rest, initial_pose=poses(count, 1)),
+            linear(MESH, name="mounted", mount="frame"),
         ],
         [
             KinematicBody(Ball(1e-3), name="ball", surface=Surface(environments=(0, count - 1))),
             KinematicBody(None, name="frame"),
         ],
         count,
-        TimeStepping(quasi_static=False),
+        in_time(1e-2, 0.0),
         affine_bodies=[
             AffineBody(cube, name="a", initial_pose=poses(count, 2)),
             AffineBody(cube, name="b", surface=Surface(environments=tuple(range(1, count)))),
@@ -116,7 +106,6 @@ def test_every_field_is_known_to_be_shared_or_cut() -> None:
 
 
 def rows_of(scene: Scene, env: int) -> dict[str, object]:
-    """All that an environment has, by place in the description."""
     found: dict[str, object] = {}
 
     def look(item: object, where: str) -> None:
@@ -179,14 +168,14 @@ def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -
 
 
 def test_wrong_parts_are_refused() -> None:
-    scene = Scene(SoftBody(MESH, GEL, element=Element.LINEAR), env_count=3)
-    with pytest.raises(InputError, match="world_size must be at least 1"):
-        shard_of(scene, 0, 0)
-    with pytest.raises(InputError, match="3 environments cannot be split into 4 parts"):
-        shard_of(scene, 0, 4)
-    for rank in (-1, 2):
-        with pytest.raises(InputError, match=rf"rank must lie in \[0, 1\], got {rank}"):
-            shard_of(scene, rank, 2)
+    scene = Scene(linear(MESH), env_count=3)
+    for rank, count, words in (
+        (0, 0, "world_size must be at least 1"),
+        (0, 4, "3 environments cannot be split into 4 parts"),
+        *((rank, 2, rf"rank must lie in \[0, 1\], got {rank}") for rank in (-1, 2)),
+    ):
+        with pytest.raises(InputError, match=words):
+            shard_of(scene, rank, count)
     for first, last in ((-1, 2), (1, 1), (2, 1), (0, 4)):
         with pytest.raises(InputError, match=r"numbered from 0"):
             cut_scene(scene, first, last)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.bodies.surface_topology import surface_areas, surface_topology
-from taccel_lab.scene import SoftBody, box_mesh, sphere_mesh
+from taccel_lab.geometry.quadratic import quadratic_mesh
+from taccel_lab.model.elastic import discretize
+from taccel_lab.scene import Material, SoftBody, box_mesh, sphere_mesh
 from tests.support.blocks import block_mesh
 
 
@@ -41,7 +43,6 @@ def test_at_a_rim_it_is_one_side_and_not_the_sum() -> None:
 
 
 def test_preferred_faces_decide_alone() -> None:
-    """The rim of a pad with tall sides: only the contact face counts."""
     mesh = block_mesh((4, 4, 1), (1e-3, 1e-3, 3e-3))
     is_top = np.isclose(mesh.nodes_m[mesh.faces][..., 2], 0).all(axis=1)
     area = node_areas(mesh.nodes_m, mesh.faces, preferred=is_top)
@@ -60,12 +61,8 @@ def test_a_smooth_surface_keeps_nearly_all_of_it() -> None:
 
 
 def test_shares_move_area_to_the_middles_of_quadratic_faces() -> None:
-    from taccel_lab.geometry.quadratic import quadratic_mesh
-    from taccel_lab.model.elastic import discretize
-    from taccel_lab.scene import Element, Material
-
     mesh = block_mesh((3, 3, 1), (1e-3, 1e-3, 1e-3))
-    part = discretize(SoftBody(mesh, Material(1e5, 0.4, 1000.0), element=Element.QUADRATIC))
+    part = discretize(SoftBody(mesh, Material(1e5, 0.4)))
     np.testing.assert_allclose(part.face_shares.sum(axis=1), 1)
     nodes = quadratic_mesh(mesh).nodes_m
     area = node_areas(nodes, part.faces, part.face_shares, part.contact_faces)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ __all__ = [
 
 
 def pose(
-    x: float, y: float, z: float, axis: tuple[float, float, float] = (0, 0, 1), deg: float = 0.0
+    x: float, y: float, z: float, axis: Sequence[float] | np.ndarray = (0, 0, 1), deg: float = 0.0
 ) -> np.ndarray:
     """One pose (position [m], quaternion x, y, z, w), shape [7]."""
     half = np.deg2rad(deg) / 2

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
@@ -14,16 +12,15 @@ from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.classification import (
     Classification,
-    ClassificationParameters,
     Learner,
     alike,
     folds,
     judge_by_folds,
     nearest,
 )
-from taccel_lab.tasks.grasp_lift import SoftGraspParameters, SoftShape
 from taccel_lab.tasks.parts import PARTS, SEGMENTS
 from taccel_lab.tasks.result import TaskTrial
+from tests.tasks.changed import parameters
 
 ROUND = SEGMENTS / (2 * np.pi) * np.sin(2 * np.pi / SEGMENTS)
 """Area of what stands for a disc, of the disc's."""
@@ -89,14 +86,13 @@ def test_the_nearest_grasp_is_looked_for_in_other_folds() -> None:
 @pytest.mark.thorough
 def test_each_gel_closes_until_its_own_map_is_deep_enough() -> None:
     task = named("object-classification")
-    parameters = task.parameters
-    assert isinstance(parameters, ClassificationParameters)
     episode = task.begin([1, 3], "cpu")
     assert isinstance(episode, Classification)
     assert not episode.depths_m.any()
     while not episode.over:
         episode.advance()
-    size = (2, 2, parameters.maps.height_px, parameters.maps.width_px)
+    maps = parameters("object-classification").maps
+    size = (2, 2, maps.height_px, maps.width_px)
     assert episode.depths_m.shape == size
     for env, trial in enumerate(episode.trials()):
         assert trial.success and trial.felt is not None
@@ -106,15 +102,11 @@ def test_each_gel_closes_until_its_own_map_is_deep_enough() -> None:
     assert min(episode.forces().values()) > 0.05
 
 
-def conclude(trials: Sequence[TaskTrial]) -> list[TaskTrial]:
-    parameters = named("object-classification").parameters
-    return Classification.conclude(parameters, list(trials), "cpu")
-
-
 def test_too_few_grasps_are_no_lesson() -> None:
     start = {"part": 0.0, "turn_deg": 10.0}
     lost = TaskTrial(1, False, "solver: OVERLAP in step 1", 0, start, {}, np.zeros((2, 40, 32)))
-    found = conclude([TaskTrial(0, True, "", 5, start, {}, np.zeros((2, 40, 32))), lost])
+    good = TaskTrial(0, True, "", 5, start, {}, np.zeros((2, 40, 32)))
+    found = Classification.conclude(parameters("object-classification"), [good, lost], "cpu")
     assert not found[0].success and "too few grasps" in found[0].cause
     assert found[1].cause == lost.cause
 
@@ -132,10 +124,8 @@ BEAR = (
 
 
 def test_the_bear_is_the_union_of_its_balls() -> None:
-    parameters = named("soft-bear").parameters
-    assert isinstance(parameters, SoftGraspParameters)
-    assert isinstance(parameters.object, SoftShape)
-    mesh = parameters.object.shape()
+    bear = parameters("soft-bear").object
+    mesh = bear.shape()
     check_tets(mesh, "bear")
     np.testing.assert_allclose(mesh.nodes_m.mean(axis=0), 0, atol=1e-12)
     balls = np.array(BEAR)
@@ -143,4 +133,4 @@ def test_the_bear_is_the_union_of_its_balls() -> None:
     away = np.linalg.norm(points[:, None] - balls[:, :3], axis=2) - balls[:, 3]
     volume = 40 * 40 * 48 * (away.min(axis=1) < 0).mean()
     assert 1e9 * tet_volumes(mesh.nodes_m, mesh.tets).sum() == pytest.approx(volume, rel=0.1)
-    assert parameters.object.half_height_m == pytest.approx(19e-3, abs=2e-3)
+    assert bear.half_height_m == pytest.approx(19e-3, abs=2e-3)

@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError
-from taccel_lab.tasks.catalogue import Task, named, run_task
+from taccel_lab.tasks.catalogue import run_task
 from taccel_lab.tasks.parameters import PlanarStart
-from taccel_lab.tasks.peg_insertion import PegFitParameters
 from taccel_lab.tasks.pegs import ROUND_SIDES, Hole, Peg
-from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
+from taccel_lab.tasks.touch_insertion import TouchInsertion
+from tests.tasks.changed import first_trial, parameters, task_with
 
 DISC = ROUND_SIDES / 2 * np.sin(2 * np.pi / ROUND_SIDES)
 PEGS = {
@@ -43,7 +41,6 @@ def distance(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
 
 
 def area(outline: np.ndarray) -> float:
-    """Inside an outline [n, 2]."""
     x, y = outline.T
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
@@ -68,27 +65,26 @@ def test_pegs_are_as_large_as_asked_and_holes_as_much_larger(shape: str) -> None
 
 
 def test_starts_from_which_the_peg_would_go_in_are_drawn_again() -> None:
-    parameters = named("peg-vitac-concave").parameters
-    assert isinstance(parameters, TouchInsertionParameters) and parameters.on_rim
-    free, _ = parameters.start.draw(range(60))
-    starts, _ = parameters.start.draw(range(60), parameters.drawn_again)
+    concave = parameters("peg-vitac-concave")
+    assert concave.on_rim
+    free, _ = concave.start.draw(range(60))
+    starts, _ = concave.start.draw(range(60), concave.drawn_again)
     changed = [a != b for a, b in zip(free, starts, strict=True)]
     assert sum(changed) >= 2
     for start in starts:
         x, y, yaw = start.values()
         assert abs(x) > 1.5 or abs(y) > 1.5 or abs(yaw) > 2
-        assert not parameters.drawn_again(1e-3 * x, 1e-3 * y, np.radians(yaw))
-    assert parameters.drawn_again(0.0, 0.0, 0.0)
+        assert not concave.drawn_again(1e-3 * x, 1e-3 * y, np.radians(yaw))
+    assert concave.drawn_again(0.0, 0.0, 0.0)
     with pytest.raises(InputError, match=r"no start of .* counts"):
-        PlanarStart(x_mm=0.5, y_mm=0.5, yaw_deg=0.5).draw([1], parameters.drawn_again)
+        PlanarStart(x_mm=0.5, y_mm=0.5, yaw_deg=0.5).draw([1], concave.drawn_again)
 
 
 def test_published_pegs_are_as_published() -> None:
     for name, across, hole in (("tacex", 7.986, 8.1), ("tacsl", 15.983, 16.5)):
-        parameters = named(f"peg-{name}").parameters
-        assert isinstance(parameters, PegFitParameters)
-        assert parameters.peg.size_mm == (across,)
-        assert across + 2 * parameters.hole.clearance_mm == pytest.approx(hole)
+        found = parameters(f"peg-{name}")
+        assert found.peg.size_mm == (across,)
+        assert across + 2 * found.hole.clearance_mm == pytest.approx(hole)
 
 
 def test_sizes_that_make_no_peg_are_refused() -> None:
@@ -100,20 +96,10 @@ def test_sizes_that_make_no_peg_are_refused() -> None:
             peg("round").replace(shape=shape, size_mm=size)
 
 
-# By touch -----------------------------------------------------------------------------------------
-
-
-def by_touch(part: str, **changes: object) -> Task:
-    """The task with a part of its parameters changed."""
-    task = named("touch-insertion")
-    changed = getattr(task.parameters, part).replace(**changes)
-    return replace(task, parameters=task.parameters.replace(**{part: changed}))
-
-
 @pytest.mark.thorough
 def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
     """Without noise, from seeds that begin off the hole by more than its clearance."""
-    task = by_touch("markers", noise_mm=0.0)
+    task = task_with("touch-insertion", markers={"noise_mm": 0.0})
     episode = task.begin(range(8), "cpu")
     assert isinstance(episode, TouchInsertion)
     starts = np.array([[start["x_mm"], start["y_mm"]] for start in episode.starts])
@@ -130,7 +116,8 @@ def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
 
 @pytest.mark.thorough
 def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
-    for trial in run_task(by_touch("start", x_mm=0.5, y_mm=0.5), [0, 1], "cpu").trials:
+    task = task_with("touch-insertion", start={"x_mm": 0.5, "y_mm": 0.5})
+    for trial in run_task(task, [0, 1], "cpu").trials:
         assert trial.success and trial.figures["tries"] == 1
         assert trial.figures["jam_force_n"] < 0.1
         # It goes down as far as the hand, which is 0.6 mm over the rim at first.
@@ -138,9 +125,8 @@ def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
 
 
 def test_tries_are_used_up() -> None:
-    """A policy that never steps aside stays on the rim."""
-    task = by_touch("policy", side_part=(1e3, 1e3), tries=2)
-    (trial,) = run_task(task, [1], "cpu").trials
+    policy = {"side_part": (1e3, 1e3), "tries": 2}
+    trial = first_trial(task_with("touch-insertion", policy=policy), 1)
     assert not trial.success and trial.figures["tries"] == 2
     assert trial.figures["depth_mm"] < 0.1 and trial.steps < 60
 
@@ -148,8 +134,8 @@ def test_tries_are_used_up() -> None:
 @pytest.mark.thorough
 def test_where_no_side_is_felt_the_hand_turns() -> None:
     """A policy that tells no side goes through its turns, and then stays turned."""
-    task = by_touch("policy", side_part=(1e3, 1e3), turns_deg=(3.0, -5.0), tries=4)
-    episode = task.begin([1], "cpu")
+    policy = {"side_part": (1e3, 1e3), "turns_deg": (3.0, -5.0), "tries": 4}
+    episode = task_with("touch-insertion", policy=policy).begin([1], "cpu")
     assert isinstance(episode, TouchInsertion)
     seen = []
     while not episode.over:

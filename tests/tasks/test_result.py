@@ -67,9 +67,6 @@ def test_cells_are_told_apart() -> None:
     assert "cells" not in TaskResult("lift", [TaskTrial(0, True, "", 9, {}, {})], 1.0, 1).table()
 
 
-# Torsion ------------------------------------------------------------------------------------------
-
-
 SHEAR_PA, CONTACT_M, FORCE_N = 3.5e4, 2e-3, 0.15
 
 
@@ -119,8 +116,7 @@ def test_what_sticks_turns_as_one_and_what_slips_lags(angle_deg: float) -> None:
 
 
 def test_torque_and_flow_are_of_one_traction() -> None:
-    """The work that the torque does as the angle grows is what friction and the gel take up: the
-    slope of torque over angle is 16/3 G c^3 of the disc that still sticks."""
+    """The slope of torque over angle is 16/3 G c^3 of the disc that still sticks."""
     angle, step = np.radians(6.0), 1e-5
     slope = (torsion(1.0, angle + step).torque_nm - torsion(1.0, angle - step).torque_nm) / 2 / step
     disc = torsion(1.0, angle).stuck_part * CONTACT_M

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import Task, named, run_task
-from taccel_lab.tasks.tac_man import TacManParameters, rigid_fit
-from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
+from taccel_lab.tasks.catalogue import Task
+from taccel_lab.tasks.tac_man import rigid_fit
+from taccel_lab.tasks.throw_catch import ThrowCatch
+from tests.tasks.changed import first_trial, parameters, task_with
 
 
 def test_a_fit_gives_back_the_motion() -> None:
@@ -42,11 +41,7 @@ def test_a_fit_is_the_nearest() -> None:
 @pytest.mark.thorough
 def test_a_door_opens_and_needs_recovery() -> None:
     """By 5 degrees: the hand has turned with the handle, and markers are back where they were."""
-    task = named("tac-man-revolute")
-    assert isinstance(task.parameters, TacManParameters)
-    goal = task.parameters.goal.replace(opened_deg=5.0)
-    task = replace(task, parameters=task.parameters.replace(goal=goal))
-    (trial,) = run_task(task, [0], "cpu").trials
+    trial = first_trial(task_with("tac-man-revolute", goal={"opened_deg": 5.0}))
     assert trial.success, trial.cause
     assert trial.figures["switches"] >= 2
     assert 5.0 <= trial.figures["opened_deg"] < 5.5
@@ -54,39 +49,26 @@ def test_a_door_opens_and_needs_recovery() -> None:
 
 
 def test_a_hand_that_does_not_press_gives_up() -> None:
-    """Too few markers are pushed in: the grip is said to have failed."""
-    task = named("tac-man-prismatic")
-    assert isinstance(task.parameters, TacManParameters)
-    policy = task.parameters.policy.replace(squeeze_mm=0.1)
-    (trial,) = run_task(
-        replace(task, parameters=task.parameters.replace(policy=policy)), [0], "cpu"
-    ).trials
+    task = task_with("tac-man-prismatic", policy={"squeeze_mm": 0.1})
+    trial, policy = first_trial(task), parameters("tac-man-prismatic").policy
     assert trial.cause == "the grip failed" and trial.figures["markers"] < 6
     assert trial.steps == policy.close_steps + policy.settle_steps
 
 
-# Throw and catch ----------------------------------------------------------------------------------
-
-
-def even(**changes: float) -> Task:
-    """Without anything drawn, but for the changes."""
-    task = named("throw-catch")
-    assert isinstance(task.parameters, ThrowCatchParameters)
-    none = {"place_mm": 0.0, "speed_part": 0.0, "late_s": 0.0}
-    start = task.parameters.start.replace(**{**none, **changes})
-    return replace(task, parameters=task.parameters.replace(start=start))
+def even(late_s: float = 0.0) -> Task:
+    """Without anything drawn, but for how late gels close."""
+    return task_with("throw-catch", start={"place_mm": 0.0, "speed_part": 0.0, "late_s": late_s})
 
 
 @pytest.mark.thorough
 def test_a_throw_as_meant_is_caught() -> None:
-    (trial,) = run_task(even(), [0], "cpu").trials
+    trial = first_trial(even())
     assert trial.success, trial.cause
     assert trial.figures["off_mm"] < 10 and trial.figures["held_s"] > 0.3
 
 
 @pytest.mark.thorough
 def test_the_ball_flies_as_thrown_bodies_do() -> None:
-    """While nothing touches it, its height has the second difference of free fall."""
     episode = even().begin([0], "cpu")
     assert isinstance(episode, ThrowCatch)
     heights, free = [], []
@@ -106,9 +88,7 @@ def test_the_ball_flies_as_thrown_bodies_do() -> None:
 
 @pytest.mark.thorough
 def test_gels_that_close_too_late_miss() -> None:
-    task = named("throw-catch")
-    assert isinstance(task.parameters, ThrowCatchParameters)
     late = even(late_s=0.2)
     seed = next(s for s in range(100) if late.begin([s], "cpu").starts[0]["late_s"] > 0.1)
-    (trial,) = run_task(late, [seed], "cpu").trials
+    trial = first_trial(late, seed)
     assert not trial.success and "was held for 0.00 s" in trial.cause

@@ -4,17 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.bodies.primitives import box_mesh
-from taccel_lab.model import BodyKind, Model
-from taccel_lab.scene import AffineBody, Joint, KinematicBody, Plane, Scene, TimeStepping
-from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import State, initial_state
-from tests.support.intersection import find_intersections
+from taccel_lab.model import BodyKind
+from taccel_lab.scene import AffineBody, Scene, TimeStepping
+from taccel_lab.solvers import SolverConfig, StepReport
+from tests.support.scene_steps import G, Stepped
 
-G = 9.81
+__all__ = ["DOWN", "G", "Run", "affine_scene", "box", "turned"]
+
 DOWN = (0.0, 0.0, -G)
 
 
@@ -27,64 +28,50 @@ def turned(axis: Sequence[float], angle: float) -> np.ndarray:
 def box(
     name: str,
     size: tuple[float, float, float],
-    center: Sequence[float] = (0, 0, 0),
-    rotation: Sequence[float] = (0, 0, 0, 1),
-    **options: object,
+    center: Any = (0, 0, 0),
+    rotation: Any = (0, 0, 0, 1),
+    **options: Any,
 ) -> AffineBody:
-    """A box about a centre."""
     pose = np.array([*center, *rotation], dtype=float)
-    return AffineBody(box_mesh(size), name=name, initial_pose=pose, **options)  # type: ignore[arg-type]
+    return AffineBody(box_mesh(size), name=name, initial_pose=pose, **options)
 
 
 def affine_scene(
-    bodies: Sequence[AffineBody],
-    joints: Sequence[Joint] = (),
-    planes: Sequence[Plane] = (),
-    kinematic: Sequence[KinematicBody] = (),
+    bodies: AffineBody | Sequence[AffineBody],
+    joints: Any = (),
+    planes: Any = (),
+    kinematic: Any = (),
     dt: float = 0.01,
     gravity: tuple[float, float, float] = DOWN,
-    env_count: int = 1,
-    **time: object,
+    **time: Any,
 ) -> Scene:
-    """Free bodies in time."""
-    stepping = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=gravity, **time)  # type: ignore[arg-type]
-    return Scene(
-        affine_bodies=bodies,
-        joints=joints,
-        planes=planes,
-        kinematic_bodies=kinematic,
-        env_count=env_count,
-        time=stepping,
-    )
+    stepping = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=gravity, **time)
+    parts = {"joints": joints, "planes": planes, "kinematic_bodies": kinematic}
+    return Scene(affine_bodies=bodies, time=stepping, **parts)
 
 
-class Run:
-    """A scene that steps and is watched; arrays are of environment 0 unless said otherwise."""
-
+class Run(Stepped):
     def __init__(
         self, scene: Scene, config: SolverConfig | None = None, poses: np.ndarray | None = None
     ) -> None:
-        self.model: Model = scene.finalize()
-        self.solver = SolverIPC(self.model, config)
-        self.state: State = initial_state(self.model, poses)
+        super().__init__(scene, *(() if poses is None else (poses,)), config=config)
         self.dt = scene.time.dt_s
         first, count = self.model.affine.first_control, self.model.affine.count
         self.control = slice(first, first + 4 * count)
         self.masses = self.model.masses.numpy()[0, self.control].reshape(count, 4, 1)
         self.lengths = self.model.affine.lengths.numpy()
 
-    def step(self, poses: np.ndarray | None = None) -> StepReport:
+    def step(self, *target: Any, **who: Any) -> StepReport:
         """One step, which has to converge with closed joints."""
-        report = self.solver.step(self.state, poses)
-        assert report.converged.all(), report.summary()
+        report = super().step(*target, **who)
         if self.solver.joints is not None:
             assert (report.joint_violation_m <= self.solver.joints.tolerance_m).all()
         return report
 
     @property
     def y(self) -> np.ndarray:
-        """Control nodes [m], shape [body, 4, 3]; a copy."""
-        return self.state.positions.numpy()[0, self.control].reshape(-1, 4, 3).copy()
+        """Control nodes [m], shape [body, 4, 3]."""
+        return self.x()[self.control].reshape(-1, 4, 3)
 
     @property
     def v(self) -> np.ndarray:
@@ -93,10 +80,8 @@ class Run:
 
     @property
     def vertices(self) -> np.ndarray:
-        """Vertices of all affine bodies [m], shape [n, 3]; a copy."""
         bodies = [b for b in self.model.bodies if b.kind is BodyKind.AFFINE]
-        x = self.state.positions.numpy()[0]
-        return np.concatenate([x[b.node_slice] for b in bodies])
+        return np.concatenate([self.x()[b.node_slice] for b in bodies])
 
     @property
     def maps(self) -> np.ndarray:
@@ -106,18 +91,19 @@ class Run:
     @property
     def strain(self) -> float:
         """Largest |A^T A - I| (Frobenius) of any body."""
-        maps = self.maps
-        gram = maps.transpose(0, 2, 1) @ maps - np.eye(3)
+        gram = self.maps.transpose(0, 2, 1) @ self.maps - np.eye(3)
         return float(np.linalg.norm(gram, axis=(1, 2)).max())
 
     @property
+    def weight(self) -> float:
+        return float(self.masses[:, 0].sum() * G)
+
+    @property
     def momentum(self) -> np.ndarray:
-        """Linear momentum [kg m/s], shape [3]."""
         return (self.masses * self.v)[:, 0].sum(axis=0)
 
     @property
     def kinetic_energy(self) -> float:
-        """[J]"""
         return float(0.5 * (self.masses * self.v**2).sum())
 
     def angular_impulse(self, change: np.ndarray) -> np.ndarray:
@@ -127,10 +113,4 @@ class Run:
 
     @property
     def angular_momentum(self) -> np.ndarray:
-        """About the origin [kg m^2/s], shape [3]."""
-        return np.cross(self.y, self.masses * self.v).sum(axis=(0, 1))
-
-    def overlaps(self) -> list[str]:
-        """Bodies that cross or contain one another, or lie below a plane."""
-        found = find_intersections(self.model, self.state)[0]
-        return [f"{item.first} and {item.second}: {item.kind} {item.where}" for item in found]
+        return self.angular_impulse(self.v)

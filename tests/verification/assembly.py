@@ -64,10 +64,7 @@ class Assembly:
 
 
 def coordinate_probe(x: np.ndarray, nodes: np.ndarray, step: float) -> np.ndarray:
-    """Copies of positions [node_count, 3] with each coordinate of ``nodes`` moved both ways.
-
-    Shape [6 len(nodes), node_count, 3], in the order of (node, axis, sign +, -).
-    """
+    """Positions with each coordinate of ``nodes`` moved both ways, by node, axis, sign (+, -)."""
     probes = np.repeat(x[None], 6 * len(nodes), axis=0)
     row = np.arange(3 * len(nodes))
     node, axis = nodes[row // 3], row % 3

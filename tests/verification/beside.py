@@ -41,29 +41,17 @@ class Beside:
     left_out: int = 0
     """Steps that were not compared: taken again, or of models whose parameters were changed."""
     worst_force: float = 0.0
-    """Largest difference of forces, over what is allowed."""
     worst_motion: float = 0.0
-    """Largest difference of positions, over what is allowed."""
 
 
 def moved(state: State, device: str) -> State:
-    """A copy on another device."""
+    def there(part: wp.array | StepHistory | JointState | None) -> Any:
+        if isinstance(part, StepHistory | JointState):
+            return type(part)(*map(there, part.arrays()))
+        return None if part is None else wp.clone(part, device=device)
 
-    def there(array: wp.array | None) -> Any:
-        return None if array is None else wp.clone(array, device=device)
-
-    def part(value: StepHistory | JointState | None) -> Any:
-        return None if value is None else type(value)(*map(there, value.arrays()))
-
-    return State(
-        positions=wp.clone(state.positions, device=device),
-        velocities=wp.clone(state.velocities, device=device),
-        poses=wp.clone(state.poses, device=device),
-        history=part(state.history),
-        joints=part(state.joints),
-        external_forces=there(state.external_forces),
-        wrenches=there(state.wrenches),
-    )
+    names = "positions velocities poses history joints external_forces wrenches".split()
+    return State(**{name: there(getattr(state, name)) for name in names})
 
 
 def body_forces(solver: SolverIPC) -> np.ndarray:
@@ -76,10 +64,7 @@ def body_forces(solver: SolverIPC) -> np.ndarray:
 def steps_beside(
     device: str, change: Callable[[SolverIPC], None] = lambda twin: None
 ) -> Iterator[Beside]:
-    """Take all steps within on ``device``, too; AssertionError where the two differ.
-
-    ``change``: what is done to each solver there once it is built; for tests of this comparison.
-    """
+    """Take all steps within on ``device``, too, on whose solvers ``change`` acts first; compare."""
     found = Beside(device)
     twins: dict[int, tuple[SolverIPC, SolverIPC, SolverIPC]] = {}
     step = SolverIPC.step
@@ -107,10 +92,10 @@ def steps_beside(
         before = state.positions.numpy()
         report = step(self, state, control, who=who)
         poses = control.numpy() if isinstance(control, wp.array) else control
-        reports = []
-        for twin, there in zip(pair, states, strict=True):
-            reports.append(step(twin, there, poses, who=who))
-        _compare(found, *pair, *reports, before, *states)
+        reports = [
+            step(twin, there, poses, who=who) for twin, there in zip(pair, states, strict=True)
+        ]
+        _compare(found, pair, reports, before, states)
         return report
 
     SolverIPC.step = both  # type: ignore[method-assign]
@@ -122,16 +107,13 @@ def steps_beside(
 
 def _compare(
     found: Beside,
-    solver: SolverIPC,
-    twin: SolverIPC,
-    report: StepReport,
-    other: StepReport,
+    solvers: tuple[SolverIPC, SolverIPC],
+    reports: list[StepReport],
     before: np.ndarray,
-    state: State,
-    there: State,
+    states: list[State],
 ) -> None:
-    """Where both have converged, in as many parts of the step; where one alone has not, the other
-    should not have either."""
+    """Where both have converged, in as many parts; where one alone has not, neither should."""
+    report, other = reports
     both = report.converged & other.converged & (report.substeps == other.substeps)
     found.steps += 1
     np.testing.assert_array_equal(
@@ -139,19 +121,19 @@ def _compare(
     )
     if not both.any():
         return
-    here, away = state.positions.numpy()[both], there.positions.numpy()[both]
+    here, away = (state.positions.numpy()[both] for state in states)
     motion = np.abs(here - before[both]).max()
     off = np.abs(away - here).max() / max(MOTION_WITHIN * motion, LEAST_M)
     found.worst_motion = max(found.worst_motion, float(off))
-    config = solver.config
+    config = solvers[0].config
     scale = np.maximum(report.contact_force_n, other.contact_force_n)[both]
     allowed = FORCES_WITHIN * np.maximum(
         config.relative_tolerance * scale, config.absolute_tolerance_n
     )
-    apart = np.linalg.norm(body_forces(twin)[both] - body_forces(solver)[both], axis=-1).max(axis=1)
-    worst = float((apart / allowed).max())
+    one, two = (body_forces(solver)[both] for solver in solvers)
+    worst = float((np.linalg.norm(two - one, axis=-1).max(axis=1) / allowed).max())
     found.worst_force = max(found.worst_force, worst)
     assert off <= 1 and worst <= 1, (
-        f"{found.device} and {solver.model.device} differ: positions by {off:.2g} of what is "
+        f"{found.device} and {solvers[0].model.device} differ: positions by {off:.2g} of what is "
         f"allowed, forces by {worst:.2g}"
     )

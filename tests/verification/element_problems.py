@@ -17,13 +17,12 @@ order of any element: near it stress goes to infinity.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import permutations
 
 import numpy as np
 
-from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.geometry.quadratic import TET_EDGES
-from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from tests.verification.elements import ElementForces
 
@@ -36,11 +35,12 @@ COOK_THICKNESS = 8.0
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Vectors [n, 3] at points [n, 3] [m]."""
+Rule = tuple[np.ndarray, np.ndarray]
+"""Barycentric points [q, corner] and weights [q] of sum 1."""
 
 
-def tet_rule(order: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points [q, 4] and weights [q] of sum 1: Gauss-Legendre in collapsed cubes."""
-    g, w = np.polynomial.legendre.leggauss(order)
+def tet_rule() -> Rule:
+    g, w = np.polynomial.legendre.leggauss(4)
     g, w = (g + 1) / 2, w / 2
     a, b, c = (v.ravel() for v in np.meshgrid(g, g, g, indexing="ij"))
     weight = np.einsum("i,j,k->ijk", w, w, w).ravel() * 6 * (1 - a) ** 2 * (1 - b)
@@ -48,9 +48,8 @@ def tet_rule(order: int = 4) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([1 - a - b - c, a, b, c], axis=1), weight
 
 
-def face_rule(order: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points [q, 3] and weights [q] of sum 1 of a triangle."""
-    g, w = np.polynomial.legendre.leggauss(order)
+def face_rule() -> Rule:
+    g, w = np.polynomial.legendre.leggauss(4)
     g, w = (g + 1) / 2, w / 2
     a, b = (v.ravel() for v in np.meshgrid(g, g, indexing="ij"))
     weight = np.outer(w, w).ravel() * 2 * (1 - a)
@@ -67,17 +66,24 @@ def shape_functions(point: np.ndarray, node_count: int) -> np.ndarray:
     return np.array([*(point * (2 * point - 1)), *middles])
 
 
+def _load(
+    mesh: TetMesh | QuadraticMesh, elements: np.ndarray, sizes: np.ndarray, rule: Rule, field: Field
+) -> np.ndarray:
+    """Nodal forces [N] of a force per volume or area, shape [node_count, 3]."""
+    corners = mesh.nodes_m[elements[:, : rule[0].shape[1]]]
+    load = np.zeros((mesh.node_count, 3))
+    for point, weight in zip(*rule, strict=True):
+        force = field(np.einsum("k,tkd->td", point, corners)) * (weight * sizes)[:, None]
+        for local, value in enumerate(shape_functions(point, elements.shape[1])):
+            np.add.at(load, elements[:, local], value * force)
+    return load
+
+
 def body_load(mesh: TetMesh | QuadraticMesh, force_n_m3: Field) -> np.ndarray:
     """Nodal forces [N] of a force per volume, shape [node_count, 3]."""
     corners = mesh.nodes_m[mesh.tets[:, :4]]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
-    load = np.zeros((mesh.node_count, 3))
-    for point, weight in zip(*tet_rule(), strict=True):
-        here = np.einsum("k,tkd->td", point, corners)
-        force = force_n_m3(here) * (weight * volumes)[:, None]
-        for local, value in enumerate(shape_functions(point, mesh.tets.shape[1])):
-            np.add.at(load, mesh.tets[:, local], value * force)
-    return load
+    return _load(mesh, mesh.tets, volumes, tet_rule(), force_n_m3)
 
 
 def whole_faces(mesh: TetMesh | QuadraticMesh) -> np.ndarray:
@@ -96,41 +102,19 @@ def surface_load(
     corners = mesh.nodes_m[faces[:, :3]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(normals, axis=1) / 2
-    load = np.zeros((mesh.node_count, 3))
-    for point, weight in zip(*face_rule(), strict=True):
-        here = np.einsum("k,fkd->fd", point, corners)
-        force = traction_pa(here) * (weight * areas)[:, None]
-        for local, value in enumerate(shape_functions(point, faces.shape[1])):
-            np.add.at(load, faces[:, local], value * force)
-    return load
+    return _load(mesh, faces, areas, face_rule(), traction_pa)
 
 
 def _grid(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of the unit cube and six tets around the diagonal of each cell (Kuhn)."""
-    axes = [np.linspace(0, 1, n + 1) for n in cells]
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    low = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
-    strides = np.array([(cells[1] + 1) * (cells[2] + 1), cells[2] + 1, 1])
-    tets = []
-    for order in permutations(range(3)):
-        path = [low]
-        for axis in order:
-            path.append(path[-1] + np.eye(3, dtype=int)[axis])
-        tets.append(np.stack([p @ strides for p in path], axis=1))
-    return nodes, np.concatenate(tets)
+    mesh = block_mesh(cells, (1.0, 1.0, 1.0))
+    return mesh.nodes_m + [0.5, 0.5, 1.0], mesh.tets
 
 
-def _mesh(nodes: np.ndarray, tets: np.ndarray) -> TetMesh:
-    """Turn inverted tets round and find the faces."""
-    p = nodes[tets]
-    flipped = np.linalg.det(p[:, 1:] - p[:, :1]) < 0
-    tets[flipped] = tets[flipped][:, [0, 2, 1, 3]]
-    faces = boundary_faces(tets)
-    return TetMesh(nodes, tets, faces, np.full(len(faces), int(Region.SIDE)))
-
-
-def _body(mesh: TetMesh, held: np.ndarray, element: Element, poisson: float) -> SoftBody:
-    return SoftBody(mesh, Material(YOUNG_PA, poisson), held, element=element)
+def _problem(
+    nodes_m: np.ndarray, tets: np.ndarray, held: np.ndarray, element: Element, poisson: float
+) -> tuple[ElementForces, TetMesh | QuadraticMesh]:
+    body = SoftBody(labelled(nodes_m, tets), Material(YOUNG_PA, poisson), held, element=element)
+    return ElementForces(Scene(body).finalize()), body.nodal_mesh
 
 
 def _swirl(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -147,15 +131,13 @@ def _swirl(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([u, -v, zero], axis=1), -np.stack([lap_u, -lap_v, zero], axis=1)
 
 
-def swirl_error(element: Element, cells: int, poisson: float) -> tuple[int, float]:
-    """Nodes, and relative error of the displacement in the L2 norm."""
+def swirl_error(element: Element, cells: int, poisson: float) -> float:
+    """Relative error of the displacement in the L2 norm."""
     unit, tets = _grid((cells, cells, cells))
     inside = np.all((unit > 0) & (unit < 1), axis=1)
     moves = np.random.default_rng(0).uniform(-0.1, 0.1, unit.shape) / cells
-    mesh = _mesh(CUBE_M * (unit + moves * inside[:, None]), tets)
-    body = _body(mesh, np.flatnonzero(~inside), element, poisson)
-    forces = ElementForces(Scene(body).finalize())
-    full = body.nodal_mesh
+    nodes = CUBE_M * (unit + moves * inside[:, None])
+    forces, full = _problem(nodes, tets, np.flatnonzero(~inside), element, poisson)
     mu = YOUNG_PA / (2 * (1 + poisson))
     load = body_load(full, lambda x: mu * _swirl(x / CUBE_M)[1] / CUBE_M**2)
     found = forces.linear_response(load)
@@ -168,7 +150,7 @@ def swirl_error(element: Element, cells: int, poisson: float) -> tuple[int, floa
         here = np.einsum("k,tkd->td", shapes, found[full.tets])
         error += weight * (volumes * ((here - exact) ** 2).sum(axis=1)).sum()
         norm += weight * (volumes * (exact**2).sum(axis=1)).sum()
-    return full.node_count, float(np.sqrt(error / norm))
+    return float(np.sqrt(error / norm))
 
 
 def _cook_points(unit: np.ndarray) -> np.ndarray:
@@ -177,14 +159,12 @@ def _cook_points(unit: np.ndarray) -> np.ndarray:
     return np.stack([48 * s, 44 * s * (1 - t) + (44 + 16 * s) * t], axis=1)
 
 
-def cook_error(element: Element, cells: int, poisson: float) -> tuple[int, float]:
-    """Nodes, and relative error of the energy of the load; negative when too stiff."""
+def cook_error(element: Element, cells: int, poisson: float) -> float:
+    """Relative error of the energy of the load; negative when too stiff."""
     unit, tets = _grid((cells, cells, 1))
     nodes = np.concatenate([_cook_points(unit), COOK_THICKNESS * unit[:, 2:]], axis=1)
-    mesh = _mesh(1e-3 * nodes, tets)
-    body = _body(mesh, np.flatnonzero(unit[:, 0] == 0), element, poisson)
-    forces = ElementForces(Scene(body).finalize())
-    full = body.nodal_mesh
+    held = np.flatnonzero(unit[:, 0] == 0)
+    forces, full = _problem(1e-3 * nodes, tets, held, element, poisson)
     x_mm = 1e3 * full.nodes_m
     faces = whole_faces(full)
     faces = faces[(x_mm[faces[:, :3], 0] > 48 - 1e-9).all(axis=1)]
@@ -194,17 +174,15 @@ def cook_error(element: Element, cells: int, poisson: float) -> tuple[int, float
     fixed[:, 2] = (x_mm[:, 2] < 1e-9) | (x_mm[:, 2] > COOK_THICKNESS - 1e-9)
     work = (forces.linear_response(load, fixed) * load).sum()
     unit_work = work * YOUNG_PA * COOK_THICKNESS * 1e-3
-    return full.node_count, float(unit_work / COOK_ENERGY[poisson] - 1)
+    return float(unit_work / COOK_ENERGY[poisson] - 1)
 
 
 def rate(cells: list[int], errors: list[float]) -> float:
-    """Order of convergence by least squares over all meshes given."""
     slope = np.polyfit(np.log(cells), np.log(np.abs(errors)), 1)[0]
     return float(-slope)
 
 
 def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
-    """Cook's energy by scikit-fem, extrapolated."""
     import skfem  # pyright: ignore[reportMissingImports]
     from skfem.models.elasticity import linear_elasticity  # pyright: ignore[reportMissingImports]
 

@@ -33,7 +33,6 @@ class ElementForces:
         return np.sum([part.energy(self.active, x) for part in self.parts], axis=0)
 
     def gradient(self, positions: np.ndarray) -> np.ndarray:
-        """d energy / dx [N], shape [env_count, node_count, 3]."""
         x, out = self.nodal(positions), self.nodal()
         for part in self.parts:
             part.add_gradient(self.active, x, out)
@@ -71,9 +70,7 @@ class ElementForces:
         start: np.ndarray | None = None,
         tolerance_n: float = 1e-9,
     ) -> tuple[np.ndarray, int]:
-        """Positions [node_count, 3] of environment 0 in balance with nodal forces ``load`` [N], and
-        the Newton iterations. ``fixed``: coordinates held besides bonded nodes, bool [node, 3];
-        ``start``: where to begin, the rest shape when None."""
+        """Positions [node, 3] under nodal forces, and iterations; ``fixed``: held coordinates."""
         x = (self.model.rest_positions.numpy()[0] if start is None else start).copy()
         keep = self._open(fixed)
         force = load[self.free]
@@ -100,7 +97,6 @@ class ElementForces:
         return everything if fixed is None else ~fixed[self.free]
 
     def _solve(self, x: np.ndarray, force: np.ndarray, keep: np.ndarray) -> np.ndarray:
-        """Newton step of the free nodes [m], shape [free_count, 3]."""
         from scipy import sparse
         from scipy.sparse.linalg import spsolve
 

@@ -17,10 +17,7 @@ SIZE = 1e-2
 
 
 def grid_faces(points: np.ndarray, close_rows: bool = False) -> np.ndarray:
-    """Triangles of a grid of vertices [rows, columns], closed in columns and maybe in rows.
-
-    Each cell is cut from its corner (i, j) to (i + 1, j + 1); normals along rows x columns.
-    """
+    """Triangles of a grid [rows, columns], closed in columns; normals along rows x columns."""
     rows, columns = points.shape
     i, j = np.meshgrid(np.arange(rows if close_rows else rows - 1), np.arange(columns))
     i, j = i.ravel(), j.ravel()
@@ -30,7 +27,6 @@ def grid_faces(points: np.ndarray, close_rows: bool = False) -> np.ndarray:
 
 
 def torus_mesh(radius_m: float, tube_m: float, around: int, across: int) -> TriangleMesh:
-    """A ring about the z axis; ``tube_m`` is the radius of its section."""
     u, v = np.meshgrid(
         np.arange(around) * (2 * np.pi / around),
         np.arange(across) * (2 * np.pi / across),
@@ -45,8 +41,7 @@ def torus_mesh(radius_m: float, tube_m: float, around: int, across: int) -> Tria
 def _thread(
     inner_m: float, outer_m: float, pitch_m: float, turns: float, segments: int
 ) -> np.ndarray:
-    """Vertices [rows, segments, 3] of a right-handed V thread; a turn by one segment moves it along
-    by one row, so that its crests are rows of edges."""
+    """Vertices [rows, segments, 3] of a right-handed V thread; its crests are rows of edges."""
     height = pitch_m / segments
     rows = round(turns * segments) + 1
     i, j = np.meshgrid(np.arange(rows), np.arange(segments), indexing="ij")
@@ -59,7 +54,6 @@ def _thread(
 def screw_mesh(
     inner_m: float, outer_m: float, pitch_m: float, turns: float, segments: int = 16
 ) -> TriangleMesh:
-    """A threaded rod along z from 0 to ``turns`` pitches."""
     side = _thread(inner_m, outer_m, pitch_m, turns, segments)
     rows = len(side)
     ends = np.array([[0, 0, 0], [0, 0, side[-1, 0, 2]]])
@@ -138,7 +132,6 @@ def pit() -> TriangleMesh:
 
 
 def touchable(nodes_m: np.ndarray, tets: np.ndarray) -> TetMesh:
-    """A mesh nothing of which is glued to anything."""
     faces = boundary_faces(tets)
     return TetMesh(nodes_m, tets, faces, np.full(len(faces), int(Region.SIDE)))
 
@@ -158,7 +151,6 @@ def mapped_block(cells: tuple[int, int, int], shape: Callable[[np.ndarray], np.n
 
 
 def ball_tets(radius_m: float, cells: int) -> TetMesh:
-    """A ball of ``cells``^3 deformed cubes."""
 
     def shape(nodes: np.ndarray) -> np.ndarray:
         # Shells of the cube become spheres; between them, evenly spread by angle.

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, box_mesh
-from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.solvers import SolverIPC
+from tests.support.blocks import pose
+from tests.support.scene_steps import Stepped
 from tests.verification.beside import steps_beside
 from tests.verification.conftest import BESIDE
 
@@ -17,18 +17,14 @@ pytestmark = pytest.mark.skipif(BESIDE is not None, reason="does it itself")
 
 
 def press() -> None:
-    """A plate onto a block, then along it."""
     gel = SoftBody(block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)), Material(1e5, 0.4))
     plate = KinematicBody(box_mesh((3e-3, 3e-3, 1e-3)), friction_coefficient=0.5)
-    solver = SolverIPC(Scene([gel], [plate]).finalize(), SolverConfig(dhat_m=1e-4))
-
-    def pose(step: int) -> np.ndarray:
-        return np.array([[[2e-5 * max(step - 3, 0), 0, 6.5e-4 - 1e-4 * min(step, 3), 0, 0, 0, 1]]])
-
-    state = initial_state(solver.model, pose(0))
-    for step in range(1, 6):
-        assert solver.step(state, pose(step)).converged.all()
-    assert solver.contact_gradient.numpy().any()
+    # Onto the block, then along it.
+    path = [pose(2e-5 * max(k - 3, 0), 0, 6.5e-4 - 1e-4 * min(k, 3)) for k in range(6)]
+    run = Stepped(Scene(gel, plate), path[0], dhat_m=1e-4)
+    for target in path[1:]:
+        run.step(target)
+    assert run.contact().any()
 
 
 @pytest.mark.thorough

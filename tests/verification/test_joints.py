@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,15 +28,23 @@ ROD = (0.1, 0.02, 0.03)
 MASS = 1000 * 0.1 * 0.02 * 0.03
 MOMENT = MASS * (0.1**2 + 0.03**2) / 12 + MASS * 0.05**2
 """About the hinge."""
-HANGING = turned((0, 1, 0), np.pi / 2)
+ROD_AT_REST = box("rod", ROD, (0.05, 0, 0))
 
 
-def hanging_rod(angle: float = 0.0, **options: object) -> Run:
-    """A rod that hangs from a hinge at the origin, turned by ``angle`` about y."""
-    rotation = turned((0, 1, 0), np.pi / 2 + angle)
-    center = 0.05 * np.array([np.cos(np.pi / 2 + angle), 0, -np.sin(np.pi / 2 + angle)])
-    hinge = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), name="hinge", **options)  # type: ignore[arg-type]
-    return Run(affine_scene([box("rod", ROD, center, rotation)], [hinge]))
+def hinge(
+    first: str = "rod",
+    second: str | None = None,
+    anchor: Any = (0, 0, 0),
+    axis: Any = (0, 1, 0),
+    **options: Any,
+) -> RevoluteJoint:
+    return RevoluteJoint(first, second, anchor, axis, name=f"{first}-{second}", **options)
+
+
+def slider(axis: Any = (0, 0, 1), **options: Any) -> Run:
+    return Run(
+        affine_scene([box("b", ROD)], [PrismaticJoint("b", None, (0, 0, 0), axis, **options)])
+    )
 
 
 def coordinate(run: Run, joint: int = 0) -> float:
@@ -42,21 +52,25 @@ def coordinate(run: Run, joint: int = 0) -> float:
     return float(run.solver.joints.coordinates.numpy()[0, joint])
 
 
+def reading(run: Run, name: str) -> np.ndarray:
+    """What the first joint's ``name`` is, of environment 0."""
+    return getattr(run.solver.joints, name).numpy()[0, 0]
+
+
 @pytest.mark.parametrize("stated", [False, True])
 def test_small_swings_of_a_pendulum(stated: bool) -> None:
-    """Implicit Euler of a'' = -w^2 a: a phase of atan(w dt) a step, and its damping; where mass,
-    centre and inertia are not those of the box, w^2 = m g d / (I + m d^2) all the same."""
-    start, mass, below = 0.02, MASS, 0.05
+    """Implicit Euler of a'' = -w^2 a, w^2 = m g d / (I + m d^2), of stated masses too."""
+    start, mass, about_hinge, below = 0.02, MASS, MOMENT, 0.05
+    lever, rest, own = below, np.pi / 2, None
     if stated:
-        mass, moment = 0.3, 4e-4
-        own = StatedMass(mass, np.array([0, 0, 0.02 - below]), np.diag([5e-4, moment, 3e-4]))
-        center = 0.02 * np.array([-np.sin(start), 0, -np.cos(start)])
-        rod = box("rod", ROD, center, turned((0, 1, 0), start), stated_mass=own)
-        run = Run(affine_scene([rod], [RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0))]))
-        assert run.masses[0, 0] == mass < run.masses[0].sum(), "with those of control vectors"
+        lever, rest, mass, moment = 0.02, 0.0, 0.3, 4e-4
+        own = StatedMass(mass, np.array([0, 0, lever - below]), np.diag([5e-4, moment, 3e-4]))
         about_hinge = moment + mass * below**2
-    else:
-        run, about_hinge = hanging_rod(start), MOMENT
+    center = -lever * np.array([np.sin(start), 0, np.cos(start)])
+    rod = box("rod", ROD, center, turned((0, 1, 0), rest + start), stated_mass=own)
+    run = Run(affine_scene([rod], [hinge()]))
+    if stated:
+        assert run.masses[0, 0] == mass < run.masses[0].sum(), "with those of control vectors"
     w = np.sqrt(mass * G * below / about_hinge)
     angle, rate = start, 0.0
     found, expected = [], []
@@ -71,16 +85,12 @@ def test_small_swings_of_a_pendulum(stated: bool) -> None:
 
 
 def test_a_held_rod_needs_its_moment() -> None:
-    """A fixed joint carries force and torque: a cantilever."""
-    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [FixedJoint("rod", None, (0, 0, 0))]))
-    for _ in range(3):
-        run.step()
-    joints = run.solver.joints
-    assert joints is not None
+    run = Run(affine_scene([ROD_AT_REST], [FixedJoint("rod", None, (0, 0, 0))]))
+    run.steps(3)
     weight = MASS * G
-    np.testing.assert_allclose(joints.forces.numpy()[0, 0], [0, 0, weight], atol=1e-6 * weight)
+    np.testing.assert_allclose(reading(run, "forces"), [0, 0, weight], atol=1e-6 * weight)
     moment = [0, -0.05 * weight, 0]
-    np.testing.assert_allclose(joints.torques.numpy()[0, 0], moment, atol=1e-6 * weight)
+    np.testing.assert_allclose(reading(run, "torques"), moment, atol=1e-6 * weight)
     np.testing.assert_allclose(run.maps[0], np.eye(3), atol=1e-6)
 
 
@@ -89,8 +99,7 @@ def test_a_slider_falls_along_its_axis() -> None:
     joint = PrismaticJoint("b", None, (0.3, 0.1, 0), axis, name="slide")
     run = Run(affine_scene([box("b", ROD, (0.1, 0.2, 0.3))], [joint]))
     start, n = run.y[0, 0], 25
-    for _ in range(n):
-        run.step()
+    run.steps(n)
     way = (np.array(DOWN) @ axis) * run.dt**2 * n * (n + 1) / 2
     assert coordinate(run) == pytest.approx(way, rel=3e-6)
     np.testing.assert_allclose(run.y[0, 0], start + way * axis, atol=1e-6)
@@ -99,22 +108,12 @@ def test_a_slider_falls_along_its_axis() -> None:
     assert run.strain < 1e-5
 
 
-def double_pendulum(density: float = 1000.0, **options: object) -> Run:
-    bodies = [
-        box("upper", ROD, (0.05, 0, 0)),
-        box("lower", ROD, (0.15, 0, 0), density_kg_m3=density),
-    ]
-    joints = [
-        RevoluteJoint("upper", None, (0, 0, 0), (0, 1, 0), name="shoulder"),
-        RevoluteJoint("lower", "upper", (0.1, 0, 0), (0, 1, 0), name="elbow"),
-    ]
-    return Run(affine_scene(bodies, joints, **options))  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("density", variants([1000.0], [1000.0, 20_000.0, 20.0]))
 def test_a_double_pendulum_loses_energy_only(density: float) -> None:
     """From the horizontal, with a heavy or a light end: mass ratios of 20 and 50."""
-    run = double_pendulum(density)
+    lower = box("lower", ROD, (0.15, 0, 0), density_kg_m3=density)
+    joints = [hinge("upper"), hinge("lower", "upper", anchor=(0.1, 0, 0))]
+    run = Run(affine_scene([box("upper", ROD, (0.05, 0, 0)), lower], joints))
     masses = run.masses[:, 0, 0]
     energies = [0.0]
     for _ in range(25):
@@ -128,7 +127,6 @@ def test_a_double_pendulum_loses_energy_only(density: float) -> None:
 
 
 def test_a_floating_pair_keeps_its_momentum() -> None:
-    """Joint and drive act in pairs."""
     bodies = [
         box("a", ROD, (0.05, 0, 0), initial_spin_rad_s=(1, 2, 3)),
         box("b", (0.04, 0.05, 0.06), (0.13, 0, 0), initial_velocity_m_s=(0.1, 0.2, -0.3)),
@@ -150,22 +148,20 @@ def test_a_floating_pair_keeps_its_momentum() -> None:
 @pytest.mark.thorough
 def test_two_cubes_fixed_together_are_one_box() -> None:
     spin = (3.0, 5.0, -2.0)
-    options = {"gravity": NONE, "dt": 5e-3}
-    whole = Run(
-        affine_scene([box("w", (0.2, 0.1, 0.1), (0.1, 0, 0), initial_spin_rad_s=spin)], **options)  # type: ignore[arg-type]
-    )
-    cubes: list[AffineBody] = []
-    for name, x in (("a", 0.05), ("b", 0.15)):
-        velocity = np.cross(spin, [x - 0.1, 0, 0])
-        cube = box(
+    cubes = [
+        box(
             name,
             (0.1, 0.1, 0.1),
             (x, 0, 0),
             initial_spin_rad_s=spin,
-            initial_velocity_m_s=tuple(velocity),
+            initial_velocity_m_s=tuple(np.cross(spin, [x - 0.1, 0, 0])),
         )
-        cubes.append(cube)
-    pair = Run(affine_scene(cubes, [FixedJoint("a", "b", (0.1, 0, 0))], **options))  # type: ignore[arg-type]
+        for name, x in (("a", 0.05), ("b", 0.15))
+    ]
+    one = box("w", (0.2, 0.1, 0.1), (0.1, 0, 0), initial_spin_rad_s=spin)
+    whole = Run(affine_scene([one], gravity=NONE, dt=5e-3))
+    joint = FixedJoint("a", "b", (0.1, 0, 0))
+    pair = Run(affine_scene(cubes, [joint], gravity=NONE, dt=5e-3))
     for _ in range(40):
         whole.step()
         pair.step()
@@ -203,17 +199,16 @@ def test_a_four_bar_linkage_follows_its_closed_form() -> None:
         rod("coupler", p, q, 0.02),
         rod("rocker", pivot, q, 0),
     ]
-
-    def hinge(first: str, second: str | None, at: np.ndarray, **more: object) -> RevoluteJoint:
-        anchor = (float(at[0]), 0.01, float(at[1]))
-        return RevoluteJoint(first, second, anchor, (0, -1, 0), name=f"{first}-{second}", **more)  # type: ignore[arg-type]
-
     rate = 2 * np.pi
+    motor = VelocityDrive(damping=10.0, target=rate)
     joints = [
-        hinge("crank", None, np.zeros(2), drive=VelocityDrive(damping=10.0, target=rate)),
-        hinge("coupler", "crank", p),
-        hinge("rocker", "coupler", q),
-        hinge("rocker", None, pivot),
+        hinge(first, second, anchor=(at[0], 0.01, at[1]), axis=(0, -1, 0), drive=drive)
+        for first, second, at, drive in (
+            ("crank", None, (0, 0), motor),
+            ("coupler", "crank", p, None),
+            ("rocker", "coupler", q, None),
+            ("rocker", None, pivot, None),
+        )
     ]
     run = Run(affine_scene(bodies, joints, dt=0.02))
     q_start = loop(start)[1] - pivot
@@ -226,58 +221,39 @@ def test_a_four_bar_linkage_follows_its_closed_form() -> None:
     assert coordinate(run, 0) == pytest.approx(52 * 0.02 * rate, rel=1e-3)
 
 
-# Limits and drives ------------------------------------------------------------------------------
-
-
 def test_a_hinge_stops_at_its_limit_and_stays() -> None:
-    """A rod let go from the horizontal drops on its stop, which then carries the weight."""
-    joint = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), limits_deg=(-5, 30))
-    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [joint]))
+    run = Run(affine_scene([ROD_AT_REST], [hinge(limits_deg=(-5, 30))]))
     limit = np.radians(30)
     for _ in range(30):
         run.step()
         assert coordinate(run) < limit + 1e-9
     assert coordinate(run) == pytest.approx(limit, abs=1e-9)
-    joints = run.solver.joints
-    assert joints is not None
-    arm = 0.05 * np.cos(limit)
-    torque = joints.torques.numpy()[0, 0]
-    np.testing.assert_allclose(torque, [0, -MASS * G * arm, 0], atol=1e-6 * MASS * G)
+    moment = [0, -MASS * G * 0.05 * np.cos(limit), 0]
+    np.testing.assert_allclose(reading(run, "torques"), moment, atol=1e-6 * MASS * G)
     assert run.kinetic_energy < 1e-12
 
 
 def test_a_slider_leaves_its_limit_when_pushed_back() -> None:
-    joint = PrismaticJoint(
-        "b", None, (0, 0, 0), (0, 0, 1), limits_mm=(-2, 2), drive=PositionDrive(1e-9)
-    )
-    run = Run(affine_scene([box("b", ROD)], [joint]))
-    for _ in range(8):
-        run.step()
+    run = slider(limits_mm=(-2, 2), drive=PositionDrive(1e-9))
+    run.steps(8)
     assert coordinate(run) == pytest.approx(-2e-3, abs=1e-10)
-    joints = run.solver.joints
-    assert joints is not None
+    assert run.state.joints is not None
     run.state.joints.targets.fill_(1e9 * 2 * MASS * G)
     run.step()
     # Net force: the drive pulls twice the weight.
     assert coordinate(run) == pytest.approx(-2e-3 + G * run.dt**2, rel=1e-6)
-    assert joints.efforts.numpy()[0, 0] == pytest.approx(2 * MASS * G, rel=1e-9)
+    assert reading(run, "efforts") == pytest.approx(2 * MASS * G, rel=1e-9)
 
 
 def test_a_servo_settles_where_spring_and_weight_balance() -> None:
-    stiffness, target = 200.0, 0.02
-    drive = PositionDrive(stiffness, damping=5.0, target=target)
-    joint = PrismaticJoint("b", None, (0, 0, 0), (0, 0, 1), drive=drive)
-    run = Run(affine_scene([box("b", ROD)], [joint]))
-    for _ in range(80):
-        run.step()
-    assert coordinate(run) == pytest.approx(target - MASS * G / stiffness, abs=1e-6)
+    run = slider(drive=PositionDrive(200.0, damping=5.0, target=0.02))
+    run.steps(80)
+    assert coordinate(run) == pytest.approx(0.02 - MASS * G / 200.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("effort", [0.1, np.inf])
 def test_a_motor_reaches_its_rate_with_its_force(effort: float) -> None:
-    drive = VelocityDrive(damping=1e3, target=0.3, max_effort=effort)
-    joint = PrismaticJoint("b", None, (0, 0, 0), (1, 0, 0), drive=drive)
-    run = Run(affine_scene([box("b", ROD)], [joint]))
+    run = slider((1, 0, 0), drive=VelocityDrive(damping=1e3, target=0.3, max_effort=effort))
     rates = []
     for _ in range(25):
         run.step()
@@ -291,28 +267,20 @@ def test_a_motor_reaches_its_rate_with_its_force(effort: float) -> None:
 
 
 def test_a_joint_follows_a_kinematic_body() -> None:
-    """A rod hinged to a carriage that moves and turns by its own poses."""
-    start = np.array([[[0, 0, 0, 0, 0, 0, 1.0]]])
-    joint = RevoluteJoint("rod", "carriage", (0, 0, 0), (0, 1, 0))
-    rod = box("rod", ROD, (0, 0, -0.05), HANGING)
-    run = Run(
-        affine_scene([rod], [joint], kinematic=[KinematicBody(None, name="carriage")]), poses=start
-    )
-    end = start.copy()
+    rod = box("rod", ROD, (0, 0, -0.05), turned((0, 1, 0), np.pi / 2))
+    carriage = KinematicBody(None, name="carriage")
+    run = Run(affine_scene([rod], [hinge("rod", "carriage")], kinematic=carriage))
     for i in range(1, 15):
-        end[0, 0, :3] = 0.02 * i, 0.005 * i, -0.01 * i
-        end[0, 0, 3:] = turned((0, 0.3, 1), 0.05 * i)
-        run.step(end)
-        hinge = run.y[0, 0] + run.maps[0] @ [-0.05, 0, 0]
-        np.testing.assert_allclose(hinge, end[0, 0, :3], atol=1e-9)
+        place = np.array([0.02, 0.005, -0.01]) * i
+        run.step(np.append(place, turned((0, 0.3, 1), 0.05 * i)))
+        held = run.y[0, 0] + run.maps[0] @ [-0.05, 0, 0]
+        np.testing.assert_allclose(held, place, atol=1e-9)
     assert abs(coordinate(run)) > 0.1
 
 
 def test_a_servo_turns_many_times() -> None:
     target = 3 * 2 * np.pi + 1
-    drive = PositionDrive(stiffness=1.0, damping=0.1, target=target)
-    joint = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), drive=drive)
-    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [joint], gravity=NONE, dt=0.02))
-    for _ in range(80):
-        run.step()
+    joint = hinge(drive=PositionDrive(stiffness=1.0, damping=0.1, target=target))
+    run = Run(affine_scene([ROD_AT_REST], [joint], gravity=NONE, dt=0.02))
+    run.steps(80)
     assert coordinate(run) == pytest.approx(target, abs=1e-3)

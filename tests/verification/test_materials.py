@@ -10,24 +10,14 @@ import pytest
 import warp as wp
 from scipy.optimize import brentq
 
-from taccel_lab.scene import (
-    Element,
-    Material,
-    MaterialField,
-    MaterialModel,
-    Scene,
-    SoftBody,
-)
-from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.scene import Material, MaterialField, MaterialModel, Scene, SoftBody
 from tests.support.blocks import block_mesh, labelled
+from tests.support.scene_steps import Stepped, linear
 from tests.verification.elements import ElementForces
 
 YOUNG, NU, RATIO = 1.3e5, 0.42, 0.3
 MU, LAM = YOUNG / (2 * (1 + NU)), YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
 SIZE = (3e-3, 2e-3, 2e-3)
-NO_BODIES = np.zeros((1, 0, 7))
 MODELS = list(MaterialModel)
 
 
@@ -36,27 +26,19 @@ def material(model: MaterialModel) -> Material:
     return Material(YOUNG, NU, model=model, mooney_ratio=ratio)
 
 
-def stable_constants() -> tuple[float, float, float]:
-    m, rate = 4 / 3 * MU, LAM + 5 / 6 * MU
-    return m, rate, 1 + 0.75 * m / rate
-
-
-def mooney_constants() -> tuple[float, float, float]:
-    return 0.5 * MU * (1 - RATIO), 0.5 * MU * RATIO, LAM - 2 * MU * RATIO
-
-
 def principal_stress(model: MaterialModel) -> Callable[[float, float, float], float]:
     """First Piola-Kirchhoff stress [Pa] along the first of three stretches, by hand."""
     if model is MaterialModel.NEO_HOOKEAN:
         return lambda s, t, w: MU * (s - 1 / s) + LAM * np.log(s * t * w) / s
     if model is MaterialModel.STABLE_NEO_HOOKEAN:
-        m, rate, a = stable_constants()
+        m, rate = 4 / 3 * MU, LAM + 5 / 6 * MU
+        a = 1 + 0.75 * m / rate
         return lambda s, t, w: (
             m * s * (1 - 1 / (s * s + t * t + w * w + 1)) + rate * (s * t * w - a) * t * w
         )
     if model is MaterialModel.ST_VENANT_KIRCHHOFF:
         return lambda s, t, w: s * (MU * (s * s - 1) + 0.5 * LAM * (s * s + t * t + w * w - 3))
-    c10, c01, rate = mooney_constants()
+    c10, c01, rate = 0.5 * MU * (1 - RATIO), 0.5 * MU * RATIO, LAM - 2 * MU * RATIO
     return lambda s, t, w: (
         2 * c10 * s
         + 2 * c01 * s * (t * t + w * w)
@@ -66,17 +48,12 @@ def principal_stress(model: MaterialModel) -> Callable[[float, float, float], fl
 
 def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, ElementForces]:
     """Equilibrium with the bonded nodes at ``target``; the others start off it."""
-    model = Scene(body).finalize()
-    held = body.bonded()
-    solver = SolverIPC(model, SolverConfig(absolute_tolerance_n=1e-13))
-    state = initial_state(model, NO_BODIES)
+    run, held = Stepped(Scene(body), absolute_tolerance_n=1e-13), body.bonded()
     start = target + np.random.default_rng(0).uniform(-2e-5, 2e-5, target.shape)
     start[held] = target[held]
-    state.positions = wp.array(start[None], dtype=wp.vec3d)
-    report = solver.step(state)
-    assert report.converged.all(), report.summary()
-    assert report.newton_iterations[0] > 1
-    return state.positions.numpy()[0], ElementForces(model)
+    run.state.positions = wp.array(start[None], dtype=wp.vec3d)
+    assert run.step().newton_iterations[0] > 1
+    return run.x(), ElementForces(run.model)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +72,7 @@ def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) 
     end = x0 > x0.max() - 1e-9
     held = np.flatnonzero(end | (x0 < x0.min() + 1e-9))
     target = mesh.nodes_m * [stretch, w, w]
-    x, forces = solved(SoftBody(mesh, material(model), held, element=Element.LINEAR), target)
+    x, forces = solved(linear(mesh, material(model), bonded_nodes=held), target)
     np.testing.assert_allclose(x, target, atol=1e-9 * SIZE[0])
     pull = forces.gradient(x[None])[0, end].sum(axis=0)
     area = SIZE[1] * SIZE[2]
@@ -120,18 +97,15 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
     def by_tet(name: str) -> np.ndarray:
         return np.where(upper, getattr(halves[1], name), getattr(halves[0], name))
 
-    field = MaterialField(
-        by_tet("young_modulus_pa"),
-        by_tet("poisson_ratio"),
-        by_tet("density_kg_m3"),
-        model,
-        by_tet("mooney_ratio"),
+    young, poisson, density, ratio = map(
+        by_tet, ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
     )
+    field = MaterialField(young, poisson, density, model, ratio)
     rng = np.random.default_rng(4)
     x = mesh.nodes_m * [1.1, 0.95, 0.9] + rng.uniform(-5e-5, 5e-5, mesh.nodes_m.shape)
 
     def assembled(body_mesh, tet_material, positions) -> tuple:
-        body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]), element=Element.LINEAR)
+        body = linear(body_mesh, tet_material, bonded_nodes=np.array([0, 1, 2]))
         forces = ElementForces(Scene(body).finalize())
         return (
             forces.energy(positions[None])[0],

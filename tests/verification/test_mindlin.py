@@ -30,16 +30,16 @@ the curve of the first loading above. The loop between dx* and -dx* takes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from taccel_lab.scene import Ball
 from taccel_lab.solvers import SolverConfig, SolverIPC
-from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
-from tests.verification.half_space_mesh import half_space_mesh
+from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace, half_space_mesh
 
 BALL, DEPTH, YOUNG, POISSON = 1e-2, 2.5e-5, 1e5, 0.49
 DHAT, EPS = 0.01 * DEPTH, 2e-8
@@ -47,45 +47,6 @@ SHEAR = YOUNG / (2 * (1 + POISSON))
 RADIUS = float(np.sqrt(BALL * (DEPTH + DHAT)))
 """Hertz's, for contact that begins at a gap of dhat [m]."""
 MU = 0.3
-
-
-@dataclass(frozen=True)
-class Slid:
-    """One point of the tangential loading curve."""
-
-    shift: float
-    """dx over that at full slip."""
-    ratio: float
-    """Q over mu F."""
-    lost: float
-    """Change of the normal force since there was no Q, over it."""
-    across: float
-    """Tangential force across the motion, over mu F."""
-    radii: np.ndarray
-    """Distance of the loaded nodes from the ball's axis over the contact radius."""
-    slip: np.ndarray
-    """How far they lag behind the ball, over dx at full slip."""
-    friction: np.ndarray
-    """Their tangential force over mu times their normal force."""
-    weight: np.ndarray
-    """Their part of the normal force."""
-
-    @property
-    def expected_ratio(self) -> float:
-        """Q / (mu F) by Mindlin at this dx."""
-        return first_loading(self.shift)
-
-    @property
-    def stick_radius(self) -> float:
-        """c / a by Mindlin at this Q."""
-        return max(0.0, 1 - self.ratio) ** (1 / 3)
-
-    @property
-    def measured_stick_radius(self) -> float:
-        """c / a whose sliding is nearest to that of the nodes, by least squares."""
-        tried = np.linspace(0.01, 1.0, 397)
-        loss = [(self.weight * (self.slip - sliding(self.radii, c)) ** 2).sum() for c in tried]
-        return float(tried[np.argmin(loss)])
 
 
 def first_loading(shift: float) -> float:
@@ -102,40 +63,35 @@ def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
 
 
 def pressed_block(cells: int, eps_m: float = EPS) -> tuple[HalfSpace, float, float]:
-    """A ball pressed into the half-space without friction, from now on with it, static below
-    ``eps_m`` a step at most; the load [N] and dx at full slip [m]."""
-
-    def config(eps_m: float, share: float = SolverConfig.friction_step_share) -> SolverConfig:
-        return SolverConfig(
-            dhat_m=DHAT,
-            relative_tolerance=1e-5,
-            absolute_tolerance_n=1e-12,
-            friction_eps_m=eps_m,
-            friction_step_share=share,
-        )
-
-    mesh = half_space_mesh(RADIUS, cells, DOMAIN_OVER_RADIUS * RADIUS, GROWTH)
+    """A ball pressed in without friction, then with it; the load [N], dx at full slip [m]."""
+    settings: dict[str, Any] = {
+        "dhat_m": DHAT,
+        "relative_tolerance": 1e-5,
+        "absolute_tolerance_n": 1e-12,
+    }
     block = HalfSpace(
-        mesh,
+        half_space_mesh(RADIUS, cells, DOMAIN_OVER_RADIUS * RADIUS, GROWTH),
         Ball(BALL),
         young_pa=YOUNG,
         poisson=POISSON,
         friction=MU,
         start_m=BALL + 2 * DHAT,
-        config=config(1e-2, share=0.0),
+        friction_eps_m=1e-2,
+        friction_step_share=0.0,
+        **settings,
     )
     block.move(0.0, BALL - DEPTH)
     load = -float(block.normal_n[:, 2].sum())
-    block.solver = SolverIPC(block.model, config(eps_m))
+    block.solver = SolverIPC(block.model, SolverConfig(friction_eps_m=eps_m, **settings))
     return block, load, 3 * MU * load * (2 - POISSON) / (16 * RADIUS * SHEAR)
 
 
 @lru_cache
-def slid(cells: int, *shifts: float) -> list[Slid]:
-    """Press the ball in, then move it to each of ``shifts``, parts of dx at full slip."""
+def slid(cells: int, *shifts: float) -> list[SimpleNamespace]:
+    """The ball pressed in, then at each of ``shifts``, parts of dx at full slip: Q and the forces
+    beside it over mu F, the normal force lost, and radii, lags, friction and load of the nodes."""
     block, load, full = pressed_block(cells)
-    before = block.positions_m.copy()
-    points = []
+    before, points = block.positions_m, []
     for shift in shifts:
         dx = shift * full
         block.move(dx, BALL - DEPTH)
@@ -143,13 +99,13 @@ def slid(cells: int, *shifts: float) -> list[Slid]:
         size = np.linalg.norm(normal, axis=1)
         # Corners of quadratic faces carry nearly nothing, and slide with what is around them.
         loaded = size > 0.1 * size.max()
-        total = friction.sum(axis=0) / (MU * load)
+        ratio, across, _ = friction.sum(axis=0) / (MU * load)
         points.append(
-            Slid(
+            SimpleNamespace(
                 shift=shift,
-                ratio=float(total[0]),
-                lost=-float(normal[:, 2].sum()) / load - 1,
-                across=float(total[1]),
+                ratio=ratio,
+                across=across,
+                lost=-normal[:, 2].sum() / load - 1,
                 radii=np.hypot(x[loaded, 0] - dx, x[loaded, 1]) / RADIUS,
                 slip=(dx - (x - before)[loaded, 0]) / full,
                 friction=np.linalg.norm(friction[loaded], axis=1) / (MU * size[loaded]),
@@ -159,18 +115,19 @@ def slid(cells: int, *shifts: float) -> list[Slid]:
     return points
 
 
-def check(point: Slid, tolerance: float, spacing: float) -> None:
-    assert point.ratio == pytest.approx(point.expected_ratio, rel=tolerance)
+def check(point: SimpleNamespace, tolerance: float, spacing: float) -> None:
+    assert point.ratio == pytest.approx(first_loading(point.shift), rel=tolerance)
     assert abs(point.lost) < 2e-3, "no coupling with the normal force"
     assert abs(point.across) < 2e-3
-    stick = point.stick_radius
-    assert point.measured_stick_radius == pytest.approx(stick, abs=0.5 * spacing)
+    # c / a by Mindlin at this Q, and that whose sliding is nearest to that of the nodes.
+    stick = max(0.0, 1 - point.ratio) ** (1 / 3)
+    tried = np.linspace(0.01, 1.0, 397)
+    loss = [(point.weight * (point.slip - sliding(point.radii, c)) ** 2).sum() for c in tried]
+    assert tried[np.argmin(loss)] == pytest.approx(stick, abs=0.5 * spacing)
     # Nodes within the radius stick, nodes beyond it slide at the friction limit.
-    stuck = point.slip < 0.01
-    assert stuck[point.radii < stick - spacing].all()
-    assert not stuck[point.radii > stick + spacing].any()
-    assert point.friction[point.radii < stick - spacing].max(initial=0) < 0.99
-    assert point.friction[point.radii > stick + spacing].min(initial=1) > 0.99
+    inner, outer = point.radii < stick - spacing, point.radii > stick + spacing
+    assert (point.slip[inner] < 0.01).all() and not (point.slip[outer] < 0.01).any()
+    assert point.friction[inner].max(initial=0) < 0.99 < point.friction[outer].min(initial=1)
 
 
 @pytest.mark.thorough
@@ -200,76 +157,44 @@ def test_the_way_there_does_not_matter() -> None:
     assert in_parts.ratio == pytest.approx(at_once.ratio, rel=3e-3)
 
 
-@dataclass(frozen=True)
-class Loop:
-    """There, back and there again, to and fro between ``LOOP`` and its negative."""
-
-    steps: int
-    """Of each of the three ways."""
-    ratios: np.ndarray
-    """Q over mu F after each step, shape [3 * steps]."""
-
-    @property
-    def shifts(self) -> np.ndarray:
-        """dx over that at full slip, the same shape."""
-        part = np.arange(1, self.steps + 1) / self.steps
-        return LOOP * np.concatenate([part, 1 - 2 * part, 2 * part - 1])
-
-    @property
-    def expected(self) -> np.ndarray:
-        """Ratios by Mindlin and Deresiewicz."""
-        first = [first_loading(shift) for shift in self.shifts[: self.steps]]
-        return self.of_first(np.array(first))
-
-    def of_first(self, first: np.ndarray) -> np.ndarray:
-        """Ratios of all three ways that follow from those of the first."""
-        return np.concatenate([first, first[-1] - 2 * first, 2 * first - first[-1]])
-
-    def loss(self, ratios: np.ndarray) -> float:
-        """What the closed loop takes, over mu F and dx at full slip, by trapezoids."""
-        at, force = self.shifts[self.steps - 1 :], ratios[self.steps - 1 :]
-        return float((0.5 * (force[1:] + force[:-1]) * np.diff(at)).sum())
-
-
-LOOP = 0.8
+def ways(first: np.ndarray) -> np.ndarray:
+    """Ratios there, back and there again that follow from those of the first way."""
+    return np.concatenate([first, first[-1] - 2 * first, 2 * first - first[-1]])
 
 
 @lru_cache
-def looped(cells: int, steps: int) -> Loop:
-    """Friction as it is by default: static below 1 um, a tenth of dx at full slip, at most."""
+def looped(cells: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """dx over that at full slip, to and fro within 0.8, and Q over mu F; friction is static below
+    1 um, a tenth of dx at full slip, at most."""
     block, load, full = pressed_block(cells, SolverConfig.friction_eps_m)
-    loop = Loop(steps, np.zeros(3 * steps))
-    for k, shift in enumerate(loop.shifts):
+    part, ratios = np.arange(1, steps + 1) / steps, []
+    shifts = 0.8 * np.concatenate([part, 1 - 2 * part, 2 * part - 1])
+    for shift in shifts:
         block.move(shift * full, BALL - DEPTH)
-        loop.ratios[k] = block.friction_n[:, 0].sum() / (MU * load)
-    return loop
-
-
-def check_loop(loop: Loop, force: float, loss: float) -> None:
-    """Within ``force`` of mu F of the curve, and ``loss`` of what it takes; trapezoids lose alike
-    in both."""
-    assert np.abs(loop.ratios - loop.expected).max() < force
-    assert loop.loss(loop.ratios) == pytest.approx(loop.loss(loop.expected), rel=loss)
-    # Closed, and of its own first loading, whatever the mesh makes of that.
-    first = loop.ratios[: loop.steps]
-    assert loop.ratios[-1] == pytest.approx(first[-1], abs=2e-3)
-    assert np.abs(loop.ratios - loop.of_first(first)).max() < 0.008
+        ratios.append(block.friction_n[:, 0].sum() / (MU * load))
+    return shifts, np.array(ratios)
 
 
 @pytest.mark.thorough
-def test_loop_of_partial_slip() -> None:
-    """Two elements along the contact radius; the loss is a small difference of large numbers."""
-    check_loop(looped(2, 8), force=0.055, loss=0.26)
+@pytest.mark.parametrize(
+    ("cells", "force", "loss"),
+    [(2, 0.055, 0.26), pytest.param(3, 0.026, 0.13, marks=pytest.mark.slow)],
+)
+def test_loop_of_partial_slip(cells: int, force: float, loss: float) -> None:
+    """Within ``force`` of mu F of the curve, and ``loss`` of the small difference that it takes."""
+    steps = 8
+    shifts, ratios = looped(cells, steps)
+    first = ratios[:steps]
+    expected = ways(np.array([first_loading(shift) for shift in shifts[:steps]]))
+    assert np.abs(ratios - expected).max() < force
+    taken, wanted = (np.trapezoid(r[steps - 1 :], shifts[steps - 1 :]) for r in (ratios, expected))
+    assert taken == pytest.approx(wanted, rel=loss)
+    # Closed, and what follows from its first loading, whatever the mesh makes of that.
+    assert ratios[-1] == pytest.approx(first[-1], abs=2e-3)
+    assert np.abs(ratios - ways(first)).max() < 0.008
 
 
 @pytest.mark.thorough
 def test_loops_do_not_depend_on_the_number_of_steps() -> None:
     """What sticks creeps a part of the way, not of each step."""
-    fine, coarse = looped(2, 8), looped(2, 2)
-    assert np.abs(fine.ratios[3::4] - coarse.ratios).max() < 0.005
-
-
-@pytest.mark.slow
-def test_loop_on_a_finer_mesh() -> None:
-    """Three elements: half of the error of two, in force and in what the loop takes."""
-    check_loop(looped(3, 8), force=0.026, loss=0.13)
+    assert np.abs(looped(2, 8)[1][3::4] - looped(2, 2)[1]).max() < 0.005

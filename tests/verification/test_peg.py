@@ -9,8 +9,6 @@ import pytest
 from taccel_lab.benchmarks.scenes.peg import peg_config
 from taccel_lab.exporters.published_meshes import mesh_folder
 from taccel_lab.outputs import Outputs
-from taccel_lab.solvers import SolverIPC
-from taccel_lab.state import initial_state
 from taccel_lab.tasks.peg_scene import (
     DT_S,
     GRAVITY,
@@ -23,7 +21,7 @@ from taccel_lab.tasks.peg_scene import (
     published_parts,
     targets,
 )
-from tests.support.intersection import find_intersections
+from tests.support.scene_steps import Watched
 from tests.support.variants import variants
 
 RIM_M = 0.02
@@ -44,16 +42,14 @@ def parts_of(source: str) -> PegParts:
     return published_parts(mesh_folder())
 
 
-class Insertion:
+class Insertion(Watched):
     """The scene, stepped: each step converges, nothing intersects, the peg obeys Newton's law."""
 
     def __init__(
         self, parts: PegParts, path: PegPath, hole_is_affine: bool = False, **config: float
     ) -> None:
         self.scene, self.path = peg_scene(parts, path, hole_is_affine=hole_is_affine), path
-        self.model = self.scene.finalize()
-        self.solver = SolverIPC(self.model, peg_config(**config))
-        self.state = initial_state(self.model, targets(self.scene, 0, path))
+        super().__init__(self.scene, targets(self.scene, 0, path), config=peg_config(**config))
         self.outputs = Outputs(self.solver)
         self.peg = self.model.body_id("peg")
         self.taken = self.newton = 0
@@ -64,12 +60,10 @@ class Insertion:
             poses = targets(self.scene, self.path.first + self.taken, self.path)
             self.taken += 1
             before = self.state.velocities.numpy()[0, center].copy()
-            report = self.solver.step(self.state, poses)
-            assert report.converged.all(), report.summary()
-            assert find_intersections(self.model, self.state) == [[]]
+            report = self.step(poses)
             self.newton += report.newton_iterations[0]
             self.outputs.update(self.state)
-            total = self.force("contact") + self.force("friction")
+            total = self.on_peg("contact") + self.on_peg("friction")
             gained = (self.state.velocities.numpy()[0, center] - before) / DT_S
             np.testing.assert_allclose(
                 total + PEG_MASS_KG * np.array(GRAVITY),
@@ -77,16 +71,13 @@ class Insertion:
                 atol=2 * max(report.residual_n[0], 1e-6),
             )
 
-    def force(self, kind: str, other: str | None = None) -> np.ndarray:
-        """Contact or friction force on the peg [N]: by a body, or by all."""
+    def on_peg(self, kind: str, other: str | None = None) -> np.ndarray:
         pairs = getattr(self.outputs, f"{kind}_wrenches")().wrenches.numpy()[0, self.peg, :, :3]
         return pairs.sum(axis=0) if other is None else pairs[self.model.body_id(other)]
 
     @property
     def lowest(self) -> float:
-        """Of the peg [m]."""
-        nodes = self.model.bodies[self.peg].node_slice
-        return float(self.state.positions.numpy()[0, nodes, 2].min())
+        return float(self.x(self.peg)[:, 2].min())
 
 
 @pytest.mark.thorough
@@ -101,15 +92,17 @@ def test_friction_carries_the_peg_into_the_hole(hole_is_affine: bool) -> None:
     assert gripped - run.lowest == pytest.approx(16e-3, abs=2e-5)
     assert run.lowest < RIM_M - 0.01
     weight = PEG_MASS_KG * -GRAVITY[2]
-    grips = [run.force("friction", side) + run.force("contact", side) for side in ("left", "right")]
+    grips = [
+        run.on_peg("friction", side) + run.on_peg("contact", side) for side in ("left", "right")
+    ]
     assert sum(grips)[2] == pytest.approx(weight, rel=2e-2)
-    assert run.force("friction")[2] > 0.5 * weight
+    assert run.on_peg("friction")[2] > 0.5 * weight
     # Each gel is squeezed by half a millimetre, and they balance.
     assert grips[0][0] == pytest.approx(-grips[1][0], rel=1e-2)
     assert grips[0][0] > 3
-    np.testing.assert_array_equal(run.force("contact", "hole"), 0)
+    np.testing.assert_array_equal(run.on_peg("contact", "hole"), 0)
     if hole_is_affine:
-        place = run.state.positions.numpy()[0, run.model.bodies[run.model.body_id("hole")].nodes[0]]
+        place = run.x("hole")[0]
         np.testing.assert_allclose(place, run.scene.affine_bodies[1].shape.vertices_m[0], atol=1e-8)
 
 
@@ -119,8 +112,8 @@ def test_the_first_steps_of_the_published_insertion(source: str) -> None:
     run.run(12)
     # It has fallen onto the rim, on one side; the gels press it down and drag it along.
     assert run.lowest < RIM_M - 1e-3
-    assert run.force("contact", "hole")[2] > 2 * PEG_MASS_KG * -GRAVITY[2]
-    assert run.force("contact", "left")[0] > 3
+    assert run.on_peg("contact", "hole")[2] > 2 * PEG_MASS_KG * -GRAVITY[2]
+    assert run.on_peg("contact", "left")[0] > 3
     assert run.newton < 400
 
 

@@ -52,7 +52,6 @@ def planned(
 
 
 def write_touches(planned: DatasetPlan, root: Path) -> Path:
-    """Write all touches of a plan; returns the folder."""
     folder = DatasetFolder(root)
     folder.begin(planned, "made up")
     markers_mm = planned.sensors[0].marker_places_mm()
@@ -64,7 +63,6 @@ def write_touches(planned: DatasetPlan, root: Path) -> Path:
 
 
 def drawn(planned: DatasetPlan, number: int, markers_mm: np.ndarray) -> TouchRecord:
-    """One touch by the formula."""
     episode, sensor = planned.episodes[number], planned.sensors[0]
     grid = sensor.grid
     commands = np.concatenate([np.zeros((1, 6)), episode.path.commands()])
@@ -115,7 +113,6 @@ def drawn(planned: DatasetPlan, number: int, markers_mm: np.ndarray) -> TouchRec
 def _markers(
     planned: DatasetPlan, rest: np.ndarray, commands: np.ndarray, at: np.ndarray
 ) -> np.ndarray:
-    """Markers that follow the ball's shear nearby."""
     sensor = planned.sensors[0]
     near = np.exp(-0.5 * ((rest - at) ** 2).sum(axis=1) / 4.0)
     moved = rest[None] + near[None, :, None] * commands[:, None, 1:3]

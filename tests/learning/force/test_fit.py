@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,11 +23,12 @@ from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.samples import read_samples, split_touches
 from taccel_lab.learning.force.score import outside_rows
 from taccel_lab.learning.force.train import LightDraw, LightSpread, tell, whitening
-from taccel_lab.profile import CameraBlock, load_profile, save_profile
+from taccel_lab.profile import CameraBlock, MarkersBlock, load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.force_network import patch_centers_mm
 from tests.learning.force.conftest import QUICK
 from tests.learning.force.small_touches import TEST, planned, write_touches
+from tests.support.small_data_sets import ASSUMED
 
 BRIEF = dataclasses.replace(QUICK, steps=3)
 
@@ -55,18 +57,15 @@ def test_what_is_not_of_this_sensor_is_noticed(trained: ForceCalibration) -> Non
 
 
 @pytest.mark.thorough
-def test_touches_deeper_than_the_trainings_are_noticed(
-    sensor: Path, trained: ForceCalibration, tmp_path: Path
-) -> None:
+def test_deeper_touches_are_seen(sensor: Path, trained: ForceCalibration, tmp_path: Path) -> None:
     """At twice the depth, by what was not asked before: colours and forces of single patches."""
     deep = planned(sensor, episodes=24, depth_mm=(1.5, 1.7))
     data = Dataset(write_touches(deep, tmp_path / "deep"))
     config, grid = trained.config, load_profile(sensor).grid()
     samples = read_samples(data, np.arange(len(data.episodes)), config)
     centers = patch_centers_mm(config, grid)
-    predicted = tell(
-        samples, config, trained.trained.weights, centers, LightSpread(), QUICK, seed=1
-    )
+    weights = trained.trained.weights
+    predicted = tell(samples, config, weights, centers, LightSpread(), QUICK, seed=1)
     beyond = samples.about["depth_mm"] > 1.2
     assert beyond.sum() > 20
     assert outside_rows(predicted, config)[beyond].mean() > 0.7
@@ -92,9 +91,7 @@ def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCali
 
 
 @pytest.mark.thorough
-def test_a_profile_keeps_it_and_scales_with_its_modulus(
-    touches: Path, trained: ForceCalibration, tmp_path: Path
-) -> None:
+def test_a_profile_scales_it(touches: Path, trained: ForceCalibration, tmp_path: Path) -> None:
     data = Dataset(touches)
     base = data.profile(0)
     save_profile(trained.apply_to(base), tmp_path / "p")
@@ -123,12 +120,8 @@ def test_a_profile_keeps_it_and_scales_with_its_modulus(
 
 @pytest.mark.thorough
 def test_markers_may_help_where_both_have_them(touches: Path, sensor: Path) -> None:
-    from taccel_lab.profile import MarkersBlock
-    from tests.support.small_data_sets import ASSUMED
-
-    dots = MarkersBlock(
-        rows=4, columns=6, pitch_x_mm=2, pitch_y_mm=2, radius_mm=0.2, provenance=ASSUMED
-    )
+    sizes = {"rows": 4, "columns": 6, "pitch_x_mm": 2, "pitch_y_mm": 2, "radius_mm": 0.2}
+    dots = MarkersBlock(**sizes, provenance=ASSUMED)
     profile = load_profile(sensor).with_block(dots)
     found = calibrate_force(touches, profile, dataclasses.replace(BRIEF, markers="auto"))
     assert found.markers_tell and found.test.moved is not None
@@ -145,7 +138,6 @@ def test_the_page_says_it_all(trained: ForceCalibration, tmp_path: Path) -> None
 
 
 def row(episode: int, label: str, unit: int = 0, *, split: str = "train", seed: int = 3) -> dict:
-    """Of a data set's table of touches."""
     return {"split": split, "object": label, "unit": unit, "seed": seed, "episode": episode}
 
 
@@ -184,49 +176,34 @@ def test_small_data_sets_are_split_or_refused(count: int, seed: int, objects: in
 
 
 @pytest.mark.thorough
-def test_unusable_data_sets_and_options_are_refused(
-    touches: Path, sensor: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="no channel rgb, patch_forces_n"):
-        bare = write_touches(
-            planned(sensor, episodes=8, channels=["markers_px"]), tmp_path / "bare"
-        )
-        calibrate_force(bare, options=BRIEF)
-    profile = load_profile(sensor)
-    wide = profile.without("background", "color").with_block(
-        profile.camera.replace(width_px=48, height_px=24)
+def test_unusable_data_sets(touches: Path, sensor: Path, tmp_path: Path) -> None:
+    bare = write_touches(planned(sensor, episodes=8, channels=["markers_px"]), tmp_path / "bare")
+    profile, camera = load_profile(sensor), load_profile(sensor).camera
+    colourless = profile.without("background", "color")
+    wide = colourless.with_block(camera.replace(width_px=48, height_px=24))
+    half = {f"mm_per_px_{axis}": getattr(camera, f"mm_per_px_{axis}") / 2 for axis in "xy"}
+    middle = {"center_u_px": 15.5, "center_v_px": 11.5, "provenance": camera.provenance}
+    zoomed = profile.with_block(CameraBlock(width_px=32, height_px=24, **half, **middle))
+    save_profile(
+        profile.with_block(profile.material.replace(young_modulus_pa=3e5)), tmp_path / "stiff"
     )
-    with pytest.raises(InputError, match="not the same view"):
-        calibrate_force(touches, wide, BRIEF)
-    camera = profile.camera
-    zoomed = CameraBlock(
-        width_px=32, height_px=24, mm_per_px_x=camera.mm_per_px_x / 2,
-        mm_per_px_y=camera.mm_per_px_y / 2, center_u_px=15.5, center_v_px=11.5,
-        provenance=camera.provenance,
-    )  # fmt: skip
-    with pytest.raises(InputError, match="2 times the width of gel"):
-        calibrate_force(touches, profile.with_block(zoomed), BRIEF)
-    with pytest.raises(InputError, match="the profile has no block markers"):
-        calibrate_force(touches, options=dataclasses.replace(BRIEF, markers="on"))
-    with pytest.raises(InputError, match="cpu or cuda"):
-        calibrate_force(touches, options=dataclasses.replace(BRIEF, device="tpu"))
+    other = write_touches(planned(tmp_path / "stiff", episodes=8), tmp_path / "data")
+    for data, shown, changes, words in (
+        (bare, None, {}, "no channel rgb, patch_forces_n"),
+        (touches, wide, {}, "not the same view"),
+        (touches, zoomed, {}, "2 times the width of gel"),
+        (touches, None, {"markers": "on"}, "the profile has no block markers"),
+        (touches, None, {"device": "tpu"}, "cpu or cuda"),
+        ([touches, other], None, {}, "touches of 2 sensors"),
+    ):
+        with pytest.raises(InputError, match=words):
+            calibrate_force(data, shown, dataclasses.replace(BRIEF, **changes))
     for changes in ({"steps": 0}, {"learning_rate": 2.0}, {"light": -1.0}, {"stiffness": 1.5}):
         with pytest.raises(InputError, match=next(iter(changes))):
             ForceOptions(**changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.thorough
-def test_data_of_two_sensors_are_refused(sensor: Path, touches: Path, tmp_path: Path) -> None:
-    stiff = load_profile(sensor)
-    save_profile(stiff.with_block(stiff.material.replace(young_modulus_pa=3e5)), tmp_path / "other")
-    other = write_touches(planned(tmp_path / "other", episodes=8), tmp_path / "data")
-    with pytest.raises(InputError, match="touches of 2 sensors"):
-        calibrate_force([touches, other], options=BRIEF)
-
-
 def test_lights_are_those_of_the_profile_and_leave_a_dark_pixel_dark() -> None:
-    import torch
-
     change, rest = torch.zeros(64, 3, 6, 8), torch.full((64, 3, 6, 8), 100.0)
     spread = LightSpread(gain=(0.1, 0, 0), pivot=(0, 0, 0), offset=(0, 2.0, 0))
     lit = LightDraw(spread, 1.0, 5).lit(change, rest)

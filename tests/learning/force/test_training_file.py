@@ -48,7 +48,6 @@ class _StoppedError(Exception):
 
 
 def stop_at(step: int) -> Progress:
-    """Interrupts the training there."""
 
     def progress(task: str, done: int, total: int) -> None:
         if task.startswith("training") and done >= step:
@@ -83,13 +82,11 @@ def often() -> Any:
 
 @pytest.fixture(scope="module")
 def touches(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Fewer than what a model is judged on."""
     return write_touches(planned(sensor, episodes=40), tmp_path_factory.mktemp("few") / "data")
 
 
 @pytest.fixture(scope="module")
 def whole(touches: Path) -> TrainedForces:
-    """Never stopped and kept nowhere."""
     return train(touches, None)
 
 
@@ -121,9 +118,7 @@ def test_it_ends_with_the_same_bits(touches: Path, whole: TrainedForces, stopped
 
 
 @pytest.mark.slow
-def test_after_a_kill_it_ends_with_the_same_bits(
-    touches: Path, whole: TrainedForces, tmp_path: Path
-) -> None:
+def test_after_a_kill_it_ends_alike(touches: Path, whole: TrainedForces, tmp_path: Path) -> None:
     words = [sys.executable, "-c", KILLED, str(touches), str(tmp_path / "t.pt")]
     assert subprocess.run(words, capture_output=True, check=False).returncode == -9
     file = TrainingFile(tmp_path / "t.pt", every_s=1e9)
@@ -159,9 +154,7 @@ def begun(touches: Path, path: Path, **changes: Any) -> str:
 
 
 @pytest.mark.thorough
-def test_other_settings_other_data_and_spoilt_files_begin_anew(
-    touches: Path, sensor: Path, stopped: Path, tmp_path: Path
-) -> None:
+def test_others_begin_anew(touches: Path, sensor: Path, stopped: Path, tmp_path: Path) -> None:
     other = "of other data or settings; the training starts anew"
     for changes in ({"seed": 1}, {"steps": 21}, {"light": 0.2}, {"learning_rate": 1e-3}):
         assert other in begun(touches, stopped, **changes)
