@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +30,15 @@ from taccel_lab.exporters.taxim_table import (
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
-from tests.exporters.presses import our_image, press_over_rest, psnr, require_upright
-from tests.exporters.profiles import with_encoding
+from tests.exporters.conftest import Exported
+from tests.exporters.consumers import taxim, taxim_render
+from tests.exporters.profiles import (
+    our_image,
+    press_over_rest,
+    psnr,
+    require_upright,
+    with_encoding,
+)
 
 SLOPE = st.floats(-5, 5)
 
@@ -53,21 +59,8 @@ def test_bins_are_those_of_taxim(dh_dx: float, dh_dy: float, bins: int) -> None:
 
 def test_gradient_bins_lie_half_a_turn_away() -> None:
     normals = np.array([[0.3, 0.1, 0.9], [-0.2, 0.4, 0.8]])
-    turned = normals * [-1, -1, 1]
-    for one, other in zip(
-        bin_indices(normals, 120, "gradient"), bin_indices(turned, 120), strict=True
-    ):
-        assert (one == other).all()
-
-
-def test_a_table_round_trips_through_both_channel_orders() -> None:
-    rng = np.random.default_rng(0)
-    table = TaximTable(5, rng.normal(size=(3, 5, 5, 6)))
-    assert np.array_equal(table.arrays("bgr")["grad_r"], table.grad_rgb[2])
-    assert np.array_equal(table.arrays("rgb")["grad_r"], table.grad_rgb[0])
-    for order in ("rgb", "bgr"):
-        again = TaximTable.from_arrays(table.arrays(order), order)
-        assert again.bins == 5 and np.array_equal(again.grad_rgb, table.grad_rgb)
+    gradient = bin_indices(normals, 120, "gradient")
+    np.testing.assert_array_equal(gradient, bin_indices(normals * [-1, -1, 1], 120))
 
 
 def test_change_is_the_polynomial_of_the_bin() -> None:
@@ -148,16 +141,6 @@ def test_a_reader_of_one_scale_measures_other_slopes() -> None:
     np.testing.assert_allclose(np.array(measured) * stretch, [0.3, -0.2])
 
 
-def peer(folder: Path, **simulator: object) -> Any:
-    taxim = pytest.importorskip("taxim", reason="PyPI's taxim is not installed")
-    pytest.importorskip("jax", reason="taxim needs jax or torch-scatter")
-    return taxim.Taxim(calib_folder=folder, backend="jax", params={"simulator": simulator})
-
-
-def render(simulator: Any, height_mm: np.ndarray, **options: object) -> np.ndarray:
-    return 255 * np.asarray(simulator.render_direct(height_mm.astype(np.float32), **options))
-
-
 @pytest.mark.thorough
 def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_path: Path) -> None:
     """Of two scales, which end in the bins that taxim looks up by its one."""
@@ -165,13 +148,13 @@ def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_pa
     document = export_profile(mini, "taxim", tmp_path / "calib")
     assert document["approximations"]["scale_difference"] == pytest.approx(1.0)
     # The surface is given, so that only the optics is compared.
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
+    simulator = taxim(tmp_path / "calib", contact_scale=0.0)
     assert (simulator.width, simulator.height) == (320, 240)
     assert simulator.sensor_params.pixmm == pytest.approx((0.09 * 0.045) ** 0.5)
     press = press_over_rest(mini)
     truth = our_image(mini, press)
-    require_upright(render(simulator, press.height_m * 1e3, with_shadow=False), truth, 50)
-    at_rest = render(simulator, np.ones((240, 320)), with_shadow=False)
+    require_upright(taxim_render(simulator, press.height_m * 1e3, with_shadow=False), truth, 50)
+    at_rest = taxim_render(simulator, np.ones((240, 320)), with_shadow=False)
     assert mini.background_rgb is not None
     # f0 is rounded to 8 bit.
     assert np.abs(at_rest - mini.background_rgb).max() < 0.51
@@ -179,11 +162,10 @@ def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_neutral_shadows_change_nothing(mini: SensorProfile, tmp_path: Path) -> None:
-    export_profile(mini, "taxim", tmp_path / "calib")
+def test_the_neutral_shadows_change_nothing(mini: SensorProfile, exported: Exported) -> None:
     press = press_over_rest(mini)
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
-    image = render(simulator, press.height_m * 1e3, with_shadow=True)
+    simulator = taxim(exported("taxim")[0], contact_scale=0.0)
+    image = taxim_render(simulator, press.height_m * 1e3, with_shadow=True)
     require_upright(image, our_image(mini, press), 50)
 
 
@@ -196,7 +178,9 @@ def test_taxim_presses_an_object_into_it(mini: SensorProfile, tmp_path: Path) ->
     du = (np.arange(320)[None] - 220) * grid.mm_per_px_x
     dv = (np.arange(240)[:, None] - 90) * grid.mm_per_px_y
     ball = 4.0 - np.sqrt(np.maximum(16 - du**2 - dv**2, 0))
-    image = render(peer(tmp_path / "calib"), ball, with_shadow=False, press_depth=press.depth_mm)
+    image = taxim_render(
+        taxim(tmp_path / "calib"), ball, with_shadow=False, press_depth=press.depth_mm
+    )
     truth = our_image(mini, press)
     at_best = psnr(image, truth)
     assert mini.background_rgb is not None
@@ -205,21 +189,7 @@ def test_taxim_presses_an_object_into_it(mini: SensorProfile, tmp_path: Path) ->
     assert at_best > psnr(image[::-1], truth) + 5
 
 
-def test_the_map_of_the_gel_is_its_thickness_in_pixels(mini: SensorProfile, tmp_path: Path) -> None:
-    profile = mini.with_block(mini.camera.replace(mm_per_px_y=1.21 * mini.camera.mm_per_px_x))
-    write_table(TableFile(lamp_table(9), None), tmp_path / TABLE_FILE)
-    export_profile(profile, "taxim", tmp_path / "out", table=tmp_path / TABLE_FILE)
-    gel = np.load(tmp_path / "out" / "gelmap.npy")
-    assert gel.shape == (240, 320)
-    # Of the one scale that Taxim knows: the mean of both, as a product.
-    pixel_mm = 1.1 * mini.camera.mm_per_px_x
-    np.testing.assert_allclose(gel, mini.gel.thickness_mm / pixel_mm)
-
-
-BINS = 125
-
-
-def lamp_table(bins: int = BINS) -> TaximTable:
+def lamp_table(bins: int = 125) -> TaximTable:
     """Three lamps at 120 degrees, brighter on the right and, in green, at the bottom."""
     normals = bin_middles(bins)
     grad = np.zeros((3, bins, bins, 6))
@@ -242,40 +212,43 @@ def test_middles_of_bins_lie_in_them(bins: int) -> None:
 
 
 def test_the_file_keeps_table_size_and_figures(tmp_path: Path) -> None:
-    path = tmp_path / TABLE_FILE
-    write_table(TableFile(lamp_table(9), (320, 240), {"heldout_disc_l1": 2.5}), path)
+    path, table = tmp_path / TABLE_FILE, lamp_table(9)
+    write_table(TableFile(table, (320, 240), {"heldout_disc_l1": 2.5}), path)
     found = read_table(path)
-    assert np.array_equal(found.table.grad_rgb, lamp_table(9).grad_rgb)
+    assert np.array_equal(found.table.grad_rgb, table.grad_rgb)
     assert found.image_size_px == (320, 240) and found.figures == {"heldout_disc_l1": 2.5}
     # Taxim's own key and order: grad_r is blue.
     with np.load(path) as stored:
         assert int(stored["bins"]) == 9
-        assert np.array_equal(stored["grad_r"], lamp_table(9).grad_rgb[2])
-    # Files of others say nothing of size and figures.
-    np.savez(tmp_path / "t.npz", **lamp_table(9).arrays("bgr"))  # type: ignore[arg-type]
-    found = read_table(tmp_path / "t.npz")
-    assert found.image_size_px is None and not found.figures
+        assert np.array_equal(stored["grad_r"], table.grad_rgb[2])
+    rgb = TaximTable.from_arrays(table.arrays("rgb"), "rgb")
+    assert rgb.bins == 9 and np.array_equal(rgb.grad_rgb, table.grad_rgb)
+    assert np.array_equal(table.arrays("rgb")["grad_r"], table.grad_rgb[0])
+    # Files of others say nothing of size and figures; words are no figures.
+    for words in ({}, {"figure_words": np.array("none")}):
+        np.savez(path, **words, **table.arrays("bgr"))  # type: ignore[arg-type]
+        found = read_table(path)
+        assert found.image_size_px is None and found.figures == {}
 
 
-def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "t.npz"
-    good = lamp_table(9).arrays("bgr")
-    for change, message in (
-        ({"grad_g": good["grad_g"][:-1]}, r"grad_g of the Taxim table has shape \(8, 9, 6\)"),
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"grad_g": np.zeros((8, 9, 6))}, r"grad_g of the Taxim table has shape \(8, 9, 6\)"),
         ({"grad_b": np.full((9, 9, 6), "x")}, "grad_b of the Taxim table has shape"),
         ({"grad_r": np.float64(1)}, "grad_"),
         ({"grad_r": np.full((9, 9, 6), np.nan)}, "NaN"),
         ({"grad_r": np.empty((9, 9, 6), dtype=object)}, "grad_r: it holds values of type object"),
         ({"image_size_px": np.array([1.5, 2.5])}, "image_size_px must be two whole numbers"),
-    ):
-        np.savez(path, **{**good, **change})  # type: ignore[arg-type]
-        with pytest.raises(InputError, match=message):
-            read_table(path)
-    np.savez(path, figure_words=np.array("none"), **good)  # type: ignore[arg-type]
-    assert read_table(path).figures == {}
-    np.savez(path, grad_r=good["grad_r"])
-    with pytest.raises(InputError, match="lacks grad_b, grad_g"):
-        read_table(path)
+        ({"grad_b": None, "grad_g": None}, "lacks grad_b, grad_g"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path: Path, change: dict, message: str) -> None:
+    arrays = {**lamp_table(9).arrays("bgr"), **change}
+    kept = {name: value for name, value in arrays.items() if value is not None}
+    np.savez(tmp_path / "t.npz", **kept)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=message):
+        read_table(tmp_path / "t.npz")
 
 
 @pytest.mark.thorough
@@ -292,12 +265,12 @@ def test_taxim_renders_the_fitted_table(mini: SensorProfile, tmp_path: Path) -> 
     params = json.loads((tmp_path / "calib" / "params.json").read_text())
     assert params["sensor"]["num_bins"] == 250
     press = press_over_rest(mini)
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
-    image = render(simulator, press.height_m * 1e3, with_shadow=False)
+    simulator = taxim(tmp_path / "calib", contact_scale=0.0)
+    image = taxim_render(simulator, press.height_m * 1e3, with_shadow=False)
     assert mini.background_rgb is not None
     truth = np.clip(mini.background_rgb + table.change(press.normals), 0, 255)
     require_upright(image, truth, 48)
-    at_rest = render(simulator, np.ones((240, 320)), with_shadow=False)
+    at_rest = taxim_render(simulator, np.ones((240, 320)), with_shadow=False)
     assert np.abs(at_rest - mini.background_rgb).max() < 0.51
 
 
@@ -310,14 +283,14 @@ def test_gel_that_bulges_is_shown_from_a_map_below_the_gel(
     write_table(TableFile(lamp_table()), path)
     document = export_profile(mini, "taxim", tmp_path / "calib", table=path)
     assert any("rises over the gel" in note for note in document["notes"])
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
+    simulator = taxim(tmp_path / "calib", contact_scale=0.0)
     u, v = np.meshgrid(np.arange(320), np.arange(240))
     bulge_mm = 0.6 * np.exp(-((u - 150) ** 2 + (v - 120) ** 2) / (2 * 25.0**2)) - 0.1
     normals = normals_from_slopes(slopes_from_height(1e-3 * bulge_mm, mini.grid()))
     truth = np.clip(mini.background_rgb + lamp_table().change(normals), 0, 255)
-    below = render(simulator, bulge_mm - bulge_mm.max(), with_shadow=False)
+    below = taxim_render(simulator, bulge_mm - bulge_mm.max(), with_shadow=False)
     assert psnr(below, truth) > 45
-    cut = render(simulator, bulge_mm, with_shadow=False)
+    cut = taxim_render(simulator, bulge_mm, with_shadow=False)
     assert psnr(cut, truth) < psnr(below, truth) - 6
     # The cut bulge shows the background.
     assert np.abs(cut[120, 165] - mini.background_rgb[120, 165]).max() < 1

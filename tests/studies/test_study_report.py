@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from markupsafe import escape
 
-from taccel_lab.errors import InputError
 from taccel_lab.studies.evaluate.design_row import (
     DesignRow,
     directed,
@@ -94,16 +93,6 @@ def drawn(root: Path) -> set[str]:
         assert image is not None and (image != 255).any(axis=2).mean() > 0.01, path
         names.add(path.stem)
     return names
-
-
-@pytest.mark.thorough
-def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
-    outcome, _ = report(tmp_path, parameters=SQUARE)
-    first, second = outcome.folder.ids()[:2]
-    row = outcome.folder.design(first) / "result.json"
-    row.write_text((outcome.folder.design(second) / "result.json").read_text())
-    with pytest.raises(InputError, match=f"is that of another design, {second}"):
-        outcome.folder.read(first)
 
 
 @pytest.mark.thorough
