@@ -60,7 +60,7 @@ def test_the_same_command_goes_on_and_ends_the_same(
 ) -> None:
     """After a kill, that left one part half written and cut another short; in another process."""
     gone, cut, *sound = DatasetFolder(copied).part_folders()
-    gone.rename(gone.with_name(f".{gone.name}.half"))
+    gone.rename(gone.with_name(f".taccel-lab-new-{gone.name}"))
     chunk_of(cut).write_bytes(chunk_of(cut).read_bytes()[:10])
     stamps = [(part / "steps.parquet").stat().st_mtime_ns for part in sound]
     said: list[str] = []
@@ -77,7 +77,7 @@ def test_the_same_command_goes_on_and_ends_the_same(
 def listed(part: Path, **files: str | None) -> None:
     """Change the list of a part's files; without any, it loses their sizes."""
     marker = json.loads((part / OUTPUT_MARKER).read_text())
-    kept = {"files": marker["files"] | files} | ({"sizes": marker["sizes"]} if files else {})
+    kept = {"files": marker["files"] | files, "bytes": marker["bytes"] if files else None}
     (part / OUTPUT_MARKER).write_text(json.dumps(kept))
 
 
