@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 import resource
 import shutil
 from pathlib import Path
@@ -187,13 +188,13 @@ def replace_the_next(steps: Path) -> None:
 @pytest.mark.parametrize(
     ("what", "damage", "messages"),
     [
-        ("dataset.json", reseed, ["error: dataset.json: its recipe is not what was written"]),
-        ("profiles/0/profile.toml", Path.unlink, ["error: profiles/0: cannot be read"]),
-        ("profiles/0/background.npz", flip, ["error: profiles/0: "]),
-        ("steps.parquet", change_a_value, ["error: steps.parquet: is not what its parts say"]),
-        ("episodes.parquet", change_a_value, ["episodes.parquet: is not what its parts say"]),
-        ("parts/000001", replace_by_another, ["error: parts/000001: is another part"]),
-        ("parts/000000", flip_an_image, ["rgb", "is not what was written"]),
+        ("dataset.json", reseed, ["error: .*/dataset.json: its recipe is not what was written"]),
+        ("profiles/0/profile.toml", Path.unlink, ["error: .*profiles/0: cannot be read"]),
+        ("profiles/0/background.npz", flip, ["error: .*profiles/0: "]),
+        ("steps.parquet", change_a_value, ["error: .*steps.parquet: is not what its parts say"]),
+        ("episodes.parquet", change_a_value, ["error: .*episodes.parquet: is not what its parts say"]),
+        ("parts/000001", replace_by_another, ["error: .*parts/000001: is another part"]),
+        ("parts/000000", flip_an_image, ["rgb.*is not what was written"]),
         ("parts/000000/episodes.parquet", Path.unlink, ["episodes.parquet: is missing"]),
         ("parts/000000/steps.parquet", replace_the_next,
          ["000000/steps.parquet: is not what was written", "parts/000001: is another part"]),
@@ -206,7 +207,7 @@ def test_check_finds_what_was_changed(
     damage(copied / what)
     found = [f"{f.severity}: {f}" for f in check_dataset([copied])]
     for message in messages:
-        assert any(message in line for line in found), found
+        assert any(re.search(message, line) for line in found), found
     if what == "parts/000002":
         assert len(Dataset(copied).episodes) == 4
 

@@ -67,8 +67,11 @@ def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
         z = read_mesh_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
         assert np.ptp(z) * 1e3 == pytest.approx(thickness_mm)
         assert (tmp_path / files["step"]).read_text().startswith("ISO-10303-21")
+
+
+def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
     none = StudyOutput(meshes=False, pictures=False)
-    assert files_of(StudyFolder(tmp_path / "x"), none) == ({}, {}) and not (tmp_path / "x").exists()
+    assert files_of(StudyFolder(tmp_path), none) == ({}, {}) and not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

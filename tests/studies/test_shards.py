@@ -23,16 +23,29 @@ from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL
 from taccel_lab.studies.evaluate.runner import run_study
 from taccel_lab.studies.evaluate.study_folder import CSV_NAME, RESULT, STUDY_MARKER, StudyFolder
-from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
 
 ROOT = Path(__file__).parents[2]
+CHANGES = {
+    "parameters": {
+        "thickness_mm": {"min": 3.0, "max": 8.0, "count": 6},
+        "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"},
+    }
+}
+SEARCH = {
+    "parameters": {
+        "thickness_mm": {"min": 3, "max": 8},
+        "young_modulus_mpa": {"min": 0.05, "max": 1, "scale": "log"},
+    },
+    "sweep": {"kind": "optimize", "count": 14, "method": "TPE"},
+    "objectives": [{"minimize": "blur"}, {"maximize": "range"}],
+}
 
 
 def start(folder: Path, *words: str, hold_at: int = 1_000_000) -> subprocess.Popen[bytes]:
     """A fake study in a process of its own: processes, shard, what searches."""
-    command = [sys.executable, "-m", "tests.studies.run_fake", str(folder), *words]
+    command = [sys.executable, "-m", "tests.studies.test_shards", str(folder), *words]
     environment = {**os.environ, "FAKE_HOLD_AT": str(hold_at), "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, cwd=ROOT, env=environment)
 
@@ -95,28 +108,20 @@ def test_a_merged_row_keeps_what_only_one_knows() -> None:
 # Shards -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_two_processes_share_a_grid_and_a_third_run_merges(tmp_path: Path) -> None:
-    runs = [start(tmp_path, "0", f"{number}/2") for number in (1, 2)]
-    assert [run.wait(120) for run in runs] == [0, 0]
-    assert not (tmp_path / CSV_NAME).exists()
-    planned = study(**CHANGES)
-    outcome = run_study(planned, tmp_path, processes=0)
-    assert outcome.complete and outcome.new == 0 and len(outcome.rows) == 12
-    assert sorted(logged(tmp_path)) == sorted(point.id for point in planned.points())
-    assert (tmp_path / CSV_NAME).is_file()
-
-
 def test_a_shard_takes_designs_that_share_simulations_together(tmp_path: Path) -> None:
-    planned = study(**CHANGES)
-    owners: dict[str, set[int]] = {}
+    """A run of the whole merges them."""
+    planned, owners = study(**CHANGES), dict[str, set[int]]()
+    points = {point.id: point for point in planned.points()}
     for number in (1, 2, 3):
         outcome = run_study(planned, tmp_path, processes=0, shard=Shard(number, 3))
         assert outcome.new == outcome.total == 4
         for row in outcome.rows:
-            (point,) = (p for p in planned.points() if p.id == row.id)
-            owners.setdefault(sharing_key(planned.family, point), set()).add(number)
+            owners.setdefault(sharing_key(planned.family, points[row.id]), set()).add(number)
     assert all(len(numbers) == 1 for numbers in owners.values())
+    assert not (tmp_path / CSV_NAME).exists()
+    outcome = run_study(planned, tmp_path, processes=0)
+    assert outcome.complete and outcome.new == 0 and len(outcome.rows) == 12
+    assert sorted(logged(tmp_path)) == sorted(points) and (tmp_path / CSV_NAME).is_file()
 
 
 def test_a_shard_runs_once_and_never_beside_a_whole_run(tmp_path: Path) -> None:
@@ -294,3 +299,10 @@ def test_an_array_of_slurm_does_its_shards(file: Path, tmp_path: Path) -> None:
         time.sleep(1)
     logs = [path.read_text() for path in (folder.root / JOBS).glob("*/*log.err")]
     assert len(folder.ids()) == 4, logs
+
+
+if __name__ == "__main__":
+    root, processes, *rest = sys.argv[1:]
+    planned = study(**(SEARCH if "optuna" in rest else CHANGES))
+    shard = Shard.parse(rest[0]) if rest else None
+    run_study(planned, root, processes=int(processes), shard=shard)
