@@ -87,9 +87,9 @@ def exported(folder: Path, fps: int) -> dict[str, np.ndarray]:
 
 def look(export: Path, stored: Path) -> int:
     """In the environment that has lerobot."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.datasets import lerobot_dataset as lerobot  # pyright: ignore[reportMissingImports]
 
-    differences = compared(LeRobotDataset("a/b", root=export), dict(np.load(stored)))
+    differences = compared(lerobot.LeRobotDataset("a/b", root=export), dict(np.load(stored)))
     for name, what in differences.items():
         sys.stdout.write(f"{name}: {f'differs, {what}' if what else 'same'}\n")
     return int(any(differences.values()))

@@ -64,19 +64,16 @@ class Draw:
         """True in that part of all seeds."""
         return self._keep(name, bool(self._random.uniform() < probability))
 
-    def direction(self, name: str) -> np.ndarray:
-        """A unit vector, shape [3]; kept as rounded text, as what the seed gives is long."""
-        vector = self._random.normal(size=3)
+    def direction(self, name: str, size: int = 3) -> np.ndarray:
+        """A unit vector, shape [size]; kept as rounded text, as what the seed gives is long."""
+        vector = self._random.normal(size=size)
         vector /= np.linalg.norm(vector)
         self._keep(name, " ".join(f"{value:.3f}" for value in vector))
         return vector
 
     def rotation(self, name: str) -> np.ndarray:
         """A unit quaternion x, y, z, w."""
-        vector = self._random.normal(size=4)
-        vector /= np.linalg.norm(vector)
-        self._keep(name, " ".join(f"{value:.3f}" for value in vector))
-        return vector
+        return self.direction(name, 4)
 
     def seed(self, name: str) -> int:
         """A seed for somebody else's random numbers."""
