@@ -135,9 +135,10 @@ def test_damaged_parts_are_seen_at_a_look(
     damage(part)
     planned, said = plan(profile).parts, list[str]()
     if "delete the part" in message:
-        with pytest.raises(InputError, match=message):
-            DatasetFolder(copied).without_damaged(planned, said.append)
-        assert part.is_dir()
+        folder = DatasetFolder(copied)
+        with pytest.raises(InputError, match=message), folder.locked("1/1"):
+            folder.without_damaged(planned, said.append)
+        assert part.is_dir() and (copied / ".lock-1-of-1").is_file()
     else:
         there, missing = DatasetFolder(copied).without_damaged(planned, said.append)
         assert (there, missing) == ([*planned[1:]], [planned[0]]) and not part.exists()
