@@ -77,6 +77,20 @@ def test_rows_that_are_there_are_not_evaluated_again(tmp_path: Path) -> None:
     assert run_study(study(), tmp_path, processes=0).new == 0
 
 
+def test_no_figure_gets_lost(tmp_path: Path) -> None:
+    """Neither when metrics are added, nor when fewer are asked for."""
+    few = {**table()["study"], "metrics": ["stiffness"]}
+    for changes in ({"study": few}, {}, {"study": few}):
+        run_study(study(**changes), tmp_path, processes=0)
+    outcome = read_outcome(study(), tmp_path)
+    assert outcome.complete and len(outcome.rows) == 6
+    for row in outcome.rows:
+        known = figures_of(row.parameters)
+        assert row.figures == {name: known[name] for name in ("stiffness", "range", "blur")}
+        assert row.simulations == 3 and set(row.curves) == {"ball", "edge"}
+    assert len(logged(tmp_path)) == 2 * 6
+
+
 @pytest.mark.thorough
 def test_new_metrics_leave_known_figures_alone(tmp_path: Path) -> None:
     asked: list[tuple[list[str], list[str]]] = []
