@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import warp as wp
@@ -25,7 +23,9 @@ from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 
 
-def made(law: MaterialModel, element: Element = Element.QUADRATIC) -> tuple[Any, State, ForceBalance]:
+def made(
+    law: MaterialModel, element: Element = Element.QUADRATIC
+) -> tuple[SolverIPC, State, ForceBalance]:
     """The solver's forces of a block, and the stress's."""
     ratio = 0.2 if law is MaterialModel.MOONEY_RIVLIN else 0.0
     box, free = soft_box((2, 2, 2), (3e-3, 3e-3, 3e-3), 0.2, 1), np.zeros(0, dtype=np.int64)
