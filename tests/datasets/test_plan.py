@@ -97,10 +97,10 @@ def test_images_need_a_sensor_that_can_draw_them(tmp_path: Path) -> None:
 
 
 def test_episodes_and_noise_follow_from_the_seed() -> None:
-    few, many, other = (
-        plan("flat_pad", dataset={"episodes": count, "seed": seed}, **NO_IMAGES)
-        for count, seed in ((2, 4), (9, 4), (2, 5))
+    few, other = (
+        plan("flat_pad", dataset={"episodes": 2, "seed": seed}, **NO_IMAGES) for seed in (4, 5)
     )
+    many = _cached_plan()
     assert many.episodes[:2] == few.episodes[:] != other.episodes[:]
     assert len({few.digest, many.digest, other.digest}) == 3
     noise = []
