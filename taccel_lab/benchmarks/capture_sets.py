@@ -50,8 +50,6 @@ class CaptureCase:
     """Folder of the import; empty where there is one."""
     command: str
     figures: tuple[CaptureFigure, ...]
-    changes: tuple[tuple[str, Any], ...] = ()
-    """Options that differ from the defaults."""
 
 
 def _colors(psnr: float, disc: float) -> tuple[CaptureFigure, ...]:
@@ -215,10 +213,8 @@ def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[s
 
 
 def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
-    name = f"{case.source}_{case.part}_{case.command}".replace(":", "_").replace("/", "_")
-    out = scratch / name
-    arguments = [f"--{key}={value}" for key, value in case.changes]
-    errors = _main("calibrate", case.command, str(folder), "--out", str(out), *arguments)
+    out = scratch / f"{case.source}_{case.part}_{case.command}".replace(":", "_")
+    errors = _main("calibrate", case.command, str(folder), "--out", str(out))
     path = out.with_name(out.name + "_report") / "report.json"
     if not path.is_file():
         raise InputError(f"calibrate {case.command} of {case.name} wrote no report: {errors}")

@@ -153,14 +153,10 @@ def gel_signal(model: Model, body: int) -> SignalTactile:
     mesh = model.scene.soft_bodies[body].nodal_mesh
     grid = face_grid(mesh, SIZE_PX)
     return SignalTactile(
-        mesh,
-        grid,
-        env_count=model.env_count,
-        color_model=color_model(grid),
-        background_rgb=background(grid),
-        first_node=model.bodies[body].node_slice.start,
+        mesh, grid, env_count=model.env_count, color_model=color_model(grid),
+        background_rgb=background(grid), first_node=model.bodies[body].node_slice.start,
         device=model.device,
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -275,12 +271,8 @@ class LearningLoop:
         self._moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
         """Bodies whose targets are off, bool, [kinematic_count]."""
         self.phases = LearningPhases(
-            self.model.env_count,
-            bench.steps,
-            options.warm_up,
-            options.reset_share,
-            self._random,
-        )
+            self.model.env_count, bench.steps, options.warm_up, options.reset_share, self._random,
+        )  # fmt: skip
         self._ready = np.ones(self.model.env_count, dtype=bool)
         """Environments that are to begin a step."""
         self._own_pace = None

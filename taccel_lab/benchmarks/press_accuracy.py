@@ -209,16 +209,10 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
     path = PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s)
     path = path.bounded(branches, case.friction)
     return simulate_press(
-        mesh,
-        layered_material(layers, mesh),
-        indenter,
-        AT_MM,
-        path.with_steps(at.steps),
-        coarse_grid(parameters.grid()),
-        friction_coefficient=case.friction,
-        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
-        device=device,
-    )
+        mesh, layered_material(layers, mesh), indenter, AT_MM, path.with_steps(at.steps),
+        coarse_grid(parameters.grid()), friction_coefficient=case.friction,
+        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m), device=device,
+    )  # fmt: skip
 
 
 def measured_case(case: PressCase, accuracy: str, device: str) -> tuple[dict[str, Any], np.ndarray]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.signals import resultant_wrench
-from tests.support.bench import bench
 
 BOTH = ("rgb", "wrench")
 
@@ -34,21 +32,32 @@ def text_of(*rows: dict[str, Any]) -> str:
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("observe", [(), BOTH], ids=["alone", "observed"])
 @pytest.mark.parametrize("pace", ["together", "own"])
-def test_a_learning_row(pace: str) -> None:
+def test_a_learning_row(pace: str, observe: tuple[str, ...]) -> None:
     """Phases differ, some environments begin anew, and nothing else is left of before."""
-    row = learning.measure(3, pace, options())
+    row = learning.measure(3, pace, options(observe=observe))
     assert row["residual"]["unconverged"] == 0
     assert row["residual"]["env_steps"] in ((9,) if pace == "together" else (9, 10, 11))
     assert row["calls_per_step"] == 1 or pace == "own"
     assert row["resets_per_step"] > 0
     assert row["newton_largest_mean"] >= row["newton_mean"]
     assert row["ms_per_step"]["median"] > row["beside_steps_ms"] > 0
-    assert row["observed"] is None
     assert row["newton_median"] <= row["newton_p99"] <= row["newton_p999"] <= row["newton_worst"]
-    text = text_of(row)
+    text, seen = text_of(row), row["observed"]
     assert "largest of those through at once" in text and f"| 3 | {pace} |" in text
-    assert "observed" not in text
+    if not observe:
+        assert seen is None and "observed" not in text
+        return
+    assert (seen["what"], seen["gels"], seen["size_px"]) == (["rgb", "wrench"], 2, [64, 64])
+    assert seen["env_steps"] == row["residual"]["env_steps"], "every finished step was looked at"
+    assert seen["fps"] == pytest.approx(row["fps"]["median"])
+    spent = (seen["rgb_us_per_env_step"] + seen["wrench_us_per_env_step"]) * 1e-6
+    assert 1 / seen["fps"] == pytest.approx(1 / seen["fps_without"] + spent)
+    assert seen["images_per_s"] == pytest.approx(2e6 / seen["rgb_us_per_env_step"])
+    text = text_of(row, row | {"observed": None})
+    assert "| observed: us a step of each | FPS without |" in text and "| nothing | - |" in text
+    assert f"| rgb {number(seen['rgb_us_per_env_step'])}, wrench " in text
 
 
 def test_by_default_phases_are_uniform_over_the_motion() -> None:
@@ -64,22 +73,6 @@ def test_by_default_phases_are_uniform_over_the_motion() -> None:
         share = np.histogram(phases.now, bins=4, range=(1, 80))[0] / 2_000
         np.testing.assert_allclose(share, 0.25, atol=0.04)
         phases.begin(ready)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("pace", ["together", "own"])
-def test_a_row_says_what_was_observed(pace: str) -> None:
-    row = learning.measure(3, pace, options(observe=BOTH))
-    seen = row["observed"]
-    assert (seen["what"], seen["gels"], seen["size_px"]) == (["rgb", "wrench"], 2, [64, 64])
-    assert seen["env_steps"] == row["residual"]["env_steps"], "every finished step was looked at"
-    assert seen["fps"] == pytest.approx(row["fps"]["median"])
-    spent = (seen["rgb_us_per_env_step"] + seen["wrench_us_per_env_step"]) * 1e-6
-    assert 1 / seen["fps"] == pytest.approx(1 / seen["fps_without"] + spent)
-    assert seen["images_per_s"] == pytest.approx(2e6 / seen["rgb_us_per_env_step"])
-    text = text_of(row, row | {"observed": None})
-    assert "| observed: us a step of each | FPS without |" in text and "| nothing | - |" in text
-    assert f"| rgb {number(seen['rgb_us_per_env_step'])}, wrench " in text
 
 
 @pytest.mark.thorough
@@ -140,12 +133,3 @@ def test_looking_changes_no_step() -> None:
         ends.append(loop.state.positions.numpy())
     np.testing.assert_array_equal(ends[1], ends[0])
     np.testing.assert_array_equal(ends[2], ends[0])
-
-
-@pytest.mark.parametrize("words", ["depth", "rgb rgb"])
-def test_what_cannot_be_observed_is_refused(
-    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = ["--out", str(tmp_path)]
-    assert bench(["learning", "--observe", *words.split(), *out]) == 2
-    assert f"--observe must be rgb, wrench or both, got {words}" in capsys.readouterr().err

@@ -38,11 +38,14 @@ def test_images_are_read_at_a_speed_and_an_error(
 def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(press_accuracy, "DEPTHS_MM", (0.1,))
-    monkeypatch.setattr(press_accuracy, "NEARER", 2)
-    monkeypatch.setattr(press_accuracy, "RELAXING", ())
     coarse = {**PHYSICS, Accuracy.DEFAULT: PHYSICS[Accuracy.FAST]}
-    monkeypatch.setattr(press_accuracy, "PHYSICS", coarse)
+    for name, value in (
+        ("DEPTHS_MM", (0.1,)),
+        ("NEARER", 2),
+        ("RELAXING", ()),
+        ("PHYSICS", coarse),
+    ):
+        monkeypatch.setattr(press_accuracy, name, value)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
     assert bench([*words, "--tools", "ball 1.5"]) == 0
     document = read_result(tmp_path / "press_accuracy.json")
@@ -57,8 +60,6 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     text = VERIFICATION["press accuracy"]({"press_accuracy": [document | {"file": "x.json"}]})
     assert "| fast, balls | 1 |" in text and "| 3%, balls | 1 |" in text
     assert "1 of 3 presses did not converge" in text
-    assert bench([*words, "--tools", "hammer"]) == 2
-    assert bench(["press_accuracy", "--families", "no_such", "--out", str(tmp_path)]) == 2
 
 
 def test_every_tool_meets_every_material() -> None:

@@ -25,6 +25,7 @@ from taccel_lab.presses import parse_indenter
 from taccel_lab.profile import save_profile
 from tests.support.small_data_sets import plan, small_profile, table
 
+NO_IMAGES = {"output": {"channels": ["depth_mm"]}}
 EXAMPLES = Path(__file__).parents[2] / "taccel_lab" / "datasets" / "examples"
 
 
@@ -40,24 +41,22 @@ def test_examples_are_sound(path: Path, tmp_path: Path) -> None:
     assert {e.split for e in made.episodes} == {"train", "test"}
 
 
+def motion(kind: str = "press", depth_mm: Any = (0.1, 0.2), **more: Any) -> dict[str, Any]:
+    return {"motions": [{"kind": kind, "depth_mm": depth_mm, **more}]}
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"dataset": {"seeds": 1}}, r"dataset\.seeds: unknown key; allowed: name, episodes, seed"),
         ({"dataset": {"episodes": 0}}, r"dataset\.episodes: .*greater than or equal to 1"),
-        ({"motions": [{"kind": "push", "depth_mm": [0.1, 0.2]}]}, r"motions\.0\.kind: .*'press'"),
-        ({"motions": [{"kind": "press", "depth_mm": [0.3, 0.2]}]}, "wrong way round"),
-        ({"motions": [{"kind": "press", "depth_mm": [0.0, 0.2]}]}, "above 0, got 0"),
-        ({"motions": [{"kind": "shear", "depth_mm": [0.1, 0.2]}]}, "needs shear_mm"),
-        (
-            {"motions": [{"kind": "press", "depth_mm": [0.1, 0.2], "twist_deg": [0, 1]}]},
-            "twist_deg belongs to twist, not to press",
-        ),
-        (
-            {"motions": [{"kind": "press", "depth_mm": [0.1, 0.2], "step_mm": 1e-4}]},
-            r"a touch would take 2e\+03 steps of step_mm = 0\.0001 mm .*; at most 1000",
-        ),
-        ({"motions": [{"kind": "press", "depth_mm": 0.3}]}, "a list in square brackets is needed"),
+        (motion("push"), r"motions\.0\.kind: .*'press'"),
+        (motion(depth_mm=[0.3, 0.2]), "wrong way round"),
+        (motion(depth_mm=[0.0, 0.2]), "above 0, got 0"),
+        (motion("shear"), "needs shear_mm"),
+        (motion(twist_deg=[0, 1]), "twist_deg belongs to twist, not to press"),
+        (motion(step_mm=1e-4), r"would take 2e\+03 steps of step_mm = 0\.0001 mm .*; at most 1000"),
+        (motion(depth_mm=0.3), "a list in square brackets is needed"),
         ({"motions": []}, r"motions: list should have at least 1"),
         ({"objects": [{"tool": "sphere:2"}, {"tool": "sphere:2"}]}, "two objects are called"),
         ({"objects": [{"tool": "sphere:2", "tilt_deg": [0, 40]}]}, r"must lie in \[0, 15\]"),
@@ -68,9 +67,8 @@ def test_examples_are_sound(path: Path, tmp_path: Path) -> None:
     ],
 )
 def test_bad_form(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=rf"^small\.toml: .*{message}"):
         DatasetSpec.checked(table("flat_pad", **changes), "small.toml")
-    assert str(caught.value).startswith("small.toml: ")
 
 
 @pytest.mark.parametrize(
@@ -79,14 +77,8 @@ def test_bad_form(changes: dict[str, Any], message: str) -> None:
         ({"sensors": [{"profile": "nowhere"}]}, "neither a profile folder nor a sensor"),
         ({"objects": [{"tool": "mesh:nowhere.stl"}]}, r"nowhere\.stl"),
         ({"objects": [{"tool": "star:3"}]}, "'star:3' is not understood"),
-        (
-            {"motions": [{"kind": "press", "depth_mm": [0.1, 60.0]}]},
-            r"motions\[0\] on flat_pad: depth 60 mm goes past the gel",
-        ),
-        (
-            {"motions": [{"kind": "press", "depth_mm": [1e-4, 4e-4]}]},
-            r"motions\[0\]: depth_mm ends at 0\.0004 mm; .*in metres\?",
-        ),
+        (motion(depth_mm=[0.1, 60.0]), r"motions\[0\] on flat_pad: depth 60 mm goes past the gel"),
+        (motion(depth_mm=[1e-4, 4e-4]), r"motions\[0\]: depth_mm ends at 0\.0004 mm; .*in metres"),
         ({"output": {"channels": ["heat"]}}, "no channel 'heat'; known: rgb, depth_mm"),
         ({"output": {"channels": ["rgb", "wrench"]}}, "'wrench' is always kept; leave it out"),
         ({"sensors": [{"profile": "flat_pad", "units": 3}]}, "states no measured spread"),
@@ -94,9 +86,8 @@ def test_bad_form(changes: dict[str, Any], message: str) -> None:
     ],
 )
 def test_what_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
-    changes = {"output": {"channels": ["depth_mm"]}, **changes}
     with pytest.raises(InputError, match=message):
-        plan("flat_pad", **changes)
+        plan("flat_pad", **{**NO_IMAGES, **changes})
 
 
 def test_images_need_a_sensor_that_can_draw_them(tmp_path: Path) -> None:
@@ -105,44 +96,32 @@ def test_images_need_a_sensor_that_can_draw_them(tmp_path: Path) -> None:
         plan(tmp_path / "blind")
 
 
-NO_IMAGES = {"output": {"channels": ["depth_mm"]}}
-KEPT = (
-    *(1, 0, 2),
-    *(-2.8464645117414267, -1.9822033015002094, 184.41336448418556),
-    *(0.21060967189185284, 0.22673189257728996),
-)
-KEPT_PARTS = [(1, 2), (0, 3), (4, 5)]
-"""As the first version drew them."""
-
-
-@pytest.mark.thorough
-def test_episodes_follow_from_seed_and_number() -> None:
-    few = plan("flat_pad", dataset={"episodes": 5}, **NO_IMAGES)
-    many = plan("flat_pad", dataset={"episodes": 50}, **NO_IMAGES)
-    other = plan("flat_pad", dataset={"episodes": 5, "seed": 5}, **NO_IMAGES)
-    assert many.episodes[:5] == few.episodes[:]
-    assert other.episodes[:] != few.episodes[:]
+def test_episodes_and_noise_follow_from_the_seed() -> None:
+    few, other = (
+        plan("flat_pad", dataset={"episodes": 2, "seed": seed}, **NO_IMAGES) for seed in (4, 5)
+    )
+    many = _cached_plan()
+    assert many.episodes[:2] == few.episodes[:] != other.episodes[:]
     assert len({few.digest, many.digest, other.digest}) == 3
-
-
-def test_noise_follows_from_the_seed() -> None:
-    seeds = {}
-    for seed in (4, 5):
-        made = plan("flat_pad", dataset={"episodes": 2, "seed": seed}, **NO_IMAGES)
-        touches = [t for part in made.parts for t in touches_of(made, part)]
-        seeds[seed] = {t.seed for t in touches if isinstance(t, Touch)}
-    assert len(seeds[4]) == len(seeds[5]) == 1 and seeds[4] != seeds[5]
+    noise = []
+    for made in (few, other):
+        touches = (touch for part in made.parts for touch in touches_of(made, part))
+        noise.append({touch.seed for touch in touches if isinstance(touch, Touch)})
+    assert len(noise[0]) == len(noise[1]) == 1 and noise[0] != noise[1]
 
 
 def test_what_was_drawn_once_is_drawn_for_ever() -> None:
-    """Data sets that are there go on: no version may draw other touches."""
+    """As the first version drew it: data sets that are there go on."""
     made = plan("flat_pad", randomise={"friction": [0.2, 0.4]}, **NO_IMAGES)
-    drawn = made.episodes[4]
-    assert (drawn.object, drawn.motion, drawn.path.step_count) == KEPT[:3]
-    put = drawn.placing
-    numbers = (put.x_mm, put.y_mm, put.lean_deg, drawn.path.depth_mm, drawn.friction)
-    assert numbers == pytest.approx(KEPT[3:], rel=1e-12)
-    assert [part.episodes for part in made.parts] == KEPT_PARTS
+    drawn, put = made.episodes[4], made.episodes[4].placing
+    assert (drawn.object, drawn.motion, drawn.path.step_count) == (1, 0, 2)
+    assert (put.x_mm, put.y_mm, put.lean_deg) == pytest.approx(
+        (-2.8464645117414267, -1.9822033015002094, 184.41336448418556), rel=1e-12
+    )
+    assert (drawn.path.depth_mm, drawn.friction) == pytest.approx(
+        (0.21060967189185284, 0.22673189257728996), rel=1e-12
+    )
+    assert [part.episodes for part in made.parts] == [(1, 2), (0, 3), (4, 5)]
 
 
 @pytest.mark.thorough
@@ -170,10 +149,9 @@ def test_draws_keep_their_ranges() -> None:
     low, high = made.place_range_mm(made.sensors[0])
     places = np.array([episode.placing.at_mm for episode in made.episodes])
     assert (places >= low).all() and (places <= high).all()
-    assert all(0.2 <= episode.friction <= 0.4 for episode in made.episodes)
     for episode in made.episodes:
-        wanted = made.spec.motions[episode.motion]
-        assert wanted.depth_mm[0] <= episode.path.depth_mm <= wanted.depth_mm[1]
+        least_mm, most_mm = made.spec.motions[episode.motion].depth_mm
+        assert least_mm <= episode.path.depth_mm <= most_mm and 0.2 <= episode.friction <= 0.4
         assert (episode.split == "test") == (episode.object == 1)
     shares = np.bincount([episode.motion for episode in made.episodes]) / 300
     assert shares == pytest.approx([0.5, 0.5], abs=0.1)

@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Profiles to export: a catalogue sensor with a made-up background and colour model."""
+"""Profiles to export, and one press off the image's centre as every renderer should show it."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.force_settings import ForceModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.profile import (
     BackgroundBlock,
-    CameraBlock,
     ColorBlock,
     ForceBlock,
     NormalsBlock,
+    PerturbationBlock,
     Provenance,
     SensorProfile,
 )
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.normals import normals_from_slopes
+from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.signals.tactile_image import tactile_image
+from tests.support.analytic_surface import analytic_surface
 
 MADE_UP = Provenance(
     kind="calibrated",
@@ -63,17 +73,7 @@ def mini_profile() -> SensorProfile:
     """GelSight Mini of the catalogue, its image off centre, with background and colour model."""
     profile = catalogue_profile("gelsight_mini")
     camera = profile.camera
-    profile = profile.with_block(
-        CameraBlock(
-            width_px=camera.width_px,
-            height_px=camera.height_px,
-            mm_per_px_x=camera.mm_per_px_x,
-            mm_per_px_y=camera.mm_per_px_y,
-            center_u_px=150.0,
-            center_v_px=125.0,
-            provenance=camera.provenance,
-        )
-    )
+    profile = profile.with_block(camera.replace(center_u_px=150.0, center_v_px=125.0))
     config, weights = lamps()
     background = uneven_background(camera.width_px, camera.height_px)
     return profile.with_block(BackgroundBlock(provenance=MADE_UP), background).with_block(
@@ -92,17 +92,52 @@ def with_encoding(profile: SensorProfile, bands: int = 3) -> SensorProfile:
     return profile.with_block(profile.color.replace(architecture=settings), weights)
 
 
-def with_normals(profile: SensorProfile) -> SensorProfile:
-    """The profile with a normals block of random weights."""
-    config = NormalModelConfig(profile.camera.width_px, profile.camera.height_px)
-    rng = np.random.default_rng(3)
-    weights = {
+TURN = Rotation.from_euler("xyz", [0.1, -0.2, 0.3])
+STRENGTHS = (0.25, 1.0, 0.6)
+
+
+def skewed_profile() -> SensorProfile:
+    """The same without a symmetry that could hide a swap: pixels not square, a camera turned about
+    three axes, lamps of unequal strength, dots turned with gaps, and no round figures."""
+    profile = mini_profile()
+    optics, lights, markers = profile.optics, profile.lights, profile.markers
+    assert optics is not None and lights is not None and markers is not None
+    noise = PerturbationBlock(
+        gain_rgb=(0.01, 0.02, 0.03), pivot_rgb=(90.0, 100.0, 110.0), noise_levels=1.7,
+        mm_per_px_relative=0.02, young_modulus_relative=0.1, friction_coefficient=0.05,
+        provenance=MADE_UP,
+    )  # fmt: skip
+    camera = profile.camera.replace(mm_per_px_x=0.07, mm_per_px_y=0.055)
+    optics = optics.replace(
+        rotation=tuple(TURN.as_quat().tolist()), position_mm=(0.5, -1.0, -22.0),
+        fy_px=0.8 * optics.fx_px, distortion=(-0.05, 0.01, 0.002, -0.001), crop_x=0.9, crop_y=0.8,
+    )  # fmt: skip
+    leds = tuple(
+        led.replace(rgb=tuple(np.array(led.rgb) * strength + 0.01))
+        for led, strength in zip(lights.led, STRENGTHS, strict=True)
+    )
+    material = profile.material.replace(
+        young_modulus_pa=3.1e5, poisson_ratio=0.37, friction_coefficient=0.7, density_kg_m3=1234.0
+    )
+    markers = markers.replace(rotation_deg=8.0, missing=((0, 0), (3, 4)))
+    for block in (camera, optics, lights.replace(led=leds), markers, material, noise):
+        profile = profile.with_block(block)
+    return profile
+
+
+def drawn_weights(config: NormalModelConfig | ForceModelConfig, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {
         name: rng.normal(0, 0.3, shape).astype(np.float32)
         for name, shape in config.weight_shapes().items()
     }
-    return profile.with_block(
-        NormalsBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
-    )
+
+
+def with_normals(profile: SensorProfile) -> SensorProfile:
+    """The profile with a normals block of random weights."""
+    config = NormalModelConfig(profile.camera.width_px, profile.camera.height_px)
+    block = NormalsBlock(architecture=config.to_dict(), provenance=MADE_UP)
+    return profile.with_block(block, drawn_weights(config, 3))
 
 
 def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfile:
@@ -115,12 +150,40 @@ def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfil
         patch_scale_n=(0.1, 0.2, 0.3), target_scale=(1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
         sigma_factor=(1.5,) * 7,
     )  # fmt: skip
-    rng = np.random.default_rng(8)
-    weights = {
-        name: rng.normal(0, 0.3, shape).astype(np.float32)
-        for name, shape in config.weight_shapes().items()
-    }
-    weights["colors.most"] = rng.uniform(20, 60, 26).astype(np.float32)
-    return profile.with_block(
-        ForceBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
-    )
+    most = np.random.default_rng(9).uniform(20, 60, 26).astype(np.float32)
+    weights = drawn_weights(config, 8) | {"colors.most": most}
+    block = ForceBlock(architecture=config.to_dict(), provenance=MADE_UP)
+    return profile.with_block(block, weights)
+
+
+CIRCLE = ContactCircle(220.0, 90.0, 30.0)
+"""Right of and above the middle of 320 x 240 px."""
+BALL_RADIUS_MM = 4.0
+
+
+def press_over_rest(profile: SensorProfile) -> BallSurface:
+    """A ball's dent in a flat gel: height and slopes over the surface at rest."""
+    return analytic_surface(CIRCLE, profile.grid(), BALL_RADIUS_MM, decay_mm=4.0)
+
+
+def our_image(profile: SensorProfile, press: BallSurface) -> np.ndarray:
+    """What the profile's own colour model shows of that press."""
+    assert profile.color is not None and profile.color_weights is not None
+    assert profile.background_rgb is not None
+    settings = ColorModelConfig.from_dict(profile.color.architecture)
+    model = ColorModel(settings, profile.color_weights)
+    rest = rest_surface(profile.mesh, profile.grid()).normals
+    slope = -press.normals[..., :2] / press.normals[..., 2:] - rest[..., :2] / rest[..., 2:]
+    over_rest = replace(press, normals=normals_from_slopes(slope), rest_normals=rest)
+    return tactile_image(model, profile.background_rgb, over_rest)
+
+
+def psnr(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(20 * np.log10(255 / np.sqrt(((image - truth) ** 2).mean())))
+
+
+def require_upright(image: np.ndarray, truth: np.ndarray, least_db: float) -> None:
+    """The image is near the truth, and its mirror images and swapped colours are far off."""
+    assert psnr(image, truth) > least_db
+    for wrong in (image[:, ::-1], image[::-1], image[::-1, ::-1], image[..., ::-1]):
+        assert psnr(wrong, truth) < least_db - 10

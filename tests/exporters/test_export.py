@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from taccel_lab.exporters.export import EXPORTERS, RECORD_FILE, export_profile
 from taccel_lab.exporters.frames import m_from_mm
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.profile import SensorProfile
+from tests.exporters.conftest import Exported
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,51 +37,39 @@ def test_every_format_is_in_the_help_and_in_the_docs() -> None:
 @pytest.mark.parametrize(
     ("to", "lacking", "block", "command"),
     [
-        ("tacto", ("optics",), "optics", "calibrate camera"),
-        ("tacto", ("lights",), "lights", "taccel-lab design"),
-        ("taxim", ("color",), "color", "calibrate color"),
-        ("taxim", ("background",), "background", "calibrate background"),
-        ("isaac-lab", ("color",), "color", "calibrate color"),
-        ("gs-sdk", ("color",), "color", "calibrate color"),
-        ("gs-sdk", ("background",), "background", "calibrate background"),
-        ("onnx", ("color",), "color", "calibrate color"),
-        ("safetensors", ("color",), "normals", "calibrate normals"),
-        ("opencv", ("optics",), "optics", "calibrate camera"),
+        ("tacto", "optics", "optics", "calibrate camera"),
+        ("tacto", "lights", "lights", "taccel-lab design"),
+        ("taxim", "color", "color", "calibrate color"),
+        ("taxim", "background", "background", "calibrate background"),
+        ("isaac-lab", "color", "color", "calibrate color"),
+        ("gs-sdk", "color", "color", "calibrate color"),
+        ("gs-sdk", "background", "background", "calibrate background"),
+        ("onnx", "color", "color", "calibrate color"),
+        ("safetensors", "color", "normals", "calibrate normals"),
+        ("opencv", "optics", "optics", "calibrate camera"),
     ],
 )
 def test_missing_blocks_are_named_with_what_makes_them(
-    to: str,
-    lacking: tuple[str, ...],
-    block: str,
-    command: str,
-    mini: SensorProfile,
-    tmp_path: Path,
+    to: str, lacking: str, block: str, command: str, mini: SensorProfile, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        export_profile(mini.without(*lacking), to, tmp_path / "out")
-    assert re.search(rf"\b{block}\b", str(caught.value))
-    assert command in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match=rf"(?s)\b{block}\b") as caught:
+        export_profile(mini.without(lacking), to, tmp_path / "out")
+    assert command in str(caught.value) and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("to", ["taccel", "urdf"])
 def test_geometry_needs_no_optional_block(to: str, mini: SensorProfile, tmp_path: Path) -> None:
-    bare = mini.without(*[key for key in mini.blocks() if key not in ("sensor", "gel", "material",
-                                                                      "camera")])  # fmt: skip
-    document = export_profile(bare, to, tmp_path / "out")
-    assert "gel" in document["carries"]
+    needed = ("sensor", "gel", "material", "camera")
+    bare = mini.without(*(key for key in mini.blocks() if key not in needed))
+    assert "gel" in export_profile(bare, to, tmp_path / "out")["carries"]
 
 
-def test_the_record_lists_every_file(mini: SensorProfile, tmp_path: Path) -> None:
-    document = export_profile(mini, "tacto", tmp_path / "out")
-    stored = json.loads((tmp_path / "out" / RECORD_FILE).read_text())
+def test_the_record_lists_every_file(exported: Exported) -> None:
+    out, document = exported("tacto")
+    stored = json.loads((out / RECORD_FILE).read_text())
     assert stored == json.loads(json.dumps(document))
-    found = {
-        str(path.relative_to(tmp_path / "out"))
-        for path in (tmp_path / "out").rglob("*")
-        if path.is_file() and not path.name.startswith(".")
-    }
-    assert set(stored["files"]) | {RECORD_FILE} == found
+    paths = (path for path in out.rglob("[!.]*") if path.is_file())
+    assert {*stored["files"], RECORD_FILE} == {str(path.relative_to(out)) for path in paths}
     assert stored["provenance"]["gel"]["kind"] == "designed"
     assert set(stored["carries"]).isdisjoint(stored["left_out"])
 

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
-import yaml
 
 from taccel_lab.exporters import gs_sdk
 from taccel_lab.exporters.press_samples import ColorSource
 from taccel_lab.profile import SensorProfile
-from tests.exporters.presses import CIRCLE, our_image, press_over_rest
+from tests.exporters.profiles import CIRCLE, our_image, press_over_rest
 
 
 class BgrxyNetwork(torch.nn.Module):
@@ -84,28 +83,3 @@ def test_the_network_reads_the_press(mini: SensorProfile, folder: Path) -> None:
     assert flat > 15
     assert angle_deg(found) < 4
     assert angle_deg(-found) > flat and angle_deg(found[..., ::-1]) > 2 * angle_deg(found)
-
-
-@pytest.mark.thorough
-def test_the_device_file(mini: SensorProfile, folder: Path) -> None:
-    device = yaml.safe_load((folder / "device.yaml").read_text())
-    assert device == {
-        "device_name": "gelsight_mini",
-        "ppmm": pytest.approx(0.0634),
-        "imgh": 240,
-        "imgw": 320,
-        "raw_imgh": 2464,
-        "raw_imgw": 3280,
-        "framerate": 25,
-    }
-    assert mini.background_rgb is not None
-    bgr = np.asarray(cv2.imread(str(folder / "background.png")))
-    assert np.abs(bgr[..., ::-1] - mini.background_rgb).max() <= 0.5
-
-
-def test_pixels_of_two_scales_keep_the_area(mini: SensorProfile, tmp_path: Path) -> None:
-    """gs_sdk has one scale: that of square pixels of the same area."""
-    camera = mini.camera.replace(mm_per_px_y=1.3 * mini.camera.mm_per_px_x)
-    gs_sdk.export_gs_sdk(mini.with_block(camera), tmp_path, steps=1, samples=200)
-    device = yaml.safe_load((tmp_path / "device.yaml").read_text())
-    assert device["ppmm"] ** 2 == pytest.approx(camera.mm_per_px_x * camera.mm_per_px_y)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +30,15 @@ from taccel_lab.exporters.taxim_table import (
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
-from tests.exporters.presses import our_image, press_over_rest, psnr, require_upright
-from tests.exporters.profiles import with_encoding
+from tests.exporters.conftest import Exported
+from tests.exporters.consumers import taxim, taxim_render
+from tests.exporters.profiles import (
+    our_image,
+    press_over_rest,
+    psnr,
+    require_upright,
+    with_encoding,
+)
 
 SLOPE = st.floats(-5, 5)
 
@@ -53,46 +59,30 @@ def test_bins_are_those_of_taxim(dh_dx: float, dh_dy: float, bins: int) -> None:
 
 def test_gradient_bins_lie_half_a_turn_away() -> None:
     normals = np.array([[0.3, 0.1, 0.9], [-0.2, 0.4, 0.8]])
-    turned = normals * [-1, -1, 1]
-    for one, other in zip(
-        bin_indices(normals, 120, "gradient"), bin_indices(turned, 120), strict=True
-    ):
-        assert (one == other).all()
-
-
-def test_a_table_round_trips_through_both_channel_orders() -> None:
-    rng = np.random.default_rng(0)
-    table = TaximTable(5, rng.normal(size=(3, 5, 5, 6)))
-    assert np.array_equal(table.arrays("bgr")["grad_r"], table.grad_rgb[2])
-    assert np.array_equal(table.arrays("rgb")["grad_r"], table.grad_rgb[0])
-    for order in ("rgb", "bgr"):
-        again = TaximTable.from_arrays(table.arrays(order), order)
-        assert again.bins == 5 and np.array_equal(again.grad_rgb, table.grad_rgb)
+    gradient = bin_indices(normals, 120, "gradient")
+    np.testing.assert_array_equal(gradient, bin_indices(normals * [-1, -1, 1], 120))
 
 
 def test_change_is_the_polynomial_of_the_bin() -> None:
-    grad = np.zeros((3, 4, 4, 6))
-    normal = np.array([0.5, 0.0, 0.8])
+    grad, normal = np.zeros((3, 4, 4, 6)), np.array([0.5, 0.0, 0.8])
     tilt, angle = bin_indices(normal, 4)
     grad[1, tilt, angle] = [1, 2, 3, 4, 5, 6]
-    change = TaximTable(4, grad).change(np.broadcast_to(normal, (3, 5, 3)))
     u, v = 4, 2
+    change = TaximTable(4, grad).change(np.broadcast_to(normal, (3, 5, 3)))
     assert change[v, u].tolist() == [0, 16 + 2 * 4 + 3 * 8 + 16 + 10 + 6, 0]
     assert pixel_terms(u, v).tolist() == [16, 4, 8, 4, 2, 1]
 
 
 @pytest.mark.thorough
 def test_a_distilled_table_shows_what_the_model_shows(mini: SensorProfile) -> None:
-    made = distil_table(mini, 125)
-    press = press_over_rest(mini)
+    made, press = distil_table(mini, 125), press_over_rest(mini)
     assert mini.background_rgb is not None
-    shown = mini.background_rgb + made.table.change(press.normals)
-    truth = our_image(mini, press)
+    shown, truth = mini.background_rgb + made.table.change(press.normals), our_image(mini, press)
     assert psnr(shown, truth) > 48
     # The error that it states is that of presses that it was not made from.
-    assert made.errors["table_rms_levels"] < 0.08 * made.errors["model_rms_levels"]
-    off = np.sqrt(((shown - truth) ** 2).mean())
-    assert off < made.errors["table_rms_levels"] * 1.5
+    stated = made.errors["table_rms_levels"]
+    assert np.sqrt(((shown - truth) ** 2).mean()) < 1.5 * stated
+    assert stated < 0.08 * made.errors["model_rms_levels"]
     assert not made.table.grad_rgb[:, 0].any()
 
 
@@ -125,9 +115,7 @@ def test_bands_do_not_fall_in_step_with_the_pixels_that_are_asked(mini: SensorPr
         {"displacement_mm": (-1.0, 0.0), "surface_tilt_deg": (0.0, 0.5)},
     ],
 )
-def test_any_valid_region_gives_a_table(
-    region: dict[str, tuple[float, float]], mini: SensorProfile
-) -> None:
+def test_any_valid_region_gives_a_table(region: dict, mini: SensorProfile) -> None:
     """Also of a colour block that was fitted to next to nothing, or says nothing."""
     assert mini.color is not None
     provenance = mini.color.provenance.replace(kind="assumed", valid_region=region)
@@ -148,78 +136,31 @@ def test_a_reader_of_one_scale_measures_other_slopes() -> None:
     np.testing.assert_allclose(np.array(measured) * stretch, [0.3, -0.2])
 
 
-def peer(folder: Path, **simulator: object) -> Any:
-    taxim = pytest.importorskip("taxim", reason="PyPI's taxim is not installed")
-    pytest.importorskip("jax", reason="taxim needs jax or torch-scatter")
-    return taxim.Taxim(calib_folder=folder, backend="jax", params={"simulator": simulator})
-
-
-def render(simulator: Any, height_mm: np.ndarray, **options: object) -> np.ndarray:
-    return 255 * np.asarray(simulator.render_direct(height_mm.astype(np.float32), **options))
-
-
 @pytest.mark.thorough
 def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_path: Path) -> None:
     """Of two scales, which end in the bins that taxim looks up by its one."""
     mini = mini.with_block(mini.camera.replace(mm_per_px_x=0.09, mm_per_px_y=0.045))
     document = export_profile(mini, "taxim", tmp_path / "calib")
     assert document["approximations"]["scale_difference"] == pytest.approx(1.0)
+    assert document["approximations"]["table_rms_levels"] < 1
     # The surface is given, so that only the optics is compared.
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
+    simulator = taxim(tmp_path / "calib", contact_scale=0.0)
     assert (simulator.width, simulator.height) == (320, 240)
     assert simulator.sensor_params.pixmm == pytest.approx((0.09 * 0.045) ** 0.5)
     press = press_over_rest(mini)
-    truth = our_image(mini, press)
-    require_upright(render(simulator, press.height_m * 1e3, with_shadow=False), truth, 50)
-    at_rest = render(simulator, np.ones((240, 320)), with_shadow=False)
-    assert mini.background_rgb is not None
-    # f0 is rounded to 8 bit.
-    assert np.abs(at_rest - mini.background_rgb).max() < 0.51
-    assert document["approximations"]["table_rms_levels"] < 1
-
-
-@pytest.mark.slow
-def test_the_neutral_shadows_change_nothing(mini: SensorProfile, tmp_path: Path) -> None:
-    export_profile(mini, "taxim", tmp_path / "calib")
-    press = press_over_rest(mini)
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
-    image = render(simulator, press.height_m * 1e3, with_shadow=True)
+    image = taxim_render(simulator, press.height_m * 1e3, with_shadow=False)
     require_upright(image, our_image(mini, press), 50)
 
 
-@pytest.mark.thorough
-def test_taxim_presses_an_object_into_it(mini: SensorProfile, tmp_path: Path) -> None:
-    """With Taxim's own model of the gel, from an object's height map."""
-    export_profile(mini, "taxim", tmp_path / "calib")
+@pytest.mark.slow
+def test_the_neutral_shadows_change_nothing(mini: SensorProfile, exported: Exported) -> None:
     press = press_over_rest(mini)
-    grid = mini.grid()
-    du = (np.arange(320)[None] - 220) * grid.mm_per_px_x
-    dv = (np.arange(240)[:, None] - 90) * grid.mm_per_px_y
-    ball = 4.0 - np.sqrt(np.maximum(16 - du**2 - dv**2, 0))
-    image = render(peer(tmp_path / "calib"), ball, with_shadow=False, press_depth=press.depth_mm)
-    truth = our_image(mini, press)
-    at_best = psnr(image, truth)
-    assert mini.background_rgb is not None
-    assert at_best > psnr(np.asarray(mini.background_rgb), truth)
-    assert at_best > psnr(image[:, ::-1], truth) + 5
-    assert at_best > psnr(image[::-1], truth) + 5
+    simulator = taxim(exported("taxim")[0], contact_scale=0.0)
+    image = taxim_render(simulator, press.height_m * 1e3, with_shadow=True)
+    require_upright(image, our_image(mini, press), 50)
 
 
-def test_the_map_of_the_gel_is_its_thickness_in_pixels(mini: SensorProfile, tmp_path: Path) -> None:
-    profile = mini.with_block(mini.camera.replace(mm_per_px_y=1.21 * mini.camera.mm_per_px_x))
-    write_table(TableFile(lamp_table(9), None), tmp_path / TABLE_FILE)
-    export_profile(profile, "taxim", tmp_path / "out", table=tmp_path / TABLE_FILE)
-    gel = np.load(tmp_path / "out" / "gelmap.npy")
-    assert gel.shape == (240, 320)
-    # Of the one scale that Taxim knows: the mean of both, as a product.
-    pixel_mm = 1.1 * mini.camera.mm_per_px_x
-    np.testing.assert_allclose(gel, mini.gel.thickness_mm / pixel_mm)
-
-
-BINS = 125
-
-
-def lamp_table(bins: int = BINS) -> TaximTable:
+def lamp_table(bins: int = 125) -> TaximTable:
     """Three lamps at 120 degrees, brighter on the right and, in green, at the bottom."""
     normals = bin_middles(bins)
     grad = np.zeros((3, bins, bins, 6))
@@ -242,86 +183,78 @@ def test_middles_of_bins_lie_in_them(bins: int) -> None:
 
 
 def test_the_file_keeps_table_size_and_figures(tmp_path: Path) -> None:
-    path = tmp_path / TABLE_FILE
-    write_table(TableFile(lamp_table(9), (320, 240), {"heldout_disc_l1": 2.5}), path)
+    path, table = tmp_path / TABLE_FILE, lamp_table(9)
+    write_table(TableFile(table, (320, 240), {"heldout_disc_l1": 2.5}), path)
     found = read_table(path)
-    assert np.array_equal(found.table.grad_rgb, lamp_table(9).grad_rgb)
+    assert np.array_equal(found.table.grad_rgb, table.grad_rgb)
     assert found.image_size_px == (320, 240) and found.figures == {"heldout_disc_l1": 2.5}
     # Taxim's own key and order: grad_r is blue.
     with np.load(path) as stored:
         assert int(stored["bins"]) == 9
-        assert np.array_equal(stored["grad_r"], lamp_table(9).grad_rgb[2])
-    # Files of others say nothing of size and figures.
-    np.savez(tmp_path / "t.npz", **lamp_table(9).arrays("bgr"))  # type: ignore[arg-type]
-    found = read_table(tmp_path / "t.npz")
-    assert found.image_size_px is None and not found.figures
+        assert np.array_equal(stored["grad_r"], table.grad_rgb[2])
+    rgb = TaximTable.from_arrays(table.arrays("rgb"), "rgb")
+    assert rgb.bins == 9 and np.array_equal(rgb.grad_rgb, table.grad_rgb)
+    assert np.array_equal(table.arrays("rgb")["grad_r"], table.grad_rgb[0])
+    # Files of others say nothing of size and figures; words are no figures.
+    for words in ({}, {"figure_words": np.array("none")}):
+        np.savez(path, **words, **table.arrays("bgr"))  # type: ignore[arg-type]
+        found = read_table(path)
+        assert found.image_size_px is None and found.figures == {}
 
 
-def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "t.npz"
-    good = lamp_table(9).arrays("bgr")
-    for change, message in (
-        ({"grad_g": good["grad_g"][:-1]}, r"grad_g of the Taxim table has shape \(8, 9, 6\)"),
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"grad_g": np.zeros((8, 9, 6))}, r"grad_g of the Taxim table has shape \(8, 9, 6\)"),
         ({"grad_b": np.full((9, 9, 6), "x")}, "grad_b of the Taxim table has shape"),
         ({"grad_r": np.float64(1)}, "grad_"),
         ({"grad_r": np.full((9, 9, 6), np.nan)}, "NaN"),
         ({"grad_r": np.empty((9, 9, 6), dtype=object)}, "grad_r: it holds values of type object"),
         ({"image_size_px": np.array([1.5, 2.5])}, "image_size_px must be two whole numbers"),
-    ):
-        np.savez(path, **{**good, **change})  # type: ignore[arg-type]
-        with pytest.raises(InputError, match=message):
-            read_table(path)
-    np.savez(path, figure_words=np.array("none"), **good)  # type: ignore[arg-type]
-    assert read_table(path).figures == {}
-    np.savez(path, grad_r=good["grad_r"])
-    with pytest.raises(InputError, match="lacks grad_b, grad_g"):
-        read_table(path)
+        ({"grad_b": None, "grad_g": None}, "lacks grad_b, grad_g"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path: Path, change: dict, message: str) -> None:
+    arrays = {**lamp_table(9).arrays("bgr"), **change}
+    kept = {name: value for name, value in arrays.items() if value is not None}
+    np.savez(tmp_path / "t.npz", **kept)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=message):
+        read_table(tmp_path / "t.npz")
 
 
 @pytest.mark.thorough
 def test_taxim_renders_the_fitted_table(mini: SensorProfile, tmp_path: Path) -> None:
-    """Read back by taxim's own class, with other bins than its own; no colour model takes part."""
-    path = tmp_path / TABLE_FILE
-    table = lamp_table(250)
+    """By taxim's own class, with other bins than its own; no colour model takes part. It cuts what
+    rises over the gel, with an edge; export.json says how to give the map of a gel that bulges."""
+    path, table = tmp_path / TABLE_FILE, lamp_table(250)
     write_table(TableFile(table, None, {"heldout_disc_l1": 2.5}), path)
     document = export_profile(mini.without("color"), "taxim", tmp_path / "calib", table=path)
     assert "fitted to captures" in document["carries"]["color"]
     assert document["approximations"]["table_heldout_disc_l1"] == 2.5
     # This file says nothing of its images.
-    assert any("it is taken as one of 320x240 px" in note for note in document["notes"])
+    for words in ("it is taken as one of 320x240 px", "rises over the gel"):
+        assert any(words in note for note in document["notes"])
     params = json.loads((tmp_path / "calib" / "params.json").read_text())
     assert params["sensor"]["num_bins"] == 250
+    simulator, rest = taxim(tmp_path / "calib", contact_scale=0.0), mini.background_rgb
+    assert rest is not None
+
+    def rendered(height_mm: np.ndarray) -> np.ndarray:
+        return taxim_render(simulator, height_mm, with_shadow=False)
+
     press = press_over_rest(mini)
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
-    image = render(simulator, press.height_m * 1e3, with_shadow=False)
-    assert mini.background_rgb is not None
-    truth = np.clip(mini.background_rgb + table.change(press.normals), 0, 255)
-    require_upright(image, truth, 48)
-    at_rest = render(simulator, np.ones((240, 320)), with_shadow=False)
-    assert np.abs(at_rest - mini.background_rgb).max() < 0.51
-
-
-@pytest.mark.thorough
-def test_gel_that_bulges_is_shown_from_a_map_below_the_gel(
-    mini: SensorProfile, tmp_path: Path
-) -> None:
-    """taxim cuts what rises over the gel, with an edge; export.json says how to give it."""
-    path = tmp_path / TABLE_FILE
-    write_table(TableFile(lamp_table()), path)
-    document = export_profile(mini, "taxim", tmp_path / "calib", table=path)
-    assert any("rises over the gel" in note for note in document["notes"])
-    simulator = peer(tmp_path / "calib", contact_scale=0.0)
+    truth = np.clip(rest + table.change(press.normals), 0, 255)
+    require_upright(rendered(press.height_m * 1e3), truth, 48)
+    # f0 is rounded to 8 bit.
+    assert np.abs(rendered(np.ones((240, 320))) - rest).max() < 0.51
     u, v = np.meshgrid(np.arange(320), np.arange(240))
     bulge_mm = 0.6 * np.exp(-((u - 150) ** 2 + (v - 120) ** 2) / (2 * 25.0**2)) - 0.1
     normals = normals_from_slopes(slopes_from_height(1e-3 * bulge_mm, mini.grid()))
-    truth = np.clip(mini.background_rgb + lamp_table().change(normals), 0, 255)
-    below = render(simulator, bulge_mm - bulge_mm.max(), with_shadow=False)
-    assert psnr(below, truth) > 45
-    cut = render(simulator, bulge_mm, with_shadow=False)
-    assert psnr(cut, truth) < psnr(below, truth) - 6
+    truth = np.clip(rest + table.change(normals), 0, 255)
+    below, cut = rendered(bulge_mm - bulge_mm.max()), rendered(bulge_mm)
+    assert psnr(below, truth) > 45 and psnr(cut, truth) < psnr(below, truth) - 6
     # The cut bulge shows the background.
-    assert np.abs(cut[120, 165] - mini.background_rgb[120, 165]).max() < 1
-    assert np.abs(below[120, 165] - mini.background_rgb[120, 165]).max() > 8
+    assert np.abs(cut - rest)[120, 165].max() < 1 and np.abs(below - rest)[120, 165].max() > 8
 
 
 def test_a_table_of_other_images_and_other_formats_are_refused(

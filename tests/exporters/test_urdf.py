@@ -16,34 +16,18 @@ import pyvista
 from taccel_lab.exporters.export import export_profile
 from taccel_lab.exporters.urdf import HOUSING_DENSITY
 from taccel_lab.profile import SensorProfile
+from tests.exporters.conftest import Exported
 
 
-@pytest.fixture(scope="module")
-def folder(mini: SensorProfile, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("urdf") / "out"
-    export_profile(mini, "urdf", out)
-    return out
+@pytest.fixture
+def folder(exported: Exported) -> Path:
+    return exported("urdf")[0]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def robot(folder: Path) -> Any:
     yourdfpy = pytest.importorskip("yourdfpy")
-    robot = yourdfpy.URDF.load(str(folder / "sensor.urdf"), load_collision_meshes=True)
-    assert robot.validate()
-    return robot
-
-
-def test_frames(robot: Any, mini: SensorProfile) -> None:
-    assert robot.base_link == "sensor_link"
-    in_gel = np.array([3e-3, -2e-3, -1e-3, 1.0])
-    # Right in the image is -y of the link, down is -z, out of the gel is x.
-    in_link = robot.get_transform("gel_frame", "sensor_link") @ in_gel
-    np.testing.assert_allclose(in_link[:3], [-1e-3, -3e-3, 2e-3], atol=1e-9)
-    camera = robot.get_transform("camera_optical_frame", "gel_frame")
-    # The optical axes are those of the gel frame, 24 mm behind it.
-    np.testing.assert_allclose(camera[:3, :3], np.eye(3), atol=1e-6)
-    np.testing.assert_allclose(camera[:3, 3], [0, 0, -0.024], atol=1e-9)
-    np.testing.assert_allclose(robot.get_transform("gel", "sensor_link"), np.eye(4), atol=1e-12)
+    return yourdfpy.URDF.load(str(folder / "sensor.urdf"), load_collision_meshes=True)
 
 
 def test_further_cameras_have_frames_or_are_named_as_left_out(
@@ -65,26 +49,22 @@ def test_further_cameras_have_frames_or_are_named_as_left_out(
 
 
 def test_meshes_lie_in_the_link(folder: Path, mini: SensorProfile) -> None:
-    gel = pyvista.read(folder / "meshes" / "gel.stl")
-    assert isinstance(gel, pyvista.PolyData) and gel.is_manifold
-    # x: thickness, y: 25.25 mm, z: 20.75 mm.
-    low, high = np.reshape(gel.bounds, (3, 2)).T
-    np.testing.assert_allclose(low, [-4e-3, -12.625e-3, -10.375e-3], atol=1e-6)
-    np.testing.assert_allclose(high, [0, 12.625e-3, 10.375e-3], atol=1e-6)
-    assert gel.volume == pytest.approx(mini.mesh.volumes_m3().sum(), rel=1e-5)
-    box = pyvista.read(folder / "meshes" / "housing.stl")
-    assert isinstance(box, pyvista.PolyData) and box.is_manifold
-    low, high = np.reshape(box.bounds, (3, 2)).T
-    # Gel x 0.25 is link y -0.25, gel y -0.5 is link z 0.5.
-    np.testing.assert_allclose(low * 1e3, [-28.25, -16.25, -13.5], atol=1e-4)
-    np.testing.assert_allclose(high * 1e3, [-4.25, 15.75, 14.5], atol=1e-4)
-    assert box.volume == pytest.approx(32e-3 * 28e-3 * 24e-3, rel=1e-5)
-    for mesh in (gel, box):
+    volume = mini.mesh.volumes_m3().sum()
+    for name, low_mm, high_mm, volume_m3 in (
+        # x: thickness, y: 25.25 mm, z: 20.75 mm.
+        ("gel", [-4, -12.625, -10.375], [0, 12.625, 10.375], volume),
+        # Gel x 0.25 is link y -0.25, gel y -0.5 is link z 0.5.
+        ("housing", [-28.25, -16.25, -13.5], [-4.25, 15.75, 14.5], 32e-3 * 28e-3 * 24e-3),
+    ):
+        mesh = pyvista.read(folder / "meshes" / f"{name}.stl")
+        assert isinstance(mesh, pyvista.PolyData) and mesh.is_manifold
+        low, high = 1e3 * np.reshape(mesh.bounds, (3, 2)).T
+        np.testing.assert_allclose(low, low_mm, atol=1e-4)
+        np.testing.assert_allclose(high, high_mm, atol=1e-4)
+        assert mesh.volume == pytest.approx(volume_m3, rel=1e-5)
         normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False)
-        outward = np.einsum(
-            "fk,fk->f", normals.cell_data["Normals"], mesh.cell_centers().points - mesh.center
-        )
-        assert outward.mean() > 0
+        away = mesh.cell_centers().points - mesh.center
+        assert np.einsum("fk,fk->f", normals.cell_data["Normals"], away).mean() > 0
 
 
 def test_inertias_are_physical(robot: Any, mini: SensorProfile) -> None:
@@ -166,51 +146,36 @@ def about(mesh: Any, center: np.ndarray) -> np.ndarray:
     return mesh.moment_inertia + mesh.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
 
-def masses_and_frames(folder: Path) -> tuple[dict[str, float], Any]:
-    """Masses that the file states, by link, and the names of the joints."""
+def masses(folder: Path) -> dict[str, float]:
     root = ElementTree.parse(folder / "sensor.urdf").getroot()
-    masses = {}
-    for link in root.iter("link"):
-        mass = link.find("inertial/mass")
-        assert mass is not None
-        masses[str(link.get("name"))] = float(str(mass.get("value")))
-    return masses, [joint.get("name") for joint in root.iter("joint")]
+    return {str(link.get("name")): inertial(link)[0] for link in root.iter("link")}
 
 
 @pytest.mark.slow
 def test_pybullet_s_loader_gives_no_link_a_weight_of_its_own(folder: Path) -> None:
     pybullet = pytest.importorskip("pybullet", reason="the extra peers is not installed")
-    masses, joints = masses_and_frames(folder)
     client = pybullet.connect(pybullet.DIRECT)
     try:
         body = pybullet.loadURDF(str(folder / "sensor.urdf"), physicsClientId=client)
-        count = pybullet.getNumJoints(body, physicsClientId=client)
-        infos = [pybullet.getJointInfo(body, i, physicsClientId=client) for i in range(count)]
-        found = {
-            "sensor_link": pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0],
-            **{
-                info[12].decode(): pybullet.getDynamicsInfo(body, i, physicsClientId=client)[0]
-                for i, info in enumerate(infos)
-            },
-        }
+        found = {"sensor_link": pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0]}
+        for i in range(pybullet.getNumJoints(body, physicsClientId=client)):
+            name = pybullet.getJointInfo(body, i, physicsClientId=client)[12].decode()
+            found[name] = pybullet.getDynamicsInfo(body, i, physicsClientId=client)[0]
     finally:
         pybullet.disconnect(client)
-    assert found == pytest.approx(masses)
-    assert sum(found.values()) < 0.02
-    assert sorted(info[1].decode() for info in infos) == sorted(str(name) for name in joints)
+    assert found == pytest.approx(masses(folder)) and sum(found.values()) < 0.02
 
 
 @pytest.mark.slow
 def test_mujoco_s_loader_has_the_same_bodies(folder: Path) -> None:
     mujoco = pytest.importorskip("mujoco", reason="the extra peers is not installed")
-    masses, _ = masses_and_frames(folder)
     spec = mujoco.MjSpec.from_file(str(folder / "sensor.urdf"))
     # A root without a joint is part of the world there, and its mass counts for nothing.
     spec.compiler.fusestatic = False
     spec.worldbody.first_body().add_freejoint()
     model = spec.compile()
     found = {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}
-    assert found == pytest.approx(masses)
+    assert found == pytest.approx(masses(folder))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     camera = data.body("camera_optical_frame").xpos - data.body("gel_frame").xpos

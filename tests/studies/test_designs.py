@@ -51,39 +51,36 @@ def files_of(folder: StudyFolder, output: StudyOutput, **parameters: float) -> t
 
 @pytest.mark.thorough
 def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
+    def stamps() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")}
+
     folder, output = StudyFolder(tmp_path), StudyOutput(step=True)
     soft, causes = files_of(folder, output, young_modulus_mpa=0.1)
-    assert set(soft) == {"mesh", "step"} and not causes
-    written = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")}
-    assert len(written) == 2
+    written = stamps()
+    assert set(soft) == {"mesh", "step"} and not causes and len(written) == 2
     assert files_of(folder, output, young_modulus_mpa=0.4)[0] == soft
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")} == written
+    assert stamps() == written
     thick, _ = files_of(folder, output, thickness_mm=5.0)
     assert thick["mesh"] != soft["mesh"]
-    for files, thickness in (
-        (soft, sensor_family("gelsight_r15").parameters().pad().thickness_mm),
-        (thick, 5),
-    ):
+    default_mm = sensor_family("gelsight_r15").parameters().pad().thickness_mm
+    for files, thickness_mm in ((soft, default_mm), (thick, 5)):
         z = read_mesh_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
-        assert np.ptp(z) * 1e3 == pytest.approx(thickness)
+        assert np.ptp(z) * 1e3 == pytest.approx(thickness_mm)
         assert (tmp_path / files["step"]).read_text().startswith("ISO-10303-21")
 
 
 def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
-    files, causes = files_of(StudyFolder(tmp_path), StudyOutput(meshes=False, pictures=False))
-    assert not files and not causes and not list(tmp_path.iterdir())
+    none = StudyOutput(meshes=False, pictures=False)
+    assert files_of(StudyFolder(tmp_path), none) == ({}, {}) and not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
 @pytest.mark.rasterised
 def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
     """Two moduli of one pad: one simulation, forces in proportion, pictures, a report."""
+    metrics = ["stiffness_secant", "force_range", "pixel_size"]
     table = {
-        "study": {
-            "name": "Real",
-            "sensor": "gelsight_r15",
-            "metrics": ["stiffness_secant", "force_range", "pixel_size"],
-        },
+        "study": {"name": "Real", "sensor": "gelsight_r15", "metrics": metrics},
         "parameters": {"young_modulus_mpa": {"values": [0.2, 0.4]}},
         "sweep": {"kind": "grid"},
     }
@@ -133,8 +130,7 @@ def test_a_press_shows_in_picture_and_figures(
     ball = coarse("sphere", depth_fraction=0.15, steps=3)
     monkeypatch.setattr(previews, "standard_presses", lambda names: [ball])
     out = tmp_path / "out"
-    arguments = ["preview", "gelsight", "--out", str(out), "--size-px", "96", "--json"]
-    assert main(arguments) == 0
+    assert main(["preview", "gelsight", "--out", str(out), "--size-px", "96", "--json"]) == 0
     stored = json.loads((out / "preview.json").read_text())
     (curve,) = stored["presses"]["sphere"]
     assert np.diff([0.0, *(force[2] for force in curve["force_n"])]).min() > 0
@@ -163,18 +159,13 @@ CHANGES = {"thickness_mm": 2.5, "young_modulus_mpa": 0.3, "marker_pitch_mm": 4.0
 
 def test_a_design_gives_the_task_its_gels_and_markers() -> None:
     mini = sensor_family("gelsight_mini")
-    task = design_task(mini.parameters(CHANGES))
-    found = task.parameters
+    found, standard = (design_task(mini.parameters(c)).parameters for c in (CHANGES, {}))
     assert isinstance(found, TouchInsertionParameters)
+    assert isinstance(standard, TouchInsertionParameters)
     assert found.gel.size_mm == pytest.approx((25.25, 20.75, 2.5))
     assert found.gel.young_modulus_pa == pytest.approx(3e5)
     assert found.markers.pitch_mm == (4.0, 1.9) and found.markers.columns == 5
-    standard = design_task(mini.parameters()).parameters
-    assert isinstance(standard, TouchInsertionParameters)
     assert found.policy == standard.policy and found.start == standard.start
-
-
-def test_a_design_without_markers_is_refused() -> None:
     with pytest.raises(InputError, match="this design has none"):
         design_task(sensor_family("gelsight").parameters())
 
@@ -196,15 +187,12 @@ def test_metrics_are_the_rate_and_its_interval() -> None:
     evidence = Evidence(sensor_family("gelsight_mini").parameters(), {})
     trials = [TaskTrial(k, k < 12, "", 9, {}, {"jam_force_n": float(k)}) for k in range(16)]
     evidence.__dict__["insertion"] = TaskResult("touch-insertion", trials, 1.0, 16)
-    names = ("insertion_success", "insertion_low", "insertion_high")
-    rates = [METRICS[name].compute(evidence) for name in names]
-    assert rates == pytest.approx([100 * rate for rate in success_interval(12, 16)])
-    assert METRICS["insertion_force"].compute(evidence) == 7.5
     evidence.__dict__["vitac"] = trials
-    pooled = [
-        METRICS[name].compute(evidence) for name in ("vitac_success", "vitac_low", "vitac_high")
-    ]
-    assert pooled == rates
+    wanted = [100 * rate for rate in success_interval(12, 16)]
+    for task in ("insertion", "vitac"):
+        names = (f"{task}_{end}" for end in ("success", "low", "high"))
+        assert [METRICS[name].compute(evidence) for name in names] == pytest.approx(wanted)
+    assert METRICS["insertion_force"].compute(evidence) == 7.5
 
 
 def test_the_task_has_the_shape_of_the_design() -> None:
@@ -238,25 +226,15 @@ def test_an_imported_gel_keeps_its_mesh() -> None:
 PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
 
 
-def test_tables_are_up_to_date() -> None:
+def test_the_page_of_studies() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert with_tables(text) == text, (
         "run: python -m taccel_lab.studies.report.describe docs/studies.md"
     )
-
-
-def test_pages_without_places_for_tables_are_refused() -> None:
     with pytest.raises(InputError, match="begin metrics"):
         with_tables("# empty\n")
-
-
-def test_the_study_file_of_the_page_is_sound() -> None:
-    block, *_ = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    block, *_ = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     assert len(make_study(spec_of(tomllib.loads(block)), default_kit()).points()) == 32
-
-
-def test_every_key_is_described() -> None:
-    text = PAGE.read_text(encoding="utf-8")
     reference = text[text.index("| key |") : text.index("## Presses")]
     for table, field in StudySpec.model_fields.items():
         assert f"`{table}" in reference, table

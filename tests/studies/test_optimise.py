@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,24 +42,33 @@ def search(
     return optimise(axes, Objective(minimize="m"), constraints, sweep, figures)
 
 
+GOALS = (Objective(minimize="m"), Objective(maximize="sum"))
+
+
 def by_optuna(
-    folder: Path,
-    method: str,
-    constraints: list[Constraint],
-    count: int,
-    objectives: tuple[Objective, ...] = (Objective(minimize="m"), Objective(maximize="sum")),
-    **more: Any,
-) -> OptimiserState:
-    sweep = Sweep(kind="optimize", count=count, method=method)  # type: ignore[arg-type]
-    options: dict[str, Any] = {"axes": (X, Y), "attempt": bowl, **more}
+    folder: Path, method: Any, count: int, constraints: Sequence[Constraint] = (), axes=(X, Y),
+    attempt=bowl, goals=GOALS, **more: Any,
+) -> OptimiserState:  # fmt: skip
+    sweep = Sweep(kind="optimize", count=count, method=method)
     return optimise_with_optuna(
-        options.pop("axes"), objectives, constraints, sweep, 1, options.pop("attempt"),
-        journal=folder / JOURNAL, **options,
-    )  # fmt: skip
+        axes, goals, list(constraints), sweep, 1, attempt, journal=folder / JOURNAL, **more
+    )
+
+
+def holed(values: dict[str, Any]) -> dict[str, float | None]:
+    """The bowl, of which a part cannot be built."""
+    return {"m": None, "sum": None} if values["x"] > 2.5 else bowl(values)
+
+
+def broken(values: dict[str, Any]) -> dict[str, float | None]:
+    raise KeyboardInterrupt
 
 
 def test_constraints_are_kept() -> None:
     assert best_kept(search([SUM])) == pytest.approx(788.53, rel=1e-2)
+    # One that cannot be reached ends at the least violation.
+    state = search([Constraint(metric="sum", min=50)])
+    assert max(v["x"] + v["y"] for v in state.tried) == pytest.approx(14, rel=1e-3)
 
 
 SUM = Constraint(metric="sum", min=4.5)
@@ -138,7 +148,7 @@ def test_neighbours_are_evaluated_together_and_counted() -> None:
 def test_every_method_of_optuna_spreads_along_the_front(
     tmp_path: Path, method: str, least: float, most: float
 ) -> None:
-    state = by_optuna(tmp_path, method, [], 18 if method == "GP" else 40)
+    state = by_optuna(tmp_path, method, 18 if method == "GP" else 40)
     assert min(float(bowl(v)["m"] or 0) for v in state.tried) < least
     assert max(v["x"] + v["y"] for v in state.tried) > most
     assert state.stopped == "the count of designs was used up"
@@ -146,44 +156,32 @@ def test_every_method_of_optuna_spreads_along_the_front(
 
 @pytest.mark.thorough
 def test_gp_keeps_constraints_and_goes_on_from_rows_without_its_journal(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
     goals = (Objective(minimize="m"), Objective(minimize="sum"))
-    first = by_optuna(tmp_path / "a", "GP", [SUM], 12, goals)
     calls: list[dict[str, Any]] = []
 
     def counted(values: dict[str, Any]) -> dict[str, float | None]:
         calls.append(values)
         return bowl(values)
 
-    (tmp_path / "b").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    first = by_optuna(tmp_path / "a", "GP", 12, [SUM], goals=goals)
     rows = [(v, bowl(v)) for v in first.tried]
-    whole = by_optuna(tmp_path / "b", "GP", [SUM], 20, goals, attempt=counted, known=lambda: rows)
+    whole = by_optuna(
+        tmp_path / "b", "GP", 20, [SUM], goals=goals, attempt=counted, known=lambda: rows
+    )
     assert len(whole.tried) == 20 and len(calls) == 8
     assert best_kept(whole) == pytest.approx(788.53, rel=0.03)
 
 
 @pytest.mark.thorough
 def test_designs_without_a_figure_are_no_end(tmp_path: Path) -> None:
-    def holed(values: dict[str, Any]) -> dict[str, float | None]:
-        return {"m": None, "sum": None} if values["x"] > 2.5 else bowl(values)
-
-    state = by_optuna(tmp_path, "GP", [SUM], 15, attempt=holed)
-    assert len(state.tried) == 15
-
-
-def test_constraints_that_cannot_be_reached_end_at_the_least_violation() -> None:
-    state = search([Constraint(metric="sum", min=50)])
-    assert max(v["x"] + v["y"] for v in state.tried) == pytest.approx(14, rel=1e-3)
+    assert len(by_optuna(tmp_path, "GP", 15, attempt=holed).tried) == 15
 
 
 def test_designs_are_tried_once_and_counted() -> None:
     calls: list[dict[str, Any]] = []
-
-    def count(values: dict[str, Any]) -> dict[str, float | None]:
-        calls.append(values)
-        return bowl(values)
-
-    state = search([], count=12, figures=count)
+    state = search([], count=12, figures=lambda values: calls.append(values) or bowl(values))
     assert calls == state.tried and len(calls) == 12
     assert state.stopped == "the count of designs was used up"
 
@@ -192,16 +190,13 @@ def test_whole_numbers_are_tried_once_each(tmp_path: Path) -> None:
     def steps(values: dict[str, Any]) -> dict[str, float | None]:
         return {"m": float((values["n"] - 6) ** 2 + 1), "sum": values["n"]}
 
-    state = by_optuna(tmp_path, "TPE", [], 20, axes=(N,), attempt=steps)
+    state = by_optuna(tmp_path, "TPE", 20, axes=(N,), attempt=steps)
     tried = [values["n"] for values in state.tried]
     assert len(set(tried)) == len(tried) <= 9 and 6 in tried
     assert state.stopped == "designs repeated themselves"
 
 
 def test_designs_that_cannot_be_built_are_walked_around() -> None:
-    def holed(values: dict[str, Any]) -> dict[str, float | None]:
-        return {"m": None, "sum": None} if values["x"] > 2.5 else bowl(values)
-
     axes = (Axis(X.parameter, None, 0, 4, start=2.4), Y)
     for constraints in ([], [Constraint(metric="sum", max=9)]):
         state = search(constraints, axes=axes, figures=holed)
@@ -209,21 +204,12 @@ def test_designs_that_cannot_be_built_are_walked_around() -> None:
         assert min(bowl(v)["m"] for v in found) < 505  # type: ignore[type-var,operator]
 
 
-def test_errors_come_through() -> None:
-    def broken(values: dict[str, Any]) -> dict[str, float | None]:
-        raise KeyboardInterrupt
-
+def test_an_interrupted_try_is_no_design(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         search([Constraint(metric="sum", max=9)], figures=broken)
-
-
-def test_an_interrupted_try_is_no_design(tmp_path: Path) -> None:
-    def broken(values: dict[str, Any]) -> dict[str, float | None]:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        by_optuna(tmp_path, "TPE", [], 5, attempt=broken)
-    assert len(by_optuna(tmp_path, "TPE", [], 5).tried) == 5
+        by_optuna(tmp_path, "TPE", 5, attempt=broken)
+    assert len(by_optuna(tmp_path, "TPE", 5).tried) == 5
 
 
 @pytest.mark.parametrize(
@@ -233,12 +219,10 @@ def test_an_interrupted_try_is_no_design(tmp_path: Path) -> None:
         ({"sweep": {"kind": "optimize", "count": 9, "method": "GP", "tolerance": 0.1}}, "belongs"),
         ({"objective": None, "objectives": [{"minimize": "blur"}, {"maximize": "range"}]}, "GP, T"),
         ({"objectives": [{"minimize": "blur"}]}, "either .objective. or"),
-        (
-            {"sweep": {"kind": "optimize", "count": 9, "method": "GP"}},
-            "'GP' takes several objectives; one is for LD_SLSQP or LN_COBYLA",
-        ),
+        ({"sweep": {"kind": "optimize", "count": 9, "method": "GP"}},
+         "'GP' takes several objectives; one is for LD_SLSQP or LN_COBYLA"),
     ],
-)
+)  # fmt: skip
 def test_methods_that_cannot_do_it_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         study(**{**OPTIMISE, **changes})
@@ -270,12 +254,10 @@ def test_an_optimised_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert logged(parts) == logged(tmp_path / "whole")
 
 
-def test_slopes_are_the_default_for_smooth_figures_alone() -> None:
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [("mini_optimised", "LD_SLSQP"), ("led_angles", "LN_COBYLA"), ("softest_gel", "LN_COBYLA")],
+)
+def test_slopes_are_the_default_for_smooth_figures_alone(name: str, method: str) -> None:
     examples = Path(__file__).parents[2] / "taccel_lab" / "studies" / "examples"
-    methods = {
-        name: read_study(examples / f"{name}.toml", default_kit()).spec.sweep.method
-        for name in ("mini_optimised", "led_angles", "softest_gel")
-    }
-    assert methods == {
-        "mini_optimised": "LD_SLSQP", "led_angles": "LN_COBYLA", "softest_gel": "LN_COBYLA",
-    }  # fmt: skip
+    assert read_study(examples / f"{name}.toml", default_kit()).spec.sweep.method == method

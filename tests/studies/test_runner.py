@@ -47,32 +47,48 @@ def test_every_design_has_a_row_with_its_figures(tmp_path: Path) -> None:
     ]  # fmt: skip
     for row, point in zip(rows, planned.points(), strict=True):
         figures = figures_of(point.parameters)
-        assert {n: float(row[n]) for n in figures if n != "lamps"} == {
-            n: v for n, v in figures.items() if n != "lamps"
-        }
+        assert all(float(row[name]) == figures[name] for name in ("stiffness", "range", "blur"))
         assert row["feasible"] == ("true" if figures["range"] >= 10 else "false")
     assert recorder.told[0] == (6, 0, 6) and len(recorder.told) == 7
     assert (tmp_path / "study.toml").read_text() == "# text\n"
+    # Other commands do not take a study for their output.
     assert (tmp_path / STUDY_MARKER).is_file()
+    with pytest.raises(InputError):
+        require_replaceable(tmp_path)
 
 
 def test_rows_that_are_there_are_not_evaluated_again(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no study"):
+        read_outcome(study(), tmp_path)
     run_study(study(), tmp_path, processes=0, limit=2)
-    assert len(rows_of(tmp_path)) == 2 and len(logged(tmp_path)) == 2
+    stored = read_outcome(study(), tmp_path)
+    assert len(stored.rows) == len(rows_of(tmp_path)) == len(logged(tmp_path)) == 2
+    assert not stored.complete
     outcome = run_study(study(), tmp_path, processes=0)
     assert outcome.complete and outcome.new == 4
     assert run_study(study(), tmp_path, processes=0).new == 0
     assert sorted(logged(tmp_path)) == sorted(p.id for p in study().points())
-
-
-def test_added_values_extend_a_study_and_others_are_kept(tmp_path: Path) -> None:
-    run_study(study(), tmp_path, processes=0)
-    wider = {"thickness_mm": {"values": [3.0, 4.0, 5.0, 6.0]}}
-    wider["young_modulus_mpa"] = {"values": [0.1]}  # type: ignore[dict-item]
+    # Added values extend it; rows of others are kept.
+    wider: dict[str, Any] = {
+        "thickness_mm": {"values": [3.0, 4.0, 5.0, 6.0]}, "young_modulus_mpa": {"values": [0.1]},
+    }  # fmt: skip
     outcome = run_study(study(parameters=wider), tmp_path, processes=0)
-    assert outcome.new == 1 and outcome.others == 3
-    assert len(rows_of(tmp_path)) == 4
+    assert outcome.new == 1 and outcome.others == 3 and len(rows_of(tmp_path)) == 4
     assert run_study(study(), tmp_path, processes=0).new == 0
+
+
+def test_no_figure_gets_lost(tmp_path: Path) -> None:
+    """Neither when metrics are added, nor when fewer are asked for."""
+    few = {**table()["study"], "metrics": ["stiffness"]}
+    for changes in ({"study": few}, {}, {"study": few}):
+        run_study(study(**changes), tmp_path, processes=0)
+    outcome = read_outcome(study(), tmp_path)
+    assert outcome.complete and len(outcome.rows) == 6
+    for row in outcome.rows:
+        known = figures_of(row.parameters)
+        assert row.figures == {name: known[name] for name in ("stiffness", "range", "blur")}
+        assert row.simulations == 3 and set(row.curves) == {"ball", "edge"}
+    assert len(logged(tmp_path)) == 2 * 6
 
 
 @pytest.mark.thorough
@@ -84,38 +100,35 @@ def test_new_metrics_leave_known_figures_alone(tmp_path: Path) -> None:
         return evaluate(designs, presses, metrics, **rest)
 
     few = {**table()["study"], "metrics": ["stiffness"]}
-    run_study(study(spy, study=few), tmp_path, processes=0)
-    assert asked == [(["ball"], ["stiffness"])] * 3
-    asked.clear()
-    run_study(study(spy, study={**few, "metrics": ["lamps", "stiffness"]}), tmp_path, processes=0)
-    assert asked == [([], ["lamps"])] * 3
-    asked.clear()
-    run_study(study(spy), tmp_path, processes=0)
-    assert asked == [(["ball", "edge"], ["range", "blur"])] * 3
-    row = rows_of(tmp_path)[0]
-    assert row["simulations"] == "3" and row["stiffness"] and row["blur"]
-    asked.clear()
-    run_study(study(spy, press={"edge": {"depth_mm": 0.5}}), tmp_path, processes=0)
-    assert asked == [(["edge"], ["blur"])] * 3
-    asked.clear()
-    run_study(study(spy, study=few), tmp_path, processes=0)
-    assert not asked
+    for changes, wanted in (
+        ({"study": few}, [(["ball"], ["stiffness"])] * 3),
+        ({"study": {**few, "metrics": ["lamps", "stiffness"]}}, [([], ["lamps"])] * 3),
+        ({}, [(["ball", "edge"], ["range", "blur"])] * 3),
+        ({"press": {"edge": {"depth_mm": 0.5}}}, [(["edge"], ["blur"])] * 3),
+        ({"study": few}, []),
+    ):
+        asked.clear()
+        run_study(study(spy, **changes), tmp_path, processes=0)
+        assert asked == wanted
+        if not changes:
+            row = rows_of(tmp_path)[0]
+            assert row["simulations"] == "3" and row["stiffness"] and row["blur"]
+
+
+RIMS = {"rim": {"values": ["none", "chamfer", "fillet"]}}
 
 
 def test_designs_without_figures_are_rows_with_causes(tmp_path: Path) -> None:
-    rims = {"rim": {"values": ["none", "chamfer", "fillet"]}}
-    outcome = run_study(study(parameters=rims), tmp_path, processes=0)
-    assert outcome.complete
-    assert [row["status"] for row in rows_of(tmp_path)] == ["done", "done", "failed"]
-    causes = [row["cause"] for row in rows_of(tmp_path)]
+    assert run_study(study(parameters=RIMS), tmp_path / "a", processes=0).complete
+    rows = rows_of(tmp_path / "a")
+    assert [row["status"] for row in rows] == ["done", "done", "failed"]
+    causes = [row["cause"] for row in rows]
     assert causes == ["", "blur: no edge was found", "the fillet does not fit"]
-    assert rows_of(tmp_path)[1]["blur"] == "" and rows_of(tmp_path)[1]["range"] != ""
-    assert run_study(study(parameters=rims), tmp_path, processes=0).new == 0
-
-
-def test_parameters_that_contradict_each_other_are_a_row_too(tmp_path: Path) -> None:
+    assert rows[1]["blur"] == "" and rows[1]["range"] != ""
+    assert run_study(study(parameters=RIMS), tmp_path / "a", processes=0).new == 0
+    # Parameters that contradict each other are a row, too.
     thin = {"thickness_mm": {"values": [1.6, 5.0]}}
-    outcome = run_study(study(parameters=thin), tmp_path, processes=0)
+    outcome = run_study(study(parameters=thin), tmp_path / "b", processes=0)
     assert [row.status for row in outcome.rows] == ["failed", "done"]
     assert "thickness_mm" in outcome.rows[0].cause
 
@@ -136,21 +149,6 @@ def test_one_fault_and_one_dead_process_cost_one_row_each(tmp_path: Path) -> Non
     assert len(logged(tmp_path)) == 2 + 6
 
 
-def test_stored_outcome_evaluates_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no study"):
-        read_outcome(study(), tmp_path)
-    run_study(study(), tmp_path, processes=0, limit=3)
-    outcome = read_outcome(study(), tmp_path)
-    assert len(outcome.rows) == 3 and not outcome.complete
-    assert len(logged(tmp_path)) == 3
-
-
-def test_other_commands_do_not_take_a_study_for_their_output(tmp_path: Path) -> None:
-    run_study(study(), tmp_path, processes=0, limit=1)
-    with pytest.raises(InputError):
-        require_replaceable(tmp_path)
-
-
 def test_a_study_of_another_sensor_is_refused(tmp_path: Path) -> None:
     run_study(study(), tmp_path, processes=0, limit=1)
     other = study(
@@ -161,33 +159,36 @@ def test_a_study_of_another_sensor_is_refused(tmp_path: Path) -> None:
         run_study(other, tmp_path, processes=0)
 
 
-def test_damaged_results_are_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text[:-30], "is not valid JSON"),
+        (lambda text: "[]", r"holds \[\]; a table"),
+        (lambda text: "[" * 100_000, "is nested more than 32 deep"),
+        (lambda text: '{"id": "x"}', "is damaged: keys .* are missing"),
+        ({"figures": 3}, "is damaged: figures is 3"),
+        ({"figures": {"blur": True}}, r"is damaged: figures\.blur is True"),
+        ({"causes": {"blur": 2}}, r"is damaged: causes\.blur is 2"),
+        ({"seconds": "1"}, "is damaged: seconds is '1'"),
+        ({"files": {"mesh": "../x"}}, "is damaged: .* leads out of it"),
+        (lambda text: None, "is that of another design"),
+    ],
+)
+def test_damaged_results_are_named(tmp_path: Path, change: Any, words: str) -> None:
     outcome = run_study(study(), tmp_path, processes=0)
-    path = outcome.folder.design(outcome.rows[0].id) / "result.json"
+    path, other = (outcome.folder.design(row.id) / "result.json" for row in outcome.rows[:2])
     text = path.read_text()
-    whole = json.loads(text)
-    for bad, words in (
-        (text[:-30], "is not valid JSON"),
-        ("[]", r"holds \[\]; a table"),
-        (json.dumps({"id": outcome.rows[0].id}), "is damaged: keys .* are missing"),
-        (json.dumps({**whole, "figures": 3}), "is damaged: figures is 3"),
-        (json.dumps({**whole, "figures": {"blur": True}}), r"is damaged: figures\.blur is True"),
-        (json.dumps({**whole, "causes": {"blur": 2}}), r"is damaged: causes\.blur is 2"),
-        (json.dumps({**whole, "seconds": "1"}), "is damaged: seconds is '1'"),
-        (json.dumps({**whole, "files": {"mesh": "../x"}}), "is damaged: .* leads out of it"),
-        ("[" * 100_000, "is nested more than 32 deep"),
-    ):
-        path.write_text(bad)
-        with pytest.raises(InputError, match=rf"result\.json {words}"):
-            run_study(study(), tmp_path, processes=0)
+    bad = json.dumps({**json.loads(text), **change}) if isinstance(change, dict) else change(text)
+    path.write_text(other.read_text() if bad is None else bad)
+    with pytest.raises(InputError, match=rf"result\.json {words}"):
+        run_study(study(), tmp_path, processes=0)
     path.unlink()
     assert run_study(study(), tmp_path, processes=0).new == 1
 
 
 def test_parquet_has_the_same_rows(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
-    rims = {"rim": {"values": ["none", "chamfer", "fillet"]}}
-    outcome = run_study(study(parameters=rims), tmp_path, processes=0)
+    outcome = run_study(study(parameters=RIMS), tmp_path, processes=0)
     write_table(tmp_path, outcome.study, outcome.rows)
     columns = parquet.read_table(tmp_path / "designs.parquet").to_pydict()
     assert list(columns) == list(rows_of(tmp_path)[0])

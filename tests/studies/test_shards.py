@@ -23,50 +23,57 @@ from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.optimise_optuna import JOURNAL
 from taccel_lab.studies.evaluate.runner import run_study
 from taccel_lab.studies.evaluate.study_folder import CSV_NAME, RESULT, STUDY_MARKER, StudyFolder
-from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
-from tests.support.variants import variants
 
 ROOT = Path(__file__).parents[2]
+CHANGES = {
+    "parameters": {
+        "thickness_mm": {"min": 3.0, "max": 8.0, "count": 6},
+        "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"},
+    }
+}
+SEARCH = {
+    "parameters": {
+        "thickness_mm": {"min": 3, "max": 8},
+        "young_modulus_mpa": {"min": 0.05, "max": 1, "scale": "log"},
+    },
+    "sweep": {"kind": "optimize", "count": 14, "method": "TPE"},
+    "objectives": [{"minimize": "blur"}, {"maximize": "range"}],
+}
 
 
-def children_of(pid: int) -> list[int]:
-    path = Path(f"/proc/{pid}/task/{pid}/children")
-    return (
-        [int(child) for child in path.read_text(encoding="utf-8").split()] if path.is_file() else []
-    )
+def start(folder: Path, *words: str, hold_at: int = 1_000_000) -> subprocess.Popen[bytes]:
+    """A fake study in a process of its own: processes, shard, what searches."""
+    command = [sys.executable, "-m", "tests.studies.test_shards", str(folder), *words]
+    environment = {**os.environ, "FAKE_HOLD_AT": str(hold_at), "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(command, cwd=ROOT, env=environment)
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("processes", variants([2], [0, 2]))
-def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
+def test_a_killed_sweep_goes_on(tmp_path: Path) -> None:
+    """Its processes end with it; the same study evaluates what has no row yet, and nothing else."""
     folder = StudyFolder(tmp_path)
-    command = [sys.executable, "-m", "tests.studies.run_fake", str(tmp_path), str(processes)]
-    environment = {**os.environ, "FAKE_HOLD_AT": "8", "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(command, cwd=ROOT, env=environment)
+    process = start(tmp_path, "2", hold_at=8)
     try:
         while len(folder.ids()) < 4:
             assert process.poll() is None
             time.sleep(0.02)
-        children = children_of(process.pid)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        workers = children.read_text().split() if children.is_file() else ["none"]
     finally:
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
-    if processes:
-        assert children
-        while any(Path(f"/proc/{child}").exists() for child in children):
-            time.sleep(0.02)
+    while any(Path(f"/proc/{pid}").exists() for pid in workers):
+        time.sleep(0.02)
     before = {name: (folder.design(name) / RESULT).read_bytes() for name in folder.ids()}
-    assert 4 <= len(before) < 12
-
+    assert workers and 4 <= len(before) < 12
     outcome = run_study(study(**CHANGES), tmp_path, processes=0)
-    assert outcome.complete and len(outcome.rows) == 12
-    assert outcome.new == 12 - len(before)
+    assert outcome.complete and outcome.new == 12 - len(before)
+    assert {row.id for row in outcome.rows} == {point.id for point in study(**CHANGES).points()}
     for name, content in before.items():
         assert (folder.design(name) / RESULT).read_bytes() == content
         assert logged(tmp_path).count(name) == 1
-    assert {row.id for row in outcome.rows} == {p.id for p in study(**CHANGES).points()}
 
 
 def test_leftovers_of_a_killed_write_are_removed(tmp_path: Path) -> None:
@@ -91,45 +98,30 @@ def test_a_merged_row_keeps_what_only_one_knows() -> None:
         {"ball": "k2"},
     )  # fmt: skip
     merged = old.merged(new)
-    assert merged.status == "done"
+    assert (merged.status, merged.seconds, merged.simulations) == ("done", 3.0, 4)
     assert merged.figures == {"a": 1.0, "b": None, "c": None}
     assert merged.causes == {"b": "no edge", "c": "why"}
-    assert (merged.seconds, merged.simulations) == (3.0, 4)
     assert merged.figure_keys == {"a": "k", "b": "k", "c": "k"}
-    assert merged.press_keys == {"ball": "k2"}
-    assert merged.files == {"mesh": "mesh.vtu"}
+    assert (merged.press_keys, merged.files) == ({"ball": "k2"}, {"mesh": "mesh.vtu"})
 
 
 # Shards -------------------------------------------------------------------------------------------
 
 
-def start(folder: Path, shard: str, *words: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "tests.studies.run_fake", str(folder), "0", shard, *words]
-    return subprocess.Popen(command, cwd=ROOT)
-
-
-@pytest.mark.slow
-def test_two_processes_share_a_grid_and_a_third_run_merges(tmp_path: Path) -> None:
-    runs = [start(tmp_path, f"{number}/2") for number in (1, 2)]
-    assert [run.wait(120) for run in runs] == [0, 0]
-    assert not (tmp_path / CSV_NAME).exists()
-    planned = study(**CHANGES)
-    outcome = run_study(planned, tmp_path, processes=0)
-    assert outcome.complete and outcome.new == 0 and len(outcome.rows) == 12
-    assert sorted(logged(tmp_path)) == sorted(point.id for point in planned.points())
-    assert (tmp_path / CSV_NAME).is_file()
-
-
 def test_a_shard_takes_designs_that_share_simulations_together(tmp_path: Path) -> None:
-    planned = study(**CHANGES)
-    owners: dict[str, set[int]] = {}
+    """A run of the whole merges them."""
+    planned, owners = study(**CHANGES), dict[str, set[int]]()
+    points = {point.id: point for point in planned.points()}
     for number in (1, 2, 3):
         outcome = run_study(planned, tmp_path, processes=0, shard=Shard(number, 3))
         assert outcome.new == outcome.total == 4
         for row in outcome.rows:
-            (point,) = (p for p in planned.points() if p.id == row.id)
-            owners.setdefault(sharing_key(planned.family, point), set()).add(number)
+            owners.setdefault(sharing_key(planned.family, points[row.id]), set()).add(number)
     assert all(len(numbers) == 1 for numbers in owners.values())
+    assert not (tmp_path / CSV_NAME).exists()
+    outcome = run_study(planned, tmp_path, processes=0)
+    assert outcome.complete and outcome.new == 0 and len(outcome.rows) == 12
+    assert sorted(logged(tmp_path)) == sorted(points) and (tmp_path / CSV_NAME).is_file()
 
 
 def test_a_shard_runs_once_and_never_beside_a_whole_run(tmp_path: Path) -> None:
@@ -142,6 +134,12 @@ def test_a_shard_runs_once_and_never_beside_a_whole_run(tmp_path: Path) -> None:
                 pass
     with folder.locked(), pytest.raises(InputError, match="another run"):
         run_study(study(), tmp_path, processes=0, shard=Shard(1, 2))
+    for text in ("0/2", "3/2", "1", "a/b", "-1/2", "1/0", "1/2/3", "1/99999"):
+        with pytest.raises(InputError, match="shard"):
+            Shard.parse(text)
+    one = {"sweep": {"kind": "optimize", "count": 9}, "objectives": [{"minimize": "blur"}]}
+    with pytest.raises(InputError, match="shards need several objectives"):
+        run_study(study(**{**SEARCH, **one}), tmp_path, processes=0, shard=Shard(1, 2))
 
 
 @pytest.mark.parametrize("kind", ["link out", "link to a folder", "device", "pipe"])
@@ -171,27 +169,13 @@ def test_a_study_that_leads_elsewhere_is_not_gone_on_with(
     assert secret.read_text() == SECRET and list(secret.parent.iterdir()) == [secret]
 
 
-@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "-1/2", "1/0", "1/2/3", "1/99999"])
-def test_what_is_no_shard_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="shard"):
-        Shard.parse(text)
-
-
-def test_one_objective_has_no_shards(tmp_path: Path) -> None:
-    one = {"sweep": {"kind": "optimize", "count": 9}, "objectives": [{"minimize": "blur"}]}
-    planned = study(**{**SEARCH, **one})
-    with pytest.raises(InputError, match="shards need several objectives"):
-        run_study(planned, tmp_path, processes=0, shard=Shard(1, 2))
-
-
 @pytest.mark.thorough
 def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
-    runs = [start(tmp_path, f"{number}/2", "optuna") for number in (1, 2)]
+    runs = [start(tmp_path, "0", f"{number}/2", "optuna") for number in (1, 2)]
     assert [run.wait(120) for run in runs] == [0, 0]
     outcome = run_study(study(**SEARCH), tmp_path, processes=0)
-    assert outcome.complete and outcome.new == 0
     # Both may be at their last design at once.
-    assert 14 <= len(outcome.rows) <= 15
+    assert outcome.complete and outcome.new == 0 and 14 <= len(outcome.rows) <= 15
     assert len(set(logged(tmp_path))) == len(outcome.rows)
     (tmp_path / JOURNAL).unlink()
     again = run_study(study(**SEARCH), tmp_path, processes=0)
@@ -257,44 +241,32 @@ def test_jobs_of_submitit_do_their_shards(file: Path, tmp_path: Path) -> None:
     assert len(StudyFolder(tmp_path / "out").ids()) == 4
 
 
-@pytest.mark.parametrize("settings", [{"partition_of": "x"}, {"timeout_min": "soon"}])
-def test_settings_that_submitit_refuses_are_told(
-    file: Path, tmp_path: Path, settings: dict[str, str]
-) -> None:
-    with pytest.raises(InputError, match="submitit cannot submit to local: "):
-        submit_shards(file, tmp_path / "out", 2, "local", settings=settings)
-
-
-def test_what_slurm_refuses_is_told(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("srun", "sbatch"):
-        (tmp_path / "bin").mkdir(exist_ok=True)
-        command = tmp_path / "bin" / name
-        command.write_text("#!/bin/sh\necho sbatch: error: invalid partition >&2\nexit 1\n")
-        command.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
-    with pytest.raises(InputError, match="submit to slurm: sbatch: error: invalid partition"):
-        submit_shards(file, tmp_path / "out", 2, "slurm", settings=SOON)
-
-
 @pytest.mark.parametrize(
-    ("settings", "words"),
-    [({}, "say how long a job may take: --job timeout_min"), ({**SOON, "slurm_time": "1"}, "time")],
+    ("cluster", "settings", "words"),
+    [
+        ("local", {"partition_of": "x"}, "submitit cannot submit to local: "),
+        ("local", {"timeout_min": "soon"}, "submitit cannot submit to local: "),
+        ("slurm", {}, "say how long a job may take: --job timeout_min"),
+        ("slurm", {**SOON, "slurm_time": "1"}, "time"),
+        ("slurm", SOON, "submit to slurm: sbatch: error: invalid partition"),
+    ],
 )
-def test_slurm_needs_the_time_of_a_job(
-    file: Path, tmp_path: Path, settings: dict[str, int | str], words: str
-) -> None:
+def test_what_a_cluster_refuses_is_said(
+    cluster: str, settings: dict[str, int | str], words: str, file: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if settings is SOON:
+        for name in ("srun", "sbatch"):
+            (tmp_path / "bin").mkdir(exist_ok=True)
+            command = tmp_path / "bin" / name
+            command.write_text("#!/bin/sh\necho sbatch: error: invalid partition >&2\nexit 1\n")
+            command.chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
     with pytest.raises(InputError, match=words):
-        submit_shards(file, tmp_path / "out", 2, "slurm", settings=settings)
+        submit_shards(file, tmp_path / "out", 2, cluster, settings=settings)
 
 
-def test_a_job_whose_time_is_up_is_queued_again_as_it_was(own_signals: None) -> None:
-    job = ShardJob("a.toml", "/out", Shard(1, 2), None, None, None)
-    assert job.checkpoint().function == job
-
-
-def test_a_job_that_is_asked_to_end_ends(
+def test_a_job_ends_when_asked_and_is_queued_again_as_it_was(
     file: Path, tmp_path: Path, own_signals: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def asked_to_end(*_: object, **options: object) -> int:
@@ -302,10 +274,12 @@ def test_a_job_that_is_asked_to_end_ends(
         time.sleep(60)
         return 0
 
+    job = ShardJob(str(file), str(tmp_path / "out"), Shard(1, 2), None, None, None)
+    assert job.checkpoint().function == job
     monkeypatch.setattr("taccel_lab.studies.evaluate.cluster.run_study", asked_to_end)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # As submitit does.
     with pytest.raises(SystemExit) as ended:
-        ShardJob(str(file), str(tmp_path / "out"), Shard(1, 2), None, None, None)()
+        job()
     assert ended.value.code == 143
 
 
@@ -325,3 +299,10 @@ def test_an_array_of_slurm_does_its_shards(file: Path, tmp_path: Path) -> None:
         time.sleep(1)
     logs = [path.read_text() for path in (folder.root / JOBS).glob("*/*log.err")]
     assert len(folder.ids()) == 4, logs
+
+
+if __name__ == "__main__":
+    root, processes, *rest = sys.argv[1:]
+    planned = study(**(SEARCH if "optuna" in rest else CHANGES))
+    shard = Shard.parse(rest[0]) if rest else None
+    run_study(planned, root, processes=int(processes), shard=shard)

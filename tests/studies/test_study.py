@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from taccel_lab import studies
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.studies.evaluate.batches import MAX_BATCH, DesignBatch, gather_batches
@@ -23,9 +25,7 @@ from tests.support.fake_kit import study, table
 # Files --------------------------------------------------------------------------------------------
 
 
-EXAMPLES = sorted(
-    (Path(__file__).parents[2] / "taccel_lab" / "studies" / "examples").glob("*.toml")
-)
+EXAMPLES = sorted(Path(studies.__file__).parent.glob("examples/*.toml"))
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
@@ -35,10 +35,9 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     place: Any = result
     for name in tables:
         place = place.setdefault(name, {})
+    place[key] = value
     if value is ...:
         del place[key]
-    else:
-        place[key] = value
     return result
 
 
@@ -87,40 +86,34 @@ def test_bad_studies_are_refused_with_what_is_allowed(path: str, value: Any, tex
         assert text in str(caught.value)
 
 
-def test_every_fault_has_a_line() -> None:
-    bad = changed("study/seed", -1)
-    bad["sweep"] = {"kind": "gird"}
+RANGE = {"thickness_mm": {"min": 2, "max": 3}}
+OPTIMIZE = {"sweep": {"kind": "optimize", "count": 5}}
+BLUR = {"objective": {"minimize": "blur"}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "messages"),
+    [
+        ({"parameters": {"thickness_mm": {"values": [3.0]}}, **OPTIMIZE, **BLUR}, ["min and max"]),
+        ({"parameters": {"thickness_mm": {"min": 2, "max": 3, "count": 2}}, **OPTIMIZE, **BLUR},
+         ["count belongs to a grid"]),
+        ({"parameters": RANGE, **OPTIMIZE}, [r"needs \[objective\]"]),
+        # Every fault has a line.
+        ({"study": {**table()["study"], "seed": -1}, "sweep": {"kind": "gird"}}, ["-1", "gird"]),
+    ],
+)  # fmt: skip
+def test_tables_that_do_not_go_together_are_refused(changes: dict, messages: list[str]) -> None:
     with pytest.raises(InputError) as caught:
-        spec_of(bad)
-    assert len(str(caught.value).splitlines()) == 2
-
-
-@pytest.mark.parametrize("ranges", [{"values": [3.0]}, {"min": 2, "max": 3, "count": 2}])
-def test_optimiser_wants_ranges_without_counts(ranges: dict[str, Any]) -> None:
-    bad = table(parameters={"thickness_mm": ranges}, sweep={"kind": "optimize", "count": 5})
-    bad["objective"] = {"minimize": "blur"}
-    with pytest.raises(InputError, match=r"an optimiser needs min and max|count belongs to a grid"):
-        spec_of(bad)
-
-
-def test_optimiser_needs_an_objective() -> None:
-    parameters = {"thickness_mm": {"min": 2, "max": 3}}
-    with pytest.raises(InputError, match=r"needs \[objective\]"):
-        spec_of(table(parameters=parameters, sweep={"kind": "optimize", "count": 5}))
+        spec_of(table(**changes))
+    lines = str(caught.value).splitlines()
+    for line, message in zip(lines, messages, strict=True):
+        assert re.search(message, line)
 
 
 def test_objective_and_constraints_are_measured_too() -> None:
-    spec = spec_of(
-        table(
-            study={"name": "a", "sensor": "gelsight"},
-            objective={"maximize": "range"},
-            constraints=[{"metric": "blur", "max": 2}],
-        )
-    )
+    given = {"objective": {"maximize": "range"}, "constraints": [{"metric": "blur", "max": 2}]}
+    spec = spec_of(table(study={"name": "a", "sensor": "gelsight"}, **given))
     assert spec.metrics() == ("range", "blur")
-
-
-def test_violation_is_the_distance_to_the_nearer_bound() -> None:
     constraint = Constraint(metric="blur", min=1, max=2)
     assert [constraint.violation(value) for value in (0.25, 1, 1.5, 2, 4)] == [0.75, 0, 0, 0, 2]
     assert constraint.text() == "blur from 1 to 2"
@@ -183,21 +176,16 @@ def test_grid_has_every_combination_once() -> None:
     assert len({p.id for p in points}) == 6
 
 
-def test_values_and_ranges_of_the_same_numbers_are_the_same_designs() -> None:
-    listed = study(parameters={"young_modulus_mpa": {"values": [0.1, 0.2, 0.4]}})
-    ranged = study(
-        parameters={"young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 3, "scale": "log"}}
-    )
-    assert [p.id for p in listed.points()] == [p.id for p in ranged.points()]
+def test_the_same_values_are_the_same_design() -> None:
+    def ids(values: dict[str, Any], name: str = "young_modulus_mpa", **more: Any) -> list[str]:
+        return [point.id for point in study(parameters={name: values}, **more).points()]
 
-
-def test_defaults_are_part_of_a_design() -> None:
-    default = study().parameters["thickness_mm"].default
-    with_default = study(parameters={"rim": {"values": ["none"]}}, fixed={"thickness_mm": default})
-    without = study(parameters={"rim": {"values": ["none"]}})
-    other = study(parameters={"rim": {"values": ["none"]}}, fixed={"thickness_mm": default + 1})
-    ids = [s.points()[0].id for s in (with_default, without, other)]
-    assert ids[0] == ids[1] != ids[2]
+    logs = {"min": 0.1, "max": 0.4, "count": 3, "scale": "log"}
+    assert ids({"values": [0.1, 0.2, 0.4]}) == ids(logs)
+    # Defaults are part of a design.
+    default, plain = study().parameters["thickness_mm"].default, {"values": ["none"]}
+    assert ids(plain, "rim") == ids(plain, "rim", fixed={"thickness_mm": default})
+    assert ids(plain, "rim") != ids(plain, "rim", fixed={"thickness_mm": default + 1})
 
 
 def test_keys_follow_the_settings_of_the_presses_that_are_read() -> None:
@@ -214,35 +202,30 @@ def test_keys_follow_the_settings_of_the_presses_that_are_read() -> None:
 
 
 def test_tied_parameters_follow() -> None:
-    tied = study(
-        parameters={"width_px": {"values": [320, 640]}},
-        tied={
-            "height_px": {"to": "width_px", "factor": 0.75, "offset": 0.3},
-            "mm_per_px": {"to": "width_px", "factor": 18.88, "power": -1},
-        },
-    )
-    first = tied.points()[0].parameters
-    assert first == {"width_px": 320, "height_px": 240, "mm_per_px": 0.059}
+    ties = {
+        "height_px": {"to": "width_px", "factor": 0.75, "offset": 0.3},
+        "mm_per_px": {"to": "width_px", "factor": 18.88, "power": -1},
+    }
+    first = study(parameters={"width_px": {"values": [320, 640]}}, tied=ties).points()[0]
+    assert first.parameters == {"width_px": 320, "height_px": 240, "mm_per_px": 0.059}
 
 
 def test_random_sweeps_repeat_and_fill_the_ranges() -> None:
-    parameters = {"thickness_mm": {"min": 2, "max": 8}, "rim": {"values": ["none", "chamfer"]}}
-    sweep = {"kind": "random", "count": 20}
-    first, again = (study(parameters=parameters, sweep=sweep).points() for _ in range(2))
-    assert first == again
-    other = study(
-        parameters=parameters, sweep=sweep, study={**table()["study"], "seed": 1}
-    ).points()
-    assert other != first
+    given = {
+        "parameters": {
+            "thickness_mm": {"min": 2, "max": 8}, "rim": {"values": ["none", "chamfer"]},
+        },
+        "sweep": {"kind": "random", "count": 20},
+    }  # fmt: skip
+    first = study(**given).points()
+    assert first == study(**given).points()
+    assert first != study(**given, study={**table()["study"], "seed": 1}).points()
     thickness = sorted(p.parameters["thickness_mm"] for p in first)
     assert all(2 + 0.3 * i <= t <= 2.3 + 0.3 * i for i, t in enumerate(thickness))
     assert [p.parameters["rim"] for p in first].count("none") == 10
-
-
-def test_more_sobol_points_keep_the_earlier_ones() -> None:
     axes = [Axis(Parameter("x", 1.0, "mm", "", "", 0, 9), None, 1, 5)]
     few, many = (random_points(axes, count, 3, "sobol") for count in (5, 11))
-    assert many[:5] == few
+    assert many[:5] == few, "more Sobol points keep the earlier ones"
 
 
 NUMBER = Parameter("x", 1.0, "mm", "", "", 1e-3, 1e4)
@@ -283,8 +266,8 @@ def test_designs_that_share_simulations_go_together() -> None:
     batches = gather_batches(planned.family, wanted, "cpu")
     assert sum(len(batch.designs) for batch in batches) == 160
     for batch in batches:
-        assert len(batch.designs) <= MAX_BATCH
-        for name in ("thickness_mm", "poisson_ratio"):
-            assert len({design.parameters[name] for design in batch.designs}) == 1
+        names = ("thickness_mm", "poisson_ratio")
+        shared = {tuple(d.parameters[name] for name in names) for d in batch.designs}
+        assert len(batch.designs) <= MAX_BATCH and len(shared) == 1
     assert len(batches) == 4 * 2
     assert len(gather_batches(planned.family, wanted, "cuda:0")) == 1

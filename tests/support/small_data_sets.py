@@ -1,23 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A data set whose touches take a fraction of a second, and a sensor with a colour model.
-
-``python -m tests.support.small_data_sets PROFILE OUT I/N PROCESSES`` makes it in a process of its
-own; with a fifth word K, that process is killed amid writing the K-th part.
-"""
+"""A data set whose touches take a fraction of a second, and a sensor with a colour model."""
 
 from __future__ import annotations
 
-import itertools
-import os
-import signal
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets import part
 from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.runner import DatasetOutcome, make_dataset
 from taccel_lab.datasets.spec import DatasetSpec
@@ -125,22 +116,3 @@ def saved_profile(folder: Path) -> Path:
     """The profile as a folder."""
     save_profile(small_profile(), folder)
     return folder
-
-
-def killed_amid(number: int) -> None:
-    """Have this process killed when the arrays of a part are on disk, and not all its tables."""
-    write, tables = part.write_table, itertools.count(1)
-
-    def write_table(*arguments: Any) -> None:
-        if next(tables) == 2 * number:
-            os.kill(os.getpid(), signal.SIGKILL)
-        write(*arguments)
-
-    part.write_table = write_table
-
-
-if __name__ == "__main__":
-    if sys.argv[5:]:
-        killed_amid(int(sys.argv[5]))
-    number, count = map(int, sys.argv[3].split("/"))
-    make(sys.argv[1], Path(sys.argv[2]), (number, count), processes=int(sys.argv[4]))

@@ -10,23 +10,18 @@ inside its contact circle and an elastic half-space around it. What is not there
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import load_captures
-from taccel_lab.optics.render import OpticalModel, PreviewImage
-from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.sensors.registry import sensor_family
 from tests.optics.compare import (
-    BackgroundMatch,
-    PressMatch,
     compare_backgrounds,
     compare_press,
     pressed_top,
@@ -59,7 +54,7 @@ class RealSensor:
 
     family: str
     background: np.ndarray
-    presses: Callable[[], tuple[RealPress, ...]]
+    presses: Callable[[], Iterable[RealPress]]
     """Read where they are asked for."""
     press_mm_per_px: float | None = None
     """Scale of the presses where they are framed unlike the background."""
@@ -68,20 +63,16 @@ class RealSensor:
 def classic_gelsight() -> RealSensor:
     """Taxim's calibration presses (MIT)."""
     captures = load_captures(taxim_presses())
+    rest, ball_mm = captures.background, captures.ball_radius_mm
 
     def presses() -> Iterator[RealPress]:
         """Well inside the image, one in each part of it."""
         for press in (captures.presses[i] for i in (5, 20, 30, 40)):
-            assert press.circle is not None
-            yield RealPress(
-                captures.background,
-                press.image(),
-                (press.circle.u_px, press.circle.v_px),
-                press.circle.radius_px,
-                captures.ball_radius_mm,
-            )
+            c = press.circle
+            assert c is not None
+            yield RealPress(rest, press.image(), (c.u_px, c.v_px), c.radius_px, ball_mm)
 
-    return RealSensor("gelsight", captures.background, lambda: tuple(presses()))
+    return RealSensor("gelsight", rest, presses)
 
 
 def gelsight_mini() -> RealSensor:
@@ -91,29 +82,27 @@ def gelsight_mini() -> RealSensor:
     return RealSensor("gelsight_mini", background, _mini_presses, press_mm_per_px=0.0815)
 
 
-def _mini_presses() -> tuple[RealPress, ...]:
+def _mini_presses() -> list[RealPress]:
     folder = real_data("gsmini_ruihangao_calib/calib_ball")
-    files = sorted(folder.glob("frame_*.jpg"))
-    frames = [_read(path) for path in files]
+    frames = [_read(path) for path in sorted(folder.glob("frame_*.jpg"))]
     rest = np.median(np.stack(frames), axis=0).astype(np.uint8)
-    found = [(frame, _find_dent(rest, frame, 0.35)) for frame in frames]
     height, width = rest.shape[:2]
     inside = [
         RealPress(rest, frame, (u, v), 0.85 * radius, 2.0)
-        for frame, (u, v, radius) in found
+        for frame, (u, v, radius) in ((frame, _find_dent(rest, frame, 0.35)) for frame in frames)
         if 0.22 * width < u < 0.78 * width and 0.25 * height < v < 0.75 * height
     ]
-    return tuple(inside[::6][:4])
+    return inside[::6][:4]
 
 
 def ninedtact() -> RealSensor:
     """The official calibration press of 9DTact (MIT)."""
     folder = real_data("9dtact_official/shape_reconstruction/calibration/sensor_1")
-    rest = _read(folder / "depth_calibration/rectify_crop_ref.png")
-    image = _read(folder / "depth_calibration/rectify_crop_sample.png")
+    rest, image = (
+        _read(folder / f"depth_calibration/rectify_crop_{name}.png") for name in ("ref", "sample")
+    )
     u, v, radius = _find_dent(rest, image, 0.15)
-    press = RealPress(rest, image, (u, v), radius, 4.0, thin_gel=True)
-    return RealSensor("9dtact", rest, lambda: (press,))
+    return RealSensor("9dtact", rest, lambda: [RealPress(rest, image, (u, v), radius, 4.0, True)])
 
 
 def _read(path: Path) -> np.ndarray:
@@ -138,106 +127,57 @@ def _find_dent(
     return float(centroids[part][0]), float(centroids[part][1]), radius
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Scores of one sensor's presses, and background and first press, real and of the model."""
+class Bench:
+    """The model of one family, framed and exposed as a real image."""
 
-    presses: tuple[PressMatch, ...]
-    real: tuple[np.ndarray, np.ndarray]
-    model: tuple[np.ndarray, np.ndarray]
+    def __init__(self, sensor: RealSensor, image: np.ndarray, mm_per_px: float | None) -> None:
+        parameters = sensor_family(sensor.family).parameters()
+        design, pad = parameters.optics(), parameters.pad()
+        assert design is not None
+        if mm_per_px is not None:
+            zoom, camera = parameters.grid().mm_per_px_x / mm_per_px, design.camera
+            camera = replace(camera, fx_px=camera.fx_px * zoom, fy_px=camera.fy_px * zoom)
+            design = replace(design, camera=camera)
+        half = np.abs(pad.bounds_mm()).max(axis=0)
+        self.half_mm = float(half[0]), float(half[1])
+        height, width = image.shape[:2]
+        scale = LONG_SIDE_PX / max(height, width)
+        self.size_px = round(width * scale), round(height * scale)
+        red, green, blue = np.clip(np.median(image.reshape(-1, 3), axis=0), 1, 254).tolist()
+        self.top = pad.top_mm
+        self.model = formula_model(
+            design, self.top, half_size_mm=self.half_mm, back_z_mm=-pad.thickness_mm,
+            step_mm=STEP_MM, size_px=self.size_px, level=(red, green, blue),
+        )  # fmt: skip
+        self.rest = self.model.render()
+
+    def resized(self, image: np.ndarray) -> np.ndarray:
+        return cv2.resize(image, self.size_px, interpolation=cv2.INTER_AREA)
+
+    def pair(self, press: RealPress) -> tuple[Pair, Pair, tuple[float, float], float]:
+        """Background and press, real and of the model; centre and radius of the contact [px]."""
+        scale = self.size_px[0] / press.image.shape[1]
+        u, v = (scale * (c + 0.5) - 0.5 for c in press.center_px)
+        radius = scale * press.radius_px
+        at = self.rest.points_mm[round(v), round(u)]
+        beside = self.rest.points_mm[round(v), min(round(u) + 2, self.size_px[0] - 1)]
+        contact = min(radius * float(np.linalg.norm(beside - at)) / 2, 0.98 * press.ball_mm)
+        center = (float(at[0]), float(at[1]))
+        top = pressed_top(self.top, center, contact, press.ball_mm, thin=press.thin_gel)
+        model = self.rest.rgb, render_formula(self.model, top, self.half_mm, STEP_MM).rgb
+        return (self.resized(press.background), self.resized(press.image)), model, (u, v), radius
 
 
-@dataclass(frozen=True)
-class _Bench:
-    """The model of one family at one framing."""
-
-    design: OpticalDesign
-    top: Any
-    half_mm: tuple[float, float]
-    back_z_mm: float
-    size_px: tuple[int, int]
-
-    level: tuple[float, float, float]
-    """Medians of the real background: its exposure and white balance."""
-
-    def model(self) -> OpticalModel:
-        return formula_model(
-            self.design,
-            self.top,
-            half_size_mm=self.half_mm,
-            back_z_mm=self.back_z_mm,
-            step_mm=STEP_MM,
-            size_px=self.size_px,
-            level=self.level,
-        )
+Pair = tuple[np.ndarray, np.ndarray]
 
 
 @cache
-def compared(read: Callable[[], RealSensor]) -> Comparison:
-    """Of one sensor."""
+def compared(read: Callable[[], RealSensor]) -> list[tuple[Pair, Pair, tuple[float, float], float]]:
+    """Each press of a sensor."""
     sensor = read()
-    presses = sensor.presses()
-    bench = _bench(sensor, presses[0].background, sensor.press_mm_per_px)
-    untouched = bench.model()
-    preview = untouched.render()
-    found = [_compare_press(bench, untouched, preview, press) for press in presses]
-    real, model = found[0][1]
-    return Comparison(tuple(match for match, _ in found), real, model)
-
-
-def compared_backgrounds(sensor: RealSensor) -> BackgroundMatch:
-    bench = _bench(sensor, sensor.background, None)
-    real, rest = _resized(sensor.background, bench.size_px), bench.model().render()
-    return compare_backgrounds(real, rest.rgb, rest.mask, blur_px=BLUR * max(bench.size_px))
-
-
-def _bench(sensor: RealSensor, image: np.ndarray, mm_per_px: float | None) -> _Bench:
-    parameters = sensor_family(sensor.family).parameters()
-    design = parameters.optics()
-    assert design is not None
-    pad = parameters.pad()
-    grid = parameters.grid()
-    if mm_per_px is not None:
-        zoom = grid.mm_per_px_x / mm_per_px
-        camera = design.camera
-        design = replace(
-            design, camera=replace(camera, fx_px=camera.fx_px * zoom, fy_px=camera.fy_px * zoom)
-        )
-    low, high = pad.bounds_mm()
-    half = np.maximum(np.abs(low[:2]), np.abs(high[:2]))
-    height, width = image.shape[:2]
-    medians = np.clip(np.median(image.reshape(-1, 3), axis=0), 1, 254).tolist()
-    scale = LONG_SIDE_PX / max(height, width)
-    return _Bench(
-        design,
-        pad.top_mm,
-        (float(half[0]), float(half[1])),
-        -pad.thickness_mm,
-        (round(width * scale), round(height * scale)),
-        (medians[0], medians[1], medians[2]),
-    )
-
-
-def _compare_press(
-    bench: _Bench, untouched: OpticalModel, preview: PreviewImage, press: RealPress
-) -> tuple[PressMatch, tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]:
-    """Its score, and background and press, real and of the model."""
-    scale = bench.size_px[0] / press.image.shape[1]
-    u, v = (scale * (c + 0.5) - 0.5 for c in press.center_px)
-    radius = scale * press.radius_px
-    at = preview.points_mm[round(v), round(u)]
-    beside = preview.points_mm[round(v), min(round(u) + 2, bench.size_px[0] - 1)]
-    mm_per_px = float(np.linalg.norm(beside - at)) / 2
-    contact = min(radius * mm_per_px, 0.98 * press.ball_mm)
-    center = (float(at[0]), float(at[1]))
-    top = pressed_top(bench.top, center, contact, press.ball_mm, thin=press.thin_gel)
-    model = preview.rgb, render_formula(untouched, top, bench.half_mm, STEP_MM).rgb
-    real = _resized(press.background, bench.size_px), _resized(press.image, bench.size_px)
-    return compare_press(real, model, (u, v), radius), (real, model)
-
-
-def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
-    return cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
+    presses = list(sensor.presses())
+    bench = Bench(sensor, presses[0].background, sensor.press_mm_per_px)
+    return [bench.pair(press) for press in presses]
 
 
 @pytest.mark.thorough
@@ -255,32 +195,31 @@ def test_ball_presses_turn_the_colours_of_the_real_ones(
     contrast: tuple[float, float],
     correlation: tuple[float, float, float],
 ) -> None:
-    found = compared(read)
-    assert np.mean([press.mean_cosine for press in found.presses]) > cosine
-    strength = np.mean([press.contrast for press in found.presses])
-    assert contrast[0] < strength < contrast[1]
-    means = np.mean([press.correlation for press in found.presses], axis=0)
-    assert (means > correlation).all()
+    scores = [compare_press(*pair) for pair in compared(read)]
+    assert np.mean([score.mean_cosine for score in scores]) > cosine
+    assert contrast[0] < np.mean([score.contrast for score in scores]) < contrast[1]
+    assert (np.mean([score.correlation for score in scores], axis=0) > correlation).all()
 
 
 @pytest.mark.thorough
 def test_the_score_would_notice_lights_on_the_wrong_side() -> None:
-    found, press = compared(classic_gelsight), classic_gelsight().presses()[0]
-    scale = found.real[1].shape[1] / press.image.shape[1]
-    circle = (scale * press.center_px[0], scale * press.center_px[1]), scale * press.radius_px
-    right = compare_press(found.real, found.model, *circle)
+    real, model, *circle = compared(classic_gelsight)[0]
+    right = compare_press(real, model, *circle)
     # Red and green in each other's place; half of the contrast.
-    background, image = (picture[..., [1, 0, 2]] for picture in found.model)
-    swapped = compare_press(found.real, (background, image), *circle)
+    background, image = (picture[..., [1, 0, 2]] for picture in model)
+    swapped = compare_press(real, (background, image), *circle)
     assert swapped.mean_cosine < right.mean_cosine - 0.5
-    half = ((found.model[1].astype(int) + found.model[0]) // 2).astype(np.uint8)
-    pale = compare_press(found.real, (found.model[0], half), *circle)
+    half = ((model[1].astype(int) + model[0]) // 2).astype(np.uint8)
+    pale = compare_press(real, (model[0], half), *circle)
     assert pale.contrast == pytest.approx(0.5 * right.contrast, rel=0.05)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("read", [classic_gelsight, gelsight_mini])
 def test_backgrounds_beat_one_colour(read: Callable[[], RealSensor]) -> None:
-    background = compared_backgrounds(read())
+    sensor = read()
+    bench = Bench(sensor, sensor.background, None)
+    real, blur_px = bench.resized(sensor.background), BLUR * max(bench.size_px)
+    background = compare_backgrounds(real, bench.rest.rgb, bench.rest.mask, blur_px=blur_px)
     assert background.psnr_db > background.flat_psnr_db + 0.5
     assert min(background.correlation) > 0.3

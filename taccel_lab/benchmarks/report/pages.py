@@ -23,6 +23,7 @@ from taccel_lab.benchmarks.report.sections import (
     VERIFICATION,
     Results,
     Section,
+    has_speeds,
     read_peers,
 )
 from taccel_lab.benchmarks.results import FOLDER, SCHEMA
@@ -90,7 +91,7 @@ class Report:
 def draw_all(results: Results, folder: Path) -> list[Path]:
     """Every picture that there is a result for."""
     written = []
-    if any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
+    if has_speeds(results):
         written.append(save(draw_speed(results), folder / "speed.png"))
     for document in results.get("stress", []):
         name = f"stress_{Path(document['file']).stem}.png"

@@ -117,14 +117,18 @@ def _mesh_error(results: Results) -> list[str]:
 
 
 def _speed(results: Results) -> list[str]:
-    in_step = _fps(results, "speed", lambda row: not row["lag"])
-    whole = {
-        (row["pace"], row["envs"]): row
-        for document in results.get("learning", [])
-        if _on_h200(document)
-        for row in document["rows"]
-        if row["scene"] == "peg" and not row["observed"]
-    }
+    in_step, whole = (
+        [
+            row
+            for document in results.get(suite, [])
+            if "H200" in document["run"]["device"]
+            for row in document["rows"]
+            if row["scene"] == "peg" and not row[other]
+        ]
+        for suite, other in (("speed", "lag"), ("learning", "observed"))
+    )
+    in_step = {row["envs"]: row["fps"]["median"] for row in in_step}
+    whole = {(row["pace"], row["envs"]): row for row in whole}
     counts = {envs for pace, envs in whole if ("own", envs) in whole and pace == "together"}
     if not counts & set(in_step):
         return []
@@ -139,21 +143,6 @@ def _speed(results: Results) -> list[str]:
         "[two gels push a peg into a hole](docs/evidence/benchmarks.md#speed), residual 1e-4 of "
         "the contact force, forces read",
     ]
-
-
-def _fps(results: Results, suite: str, of_interest: Any) -> dict[int, float]:
-    """Rates of the scene ``peg`` on an H200, by environments."""
-    return {
-        row["envs"]: row["fps"]["median"]
-        for document in results.get(suite, [])
-        if _on_h200(document)
-        for row in document["rows"]
-        if row["scene"] == "peg" and of_interest(row)
-    }
-
-
-def _on_h200(document: dict[str, Any]) -> bool:
-    return "H200" in document["run"]["device"]
 
 
 Section = Callable[[Results], str]
@@ -388,11 +377,15 @@ def picture(document: Document, kind: str, title: str) -> str:
     return f"![{title}](../images/benchmarks/{kind}_{name}.png)"
 
 
+def has_speeds(results: Results) -> bool:
+    """Whether there are speeds by environments."""
+    return any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"])
+
+
 def speed_pictures(results: Results) -> str:
     """FPS by environments, all results in one picture."""
-    if not any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
-        return NOTHING
-    return "![Frames a second by environments](../images/benchmarks/speed.png)"
+    picture = "![Frames a second by environments](../images/benchmarks/speed.png)"
+    return picture if has_speeds(results) else NOTHING
 
 
 VERIFICATION: dict[str, Section] = {

@@ -164,12 +164,6 @@ def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def turn_about_z(angle: float) -> np.ndarray:
-    """Rotation matrix [3, 3]."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def pose(matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Position and quaternion, [7]."""
     return np.concatenate([place, Rotation.from_matrix(matrix).as_quat(canonical=True)])

@@ -10,6 +10,7 @@ and the drag of the gels, along which the flats must slip.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.benchmarks.scenes.base import (
     BenchScene,
@@ -19,7 +20,6 @@ from taccel_lab.benchmarks.scenes.base import (
     mounted,
     pose,
     same_side,
-    turn_about_z,
 )
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
@@ -65,14 +65,11 @@ def build(options: SceneOptions) -> BenchScene:
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         affine_bodies=AffineBody(
-            nut,
-            density_kg_m3=DENSITY,
-            young_modulus_pa=1e9,
-            name="nut",
+            nut, density_kg_m3=DENSITY, young_modulus_pa=1e9, name="nut",
             friction_coefficient=STIFF_FRICTION,
             initial_pose=np.array([0, 0, height, 0, 0, 0, 1.0]),
         ),
-    )
+    )  # fmt: skip
     config = make_config({"dhat_m": 1e-4, "friction_speed_m_s": FRICTION_SPEED_M_S}, options.config)
     return BenchScene(
         "bolt",
@@ -93,7 +90,7 @@ def gel_path(middle_m: float) -> np.ndarray:
     angles = np.interp(moments, [close, close + turn], [0, 2 * np.pi])
     rows = []
     for gap, angle in zip(gaps, angles, strict=True):
-        around = turn_about_z(angle)
+        around = Rotation.from_euler("z", angle).as_matrix()
         row = []
         for side in (-1.0, 1.0):
             outward = around @ [-side, 0.0, 0.0]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.benchmarks.scenes.base import (
     BenchScene,
@@ -130,14 +131,10 @@ def build(options: SceneOptions) -> BenchScene:
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         affine_bodies=AffineBody(
-            ball,
-            density_kg_m3=BALL_DENSITY,
-            young_modulus_pa=1e9,
-            name="ball",
-            friction_coefficient=STIFF_FRICTION,
-            surface=Surface(layer=BALL_LAYER),
+            ball, density_kg_m3=BALL_DENSITY, young_modulus_pa=1e9, name="ball",
+            friction_coefficient=STIFF_FRICTION, surface=Surface(layer=BALL_LAYER),
         ),
-    )
+    )  # fmt: skip
     radius = float(np.linalg.norm(ball.vertices_m, axis=1).max())
     return BenchScene(
         "hand",
@@ -159,8 +156,7 @@ def mount_path(places: list[GelPlace], meshes: dict[str, TetMesh], radius_m: flo
     part = part**2 * (3 - 2 * part)
     rows = []
     for gap, done in zip(gaps, part, strict=True):
-        c, s = np.cos(TURN_RAD * done), np.sin(TURN_RAD * done)
-        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        turn = Rotation.from_euler("x", TURN_RAD * done).as_matrix()
         lift = np.array([0.0, 0.0, LIFT_M * done])
         row = []
         for place in places:

@@ -158,12 +158,8 @@ def build(options: SceneOptions) -> BenchScene:
     scene = Scene(
         [
             SoftBody(
-                bear,
-                TEDDY,
-                name="bear",
-                friction_coefficient=FRICTION,
-                initial_pose=np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0]),
-                element=Element.LINEAR,
+                bear, TEDDY, name="bear", friction_coefficient=FRICTION,
+                initial_pose=np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0]), element=Element.LINEAR,
             ),
             *gels,
         ],
@@ -171,7 +167,7 @@ def build(options: SceneOptions) -> BenchScene:
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         planes=Plane(friction_coefficient=FRICTION, name="ground"),
-    )
+    )  # fmt: skip
     return BenchScene(
         "squeeze",
         f"two gels lift a soft bear of {bear.node_count:,} nodes",

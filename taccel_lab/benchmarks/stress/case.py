@@ -64,19 +64,16 @@ class Draw:
         """True in that part of all seeds."""
         return self._keep(name, bool(self._random.uniform() < probability))
 
-    def direction(self, name: str) -> np.ndarray:
-        """A unit vector, shape [3]; kept as rounded text, as what the seed gives is long."""
-        vector = self._random.normal(size=3)
+    def direction(self, name: str, size: int = 3) -> np.ndarray:
+        """A unit vector, shape [size]; kept as rounded text, as what the seed gives is long."""
+        vector = self._random.normal(size=size)
         vector /= np.linalg.norm(vector)
         self._keep(name, " ".join(f"{value:.3f}" for value in vector))
         return vector
 
     def rotation(self, name: str) -> np.ndarray:
         """A unit quaternion x, y, z, w."""
-        vector = self._random.normal(size=4)
-        vector /= np.linalg.norm(vector)
-        self._keep(name, " ".join(f"{value:.3f}" for value in vector))
-        return vector
+        return self.direction(name, 4)
 
     def seed(self, name: str) -> int:
         """A seed for somebody else's random numbers."""
@@ -107,10 +104,11 @@ class StressCase:
     def along(
         cls, path: Sequence[np.ndarray], scene: Scene, config: SolverConfig, possible: bool = True
     ) -> StressCase:
-        """Kinematic bodies go along a path of poses [env_count, kinematic_count, 7]: the start, and
-        the target of each step."""
-        steps = len(path) - 1
-        return cls(scene, config, steps, path[0], lambda i: path[i + 1], possible=possible)
+        """Kinematic bodies go along a path of poses [kinematic_count, 7], [7] of a single one: the
+        start, and the target of each step."""
+        poses = [place.reshape(1, -1, 7) for place in path]
+        return cls(scene, config, len(poses) - 1, poses[0], lambda i: poses[i + 1],
+                   possible=possible)  # fmt: skip
 
     @property
     def watches_energy(self) -> bool:
@@ -120,6 +118,7 @@ class StressCase:
 
 FREE = np.zeros(0, dtype=np.int64)
 """No bonded node."""
+Range = tuple[float, float]
 ELEMENTS = (Element.LINEAR, Element.QUADRATIC)
 LAWS = tuple(MaterialModel)
 WORLD = np.array([0.0, 0, 0, 0, 0, 0, 1])
@@ -140,12 +139,9 @@ def material(
         # nu >= r / (1 + 2 r)
         ratio = draw.between(f"{name} mooney part", 0.0, 0.99) * min(1.0, nu / (1 - 2 * nu))
     return Material(
-        draw.decades(f"{name} young", *young_pa),
-        nu,
-        draw.decades(f"{name} density", *density),
-        law,
-        ratio,
-    )
+        draw.decades(f"{name} young", *young_pa), nu, draw.decades(f"{name} density", *density),
+        law, ratio,
+    )  # fmt: skip
 
 
 def in_time(
@@ -187,6 +183,19 @@ def bonded_block(draw: Draw, name: str, size: tuple[float, float, float]) -> Tet
     return _maybe_slivers(draw, name, mesh)
 
 
+def glued_gel(
+    draw: Draw, size: tuple[float, float, float], stuff: str = "gel", rubs: str = "friction",
+    young_pa: Range = (1e3, 1e9), density: Range = (100.0, 1e4), **options: Any,
+) -> SoftBody:  # fmt: skip
+    """A gel glued below of any element; ``stuff``, ``rubs``: what its material and its friction are
+    drawn as; ``options``: of ``SoftBody``."""
+    return SoftBody(
+        bonded_block(draw, "gel", size), material(draw, stuff, young_pa, density),
+        element=draw.choose("element", ELEMENTS), friction_coefficient=friction(draw, rubs),
+        **options,
+    )  # fmt: skip
+
+
 def free_block(draw: Draw, name: str, size: tuple[float, float, float]) -> TetMesh:
     """A block about its middle, maybe with slivers."""
     cells = tuple(draw.whole(f"{name} cells {axis}", 1, 3) for axis in "xyz")
@@ -206,15 +215,11 @@ def thrown_body(
 ) -> SoftBody:
     """A soft body that flies."""
     return SoftBody(
-        mesh,
-        material(draw, name),
-        FREE,
-        name=name,
+        mesh, material(draw, name), FREE, name=name,
         element=draw.choose(f"{name} element", ELEMENTS),
-        friction_coefficient=friction(draw, f"friction of {name}"),
-        initial_pose=at,
+        friction_coefficient=friction(draw, f"friction of {name}"), initial_pose=at,
         initial_velocity_m_s=velocity_m_s,
-    )
+    )  # fmt: skip
 
 
 def _maybe_slivers(draw: Draw, name: str, mesh: TetMesh) -> TetMesh:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from taccel_lab.ipc.contact.collision_lists import (
     EDGE_EDGE,
@@ -113,22 +114,13 @@ def _turned(nodes: Array, normals: Array, motion: SurfaceMotion, model: Model) -
         first = len(model.scene.soft_bodies) + model.affine.count
         body = model.surface.node_bodies.numpy()[nodes[ball]] - first
         arm = -model.surface.node_radii.numpy()[nodes[ball], None] * normals[ball]
-        back = rotation_matrices(motion.poses_before[body])
-        now = rotation_matrices(motion.poses[body])
+        back, now = (
+            Rotation.from_quat(poses[body, 3:]).as_matrix()
+            for poses in (motion.poses_before, motion.poses)
+        )
         then = np.einsum("pij,pkj,pk->pi", back, now, arm)
         arms[ball] = arm - then
     return arms
-
-
-def rotation_matrices(poses: Array) -> Array:
-    """Rotations of poses (place, then quaternion x, y, z, w), [count, 7]: [count, 3, 3]."""
-    x, y, z, w = poses[:, 3:].T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _closest_weights(kinds: Array, corners: Array) -> Array:

@@ -13,6 +13,7 @@ from taccel_lab.benchmarks.stress.case import (
     StressCase,
     bonded_block,
     friction,
+    glued_gel,
     in_time,
     material,
     settings,
@@ -32,12 +33,12 @@ GEL = (6e-3, 6e-3, 2e-3)
 
 
 def _jaws(open_m: float, lift: float = 0.0, turn: float = 0.0) -> np.ndarray:
-    """Poses of two mounts whose gels' faces are ``open_m`` from x = 0, [1, 2, 7]."""
+    """Poses of two mounts whose gels' faces are ``open_m`` from x = 0, [2, 7]."""
     left, right = about((0, 1, 0), np.pi / 2), about((0, 1, 0), -np.pi / 2)
     spin = about((1, 0, 0), turn)
     return np.stack(
         [pose((-open_m, 0, lift), after(spin, left)), pose((open_m, 0, lift), after(spin, right))]
-    )[None]
+    )
 
 
 def _fingers(draw: Draw, young_pa: tuple[float, float]) -> list[SoftBody]:
@@ -45,15 +46,11 @@ def _fingers(draw: Draw, young_pa: tuple[float, float]) -> list[SoftBody]:
     stuff = material(draw, "gel", young_pa)
     return [
         SoftBody(
-            bonded_block(draw, name, GEL),
-            stuff,
-            name=name,
-            mount=f"{name} jaw",
-            element=element,
+            bonded_block(draw, name, GEL), stuff, name=name, mount=f"{name} jaw", element=element,
             friction_coefficient=mu,
         )
         for name in ("left", "right")
-    ]
+    ]  # fmt: skip
 
 
 def throw_and_catch(draw: Draw) -> StressCase:
@@ -64,14 +61,11 @@ def throw_and_catch(draw: Draw) -> StressCase:
     speed = draw.decades("speed", 0.01, 3.0)
     away = draw.direction("heading") * speed
     body = AffineBody(
-        shape,
-        draw.decades("density", 100.0, 2e4),
-        name="body",
-        friction_coefficient=friction(draw, "friction of body"),
-        initial_pose=pose((0, 0, 0), turn),
+        shape, draw.decades("density", 100.0, 2e4), name="body",
+        friction_coefficient=friction(draw, "friction of body"), initial_pose=pose((0, 0, 0), turn),
         initial_velocity_m_s=(float(away[0]), float(away[1]), float(away[2])),
         initial_spin_rad_s=(0.0, draw.between("spin", -50, 50), 0.0),
-    )
+    )  # fmt: skip
     wide = float(np.abs(rotate(turn, shape.vertices_m)[:, 0]).max())
     gap = draw.decades("gap", 1e-5, 3e-4)
     squeeze = draw.between("squeeze", 0.02, 0.3) * GEL[2]
@@ -98,24 +92,17 @@ def ratios(draw: Draw) -> StressCase:
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
     soft = draw.chance("foam below", 0.6)
     young = (1e3, 1e4) if soft else (1e8, 1e9)
-    gel = SoftBody(
-        bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3)),
-        material(draw, "gel", young, (1.0, 50.0) if soft else (1e4, 3e4)),
-        element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw),
-    )
+    dense = (1.0, 50.0) if soft else (1e4, 3e4)
+    gel = glued_gel(draw, (8e-3, 8e-3, 3e-3), young_pa=young, density=dense)
     density = (1e4, 3e4) if soft else (1.0, 10.0)
     turn = draw.rotation("turn")
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), 4e-3)
     low, _ = reach(shape, turn)
     body = AffineBody(
-        shape,
-        draw.decades("density", *density),
-        1e11 if soft else 1e6,
-        name="body",
+        shape, draw.decades("density", *density), 1e11 if soft else 1e6, name="body",
         friction_coefficient=0.5,
         initial_pose=pose((0, 0, draw.decades("gap", 1e-7, 1e-4) - low), turn),
-    )
+    )  # fmt: skip
     scene = Scene(gel, affine_bodies=body, time=stepping)
     return StressCase(scene, config, 8, closed=True)
 
@@ -133,14 +120,11 @@ def pile(draw: Draw) -> StressCase:
         place = (draw.between(f"x {number}", -5e-4, 5e-4), 0.0, height - low)
         bodies.append(
             AffineBody(
-                shape,
-                draw.decades(f"density {number}", 100.0, 2e4),
-                name=f"body {number}",
-                friction_coefficient=mu,
-                initial_pose=pose(place, turn),
+                shape, draw.decades(f"density {number}", 100.0, 2e4), name=f"body {number}",
+                friction_coefficient=mu, initial_pose=pose(place, turn),
                 initial_velocity_m_s=(0.0, 0.0, -0.1 * number),
             )
-        )
+        )  # fmt: skip
         height += high - low + draw.decades(f"gap {number}", 1e-6, 5e-4)
     gels = []
     floor = Plane(friction_coefficient=0.5)

@@ -18,6 +18,7 @@ from taccel_lab.benchmarks.stress.case import (
     bonded_block,
     free_body,
     friction,
+    glued_gel,
     in_time,
     material,
     settings,
@@ -77,16 +78,10 @@ def soft_impact(draw: Draw) -> StressCase:
     gap = draw.decades("gap", 1e-5, 2e-3)
     low, _ = reach(mesh, turn)
     body = SoftBody(
-        mesh,
-        material(draw),
-        FREE,
-        name="body",
-        element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw),
-        initial_pose=pose((0, 0, gap - low), turn),
-        initial_velocity_m_s=velocity,
-        self_contact=draw.chance("self-contact", 0.3),
-    )
+        mesh, material(draw), FREE, name="body", element=draw.choose("element", ELEMENTS),
+        friction_coefficient=friction(draw), initial_pose=pose((0, 0, gap - low), turn),
+        initial_velocity_m_s=velocity, self_contact=draw.chance("self-contact", 0.3),
+    )  # fmt: skip
     onto = draw.choose("onto", ("floor", "ridge", "point"))
     steps = _steps(draw, gap, -velocity[2], stepping.dt_s)
     if onto == "floor":
@@ -103,14 +98,10 @@ def soft_impact(draw: Draw) -> StressCase:
 def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), size, draw.seed("shape seed"))
     return AffineBody(
-        shape,
-        draw.decades("density", low_density, 2e4),
-        draw.decades("young of body", 1e6, 1e11),
-        name="body",
-        friction_coefficient=friction(draw),
-        initial_velocity_m_s=_fall(draw),
+        shape, draw.decades("density", low_density, 2e4), draw.decades("young of body", 1e6, 1e11),
+        name="body", friction_coefficient=friction(draw), initial_velocity_m_s=_fall(draw),
         initial_spin_rad_s=_spin(draw),
-    )
+    )  # fmt: skip
 
 
 def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
@@ -132,12 +123,7 @@ def stiff_on_gel(draw: Draw) -> StressCase:
     """A stiff body is thrown into a gel: tips and edges first, up to 10 m/s and ten times heavier
     or a hundred times lighter than what it meets."""
     config, stepping = settings(draw), in_time(draw)
-    gel = SoftBody(
-        bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3)),
-        material(draw, "gel"),
-        element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw, "friction of gel"),
-    )
+    gel = glued_gel(draw, (8e-3, 8e-3, 3e-3), rubs="friction of gel")
     gap = draw.decades("gap", 1e-6, 2e-3)
     body = _placed(_stiff(draw, 3e-3, 10.0), gap, draw.rotation("turn"))
     steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
@@ -203,27 +189,20 @@ def thin_gap(draw: Draw) -> StressCase:
     if draw.chance("soft", 0.5):
         soft.append(
             SoftBody(
-                soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed")),
-                material(draw),
-                FREE,
-                name="body",
-                element=draw.choose("element", ELEMENTS),
-                friction_coefficient=mu,
-                initial_pose=pose(place, heading),
+                soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed")), material(draw),
+                FREE, name="body", element=draw.choose("element", ELEMENTS),
+                friction_coefficient=mu, initial_pose=pose(place, heading),
                 initial_velocity_m_s=(0.0, 0.0, down),
             )
-        )
+        )  # fmt: skip
     else:
         stiff.append(
             AffineBody(
-                stiff_shape("box", side),
-                draw.decades("density", 100.0, 2e4),
-                name="body",
-                friction_coefficient=mu,
-                initial_pose=pose(place, heading),
+                stiff_shape("box", side), draw.decades("density", 100.0, 2e4), name="body",
+                friction_coefficient=mu, initial_pose=pose(place, heading),
                 initial_velocity_m_s=(0.0, 0.0, down),
             )
-        )
+        )  # fmt: skip
     start = None
     if onto == "floor":
         planes.append(Plane(friction_coefficient=0.5))
@@ -234,13 +213,10 @@ def thin_gap(draw: Draw) -> StressCase:
         mesh = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3))
         soft.append(
             SoftBody(
-                mesh,
-                material(draw, "gel"),
-                name="gel",
-                friction_coefficient=0.5,
+                mesh, material(draw, "gel"), name="gel", friction_coefficient=0.5,
                 element=Element.LINEAR,
             )
-        )
+        )  # fmt: skip
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
     return StressCase(scene, config, 4, start, closed=True)
 
@@ -259,13 +235,10 @@ def parallel_edges(draw: Draw) -> StressCase:
         about((1, 0, 0), draw.choose("pitch", (0.0, 1e-7, 1e-4))), about((0, 0, 1), angle)
     )
     body = AffineBody(
-        upper,
-        draw.decades("density", 100.0, 2e4),
-        name="upper",
-        friction_coefficient=friction(draw),
-        initial_pose=pose((shift, 0, gap + 2.5e-7), heading),
+        upper, draw.decades("density", 100.0, 2e4), name="upper",
+        friction_coefficient=friction(draw), initial_pose=pose((shift, 0, gap + 2.5e-7), heading),
         initial_velocity_m_s=(0.0, 0.0, down),
-    )
+    )  # fmt: skip
     over = about((1, 0, 0), np.pi)
     rest = KinematicBody(lower, 0.5, name="lower")
     start = pose((0, 0, 0), over)[None, None]

@@ -13,6 +13,7 @@ from taccel_lab.benchmarks.stress.case import (
     StressCase,
     bonded_block,
     friction,
+    glued_gel,
     in_time,
     material,
     maybe_in_time,
@@ -82,13 +83,10 @@ def mechanism(draw: Draw) -> StressCase:
         x = (number + 0.5) * 1.2 * LINK[0]
         bodies.append(
             AffineBody(
-                box_mesh(LINK),
-                draw.decades(f"density {number}", 100.0, 2e4),
-                name=name,
-                friction_coefficient=0.3,
-                initial_pose=pose((x, 0, 0)),
+                box_mesh(LINK), draw.decades(f"density {number}", 100.0, 2e4), name=name,
+                friction_coefficient=0.3, initial_pose=pose((x, 0, 0)),
             )
-        )
+        )  # fmt: skip
         anchor = np.array([number * 1.2 * LINK[0], 0.0, 0.0])
         kind = draw.choose(f"joint {number}", ("hinge", "hinge", "slider", "weld"))
         title = f"joint {number}"
@@ -159,13 +157,7 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
 def jump(draw: Draw) -> StressCase:
     """A gel on a mount that jumps and turns at random, by up to its own size, onto what rests."""
     config, stepping = settings(draw), maybe_in_time(draw)
-    gel = SoftBody(
-        bonded_block(draw, "gel", (5e-3, 5e-3, 2e-3)),
-        material(draw, young_pa=(1e3, 1e8)),
-        mount="hand",
-        element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw),
-    )
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e3, 1e8), mount="hand")
     rest = KinematicBody(
         stiff_shape(draw.choose("shape", STIFF_SHAPES), 4e-3),
         friction(draw, "friction of rest"),
@@ -175,7 +167,7 @@ def jump(draw: Draw) -> StressCase:
     _, high = reach(rest.shape, turn)  # type: ignore[arg-type]
     over = about((1, 0, 0), np.pi)
     fixed = pose((0, 0, -high), turn)
-    path = [np.stack([pose((0, 0, 2e-4), over), fixed])[None]]
+    path = [np.stack([pose((0, 0, 2e-4), over), fixed])]
     press = draw.between("press", 0, 0.3) * 2e-3
     for number in range(6):
         side = draw.direction(f"jump {number}") * draw.decades(f"size of jump {number}", 1e-5, 5e-3)
@@ -186,7 +178,7 @@ def jump(draw: Draw) -> StressCase:
         if number % 2:
             low, _ = reach(gel.mesh, after(lean, over))
             hand[2] = z - low
-        path.append(np.stack([hand, fixed])[None])
+        path.append(np.stack([hand, fixed]))
     scene = Scene(gel, [KinematicBody(None, name="hand"), rest], time=stepping)
     return StressCase.along(path, scene, config)
 
@@ -204,13 +196,13 @@ def no_way(draw: Draw) -> StressCase:
         mesh = bonded_block(draw, "gel", (5e-3, 5e-3, 2e-3))
         gel = SoftBody(mesh, material(draw, young_pa=(1e3, 1e7)), element=Element.LINEAR)
         scene = Scene(gel, pusher, time=maybe_in_time(draw))
-        path = [pose((x, 0, z), turn)[None, None] for z in (2e-4 - low, -5e-3 - high)]
+        path = [pose((x, 0, z), turn) for z in (2e-4 - low, -5e-3 - high)]
     else:
         cube = AffineBody(box_mesh((1e-3, 1e-3, 1e-3)), initial_pose=pose((0, 0, 6e-4)))
         time = TimeStepping(quasi_static=False, dt_s=draw.decades("dt", 1e-4, 1e-1))
         scene = Scene((), pusher, affine_bodies=cube, planes=Plane(), time=time)
         # The pusher itself passes the plane: both are prescribed.
-        path = [pose((0, 0, z), turn)[None, None] for z in (1.3e-3 - low, -5e-3 - high)]
+        path = [pose((0, 0, z), turn) for z in (1.3e-3 - low, -5e-3 - high)]
     return StressCase.along(path, scene, config, possible=False)
 
 
@@ -218,22 +210,14 @@ def batch(draw: Draw) -> StressCase:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 2e-2))
-    gel = SoftBody(
-        bonded_block(draw, "gel", (5e-3, 5e-3, 2e-3)),
-        material(draw, young_pa=(1e4, 1e7)),
-        element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw),
-    )
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e4, 1e7))
     turn = draw.rotation("turn")
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), 2e-3)
     low, high = reach(shape, turn)
     cube = AffineBody(
-        box_mesh((1e-3, 1e-3, 1e-3)),
-        name="cube",
-        friction_coefficient=0.5,
-        initial_pose=pose((1.8e-3, 1.8e-3, 5.1e-4)),
-        surface=Surface(environments=(0, 2)),
-    )
+        box_mesh((1e-3, 1e-3, 1e-3)), name="cube", friction_coefficient=0.5,
+        initial_pose=pose((1.8e-3, 1.8e-3, 5.1e-4)), surface=Surface(environments=(0, 2)),
+    )  # fmt: skip
     depth = draw.between("depth", 0.05, 0.3) * 2e-3
     top = 1.1 * config.dhat_m - low
     ends = [-depth - low, top - 1e-4, -5e-3 - high, top]

@@ -42,10 +42,6 @@ def _gel(draw: Draw, name: str = "gel", **options: object) -> SoftBody:
     )
 
 
-def _path(places: np.ndarray, turns: list[np.ndarray]) -> list[np.ndarray]:
-    return [pose(place, turn)[None, None] for place, turn in zip(places, turns, strict=True)]
-
-
 def press(draw: Draw) -> StressCase:
     """A stiff shape of any kind goes into a gel, deep and in few steps."""
     name = draw.choose("shape", ("ball", *STIFF_SHAPES))
@@ -61,16 +57,8 @@ def press(draw: Draw) -> StressCase:
     x, y = draw.between("x", -1e-3, 1e-3), draw.between("y", -1e-3, 1e-3)
     time = maybe_in_time(draw)
     top = 1.1 * config.dhat_m - low
-    path = _path(
-        np.column_stack(
-            [
-                np.full(steps + 1, x),
-                np.full(steps + 1, y),
-                np.linspace(top, -depth - low, steps + 1),
-            ]
-        ),
-        [turn] * (steps + 1),
-    )
+    heights = np.linspace(top, -depth - low, steps + 1)
+    path = [pose((x, y, z), turn) for z in heights]
     scene = Scene(_gel(draw), KinematicBody(shape, friction(draw)), time=time)
     return StressCase.along(path, scene, config)
 
@@ -101,9 +89,7 @@ def stab(draw: Draw) -> StressCase:
     heights = [1.1 * config.dhat_m, -0.5 * depth, -depth, -depth, -depth, 0.0, 5 * config.dhat_m]
     parts = [0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0]
     path = [
-        pose(start + part * along + [0, 0, z - low], after(about((0, 0, 1), part * spin), lean))[
-            None, None
-        ]
+        pose(start + part * along + [0, 0, z - low], after(about((0, 0, 1), part * spin), lean))
         for z, part in zip(heights, parts, strict=True)
     ]
     scene = Scene(_gel(draw), KinematicBody(shape, mu), time=maybe_in_time(draw))
@@ -126,7 +112,7 @@ def gel_on_gel(draw: Draw) -> StressCase:
     heights = [1.1 * config.dhat_m, -0.5 * depth, -depth, -depth, -depth, 5 * config.dhat_m]
     parts = [0.0, 0.0, 0.0, 0.5, 1.0, 1.0]
     path = [
-        pose((x + part * drag, 0, z - low), after(about((0, 0, 1), part * spin), turn))[None, None]
+        pose((x + part * drag, 0, z - low), after(about((0, 0, 1), part * spin), turn))
         for z, part in zip(heights, parts, strict=True)
     ]
     hand = KinematicBody(None, name="hand")

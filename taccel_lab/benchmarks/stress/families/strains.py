@@ -46,7 +46,7 @@ def twist(draw: Draw) -> StressCase:
         normal = np.array([0, -np.sin(angle), np.cos(angle)]) * (0.25e-3 + high / 2 + gap)
         middle = np.array([long / 2 - 0.6e-3, 0, 0])
         turn = about((1, 0, 0), angle)
-        return np.stack([pose(middle + side * normal, turn) for side in (1, -1)])[None]
+        return np.stack([pose(middle + side * normal, turn) for side in (1, -1)])
 
     grip = -draw.between("grip", 0.1, 0.25) * high
     path = [gripped(1.5 * config.dhat_m, 0), gripped(grip / 2, 0), gripped(grip, 0)]
@@ -62,19 +62,15 @@ def swing(draw: Draw) -> StressCase:
     mesh = soft_box((6, 2, 2), (8e-3, 1.5e-3, 1.5e-3), 0.1, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -4e-3 + 1e-9)
     bar = SoftBody(
-        mesh,
-        material(draw, young_pa=(1e4, 1e9)),
-        held,
-        mount="mount",
-        element=draw.choose("element", ELEMENTS),
-        self_contact=draw.chance("self-contact", 0.5),
-    )
+        mesh, material(draw, young_pa=(1e4, 1e9)), held, mount="mount",
+        element=draw.choose("element", ELEMENTS), self_contact=draw.chance("self-contact", 0.5),
+    )  # fmt: skip
     stepping = maybe_in_time(draw)
     axis = draw.direction("axis")
     jump = draw.direction("jump") * draw.decades("jump size", 1e-5, 1e-2)
     steps = draw.choose("steps", (5, 9, 16))
     path = [
-        pose(np.sin(5.0 * part) * jump, about(axis, np.deg2rad(TWIST_DEG) * part))[None, None]
+        pose(np.sin(5.0 * part) * jump, about(axis, np.deg2rad(TWIST_DEG) * part))
         for part in np.linspace(0, 1, steps + 1)
     ]
     scene = Scene(bar, KinematicBody(None, name="mount"), time=stepping)
@@ -88,20 +84,16 @@ def squeeze(draw: Draw) -> StressCase:
     mesh = free_block(draw, "block", (side, side, side))
     stepping = in_time(draw)
     block = SoftBody(
-        mesh,
-        material(draw, young_pa=(1e3, 1e8)),
-        FREE,
-        element=draw.choose("element", ELEMENTS),
-        self_contact=True,
-        friction_coefficient=friction(draw),
+        mesh, material(draw, young_pa=(1e3, 1e8)), FREE, element=draw.choose("element", ELEMENTS),
+        self_contact=True, friction_coefficient=friction(draw),
         initial_pose=pose((0, 0, side / 2 + 1.5 * config.dhat_m)),
-    )
+    )  # fmt: skip
     lowest, steps = draw.between("lowest part", 0.25, 0.8), draw.whole("steps", 2, 8)
     plate = KinematicBody(box_mesh((8e-3, 8e-3, 0.5e-3)), friction(draw, "friction of plate"))
     top = side + 3 * config.dhat_m + 0.25e-3
     heights = np.linspace(top, lowest * side + 0.25e-3, steps + 1).tolist()
     heights += [heights[-1], top, top]
-    path = [pose((0, 0, z))[None, None] for z in heights]
+    path = [pose((0, 0, z)) for z in heights]
     scene = Scene(block, plate, planes=Plane(friction_coefficient=0.5), time=stepping)
     return StressCase.along(path, scene, config)
 
@@ -113,13 +105,9 @@ def fold(draw: Draw) -> StressCase:
     mesh = soft_box((14, 2, 1), (long, 1.5e-3, high), 0.1, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -2e-3)
     strip = SoftBody(
-        mesh,
-        material(draw, young_pa=(1e3, 1e7)),
-        held,
-        element=draw.choose("element", ELEMENTS),
-        self_contact=True,
-        friction_coefficient=friction(draw),
-    )
+        mesh, material(draw, young_pa=(1e3, 1e7)), held, element=draw.choose("element", ELEMENTS),
+        self_contact=True, friction_coefficient=friction(draw),
+    )  # fmt: skip
     bar = KinematicBody(box_mesh((0.6e-3, 3e-3, 0.6e-3)), friction(draw, "friction of bar"))
     # About the end of the glued part, from below to nearly flat.
     steps, last = draw.whole("steps", 6, 14), draw.between("last angle", 1.5, 2.7)
@@ -130,7 +118,7 @@ def fold(draw: Draw) -> StressCase:
         turn = about((0, 1, 0), -angle)
         c, s = np.cos(angle), np.sin(angle)
         place = hinge + np.array([c * arm - s * down, 0, s * arm + c * down])
-        path.append(pose(place, turn)[None, None])
+        path.append(pose(place, turn))
     scene = Scene(strip, bar, time=maybe_in_time(draw))
     return StressCase.along(path, scene, config)
 
@@ -163,13 +151,10 @@ def roll_over(draw: Draw) -> StressCase:
     side = 3e-3
     mesh = free_block(draw, "block", (side, side, side))
     block = SoftBody(
-        mesh,
-        material(draw, young_pa=(1e3, 1e8)),
-        FREE,
-        element=draw.choose("element", ELEMENTS),
+        mesh, material(draw, young_pa=(1e3, 1e8)), FREE, element=draw.choose("element", ELEMENTS),
         friction_coefficient=friction(draw),
         initial_pose=pose((0, 0, side / 2 + 0.5 * config.dhat_m)),
-    )
+    )  # fmt: skip
     tilt = about(draw.direction("tilt axis"), draw.between("tilt", 0, 0.1))
     shape = box_mesh((9e-3, 9e-3, 0.5e-3))
     plate = KinematicBody(shape, draw.between("friction of plate", 0, 2), name="plate")
@@ -177,11 +162,9 @@ def roll_over(draw: Draw) -> StressCase:
     top, pressed = side + 2 * config.dhat_m - low, draw.between("pressed", 0.02, 0.3) * side
     slide, steps = draw.between("slide", 0, 4e-3), draw.whole("steps", 2, 6)
     spin = draw.between("spin", 0, 1.5)
-    path = [pose((0, 0, top), tilt)[None, None], pose((0, 0, top - pressed), tilt)[None, None]]
+    path = [pose((0, 0, top), tilt), pose((0, 0, top - pressed), tilt)]
     path += [
-        pose((part * slide, 0, top - pressed), after(about((0, 0, 1), part * spin), tilt))[
-            None, None
-        ]
+        pose((part * slide, 0, top - pressed), after(about((0, 0, 1), part * spin), tilt))
         for part in np.linspace(0, 1, steps + 1)[1:]
     ]
     floor = Plane(friction_coefficient=draw.between("friction of floor", 0, 2))
