@@ -46,28 +46,37 @@ def measured(assumed: SensorProfile) -> SensorProfile:
     return assumed.with_block(material).with_block(units)
 
 
-def drawn(env: TactileVectorEnv, gels: list[str]) -> dict[str, np.ndarray]:
+def drawn(env: TactileVectorEnv, gels: list[str], held: str = "object") -> dict[str, np.ndarray]:
     model = env.model
-    ids, held = [model.body_id(gel) for gel in gels], model.body_id("object")
+    ids, held_id = [model.body_id(gel) for gel in gels], model.body_id(held)
     return {
         "modulus": model.largest_moduli.numpy()[:, ids],
-        "friction": model.pair_friction.numpy()[:, ids, held],
+        "friction": model.pair_friction.numpy()[:, ids, held_id],
         "mass": model.masses.numpy()[:, model.affine.first_control],
     }
 
 
-@pytest.mark.thorough(cases=("grasp-lift-hand",))
-@pytest.mark.parametrize("task", ["grasp-lift", "grasp-lift-hand"])
-def test_a_sensor_s_own_spread_is_drawn(task: str, measured: SensorProfile) -> None:
+@pytest.mark.thorough(cases=("grasp-lift-hand-object-mass1",))
+@pytest.mark.parametrize(
+    ("task", "held", "mass"),
+    [
+        ("grasp-lift", "object", (0.075, 0.125)),
+        ("grasp-lift-hand", "object", (0.075, 0.125)),
+        ("peg-insertion", "peg", (0.0154, 0.0256)),
+    ],
+)
+def test_a_sensor_s_own_spread_is_drawn(
+    task: str, held: str, mass: tuple[float, float], measured: SensorProfile
+) -> None:
     env = make_vec(task, 32, sensor=measured, randomised=True, device="cpu")
     env.reset(seed=3)
     gels = [body.name for body in env.model.scene.soft_bodies]
-    found = drawn(env, gels)
+    found = drawn(env, gels, held)
     # 2 a b / (a + b) of the gel's friction and the object's 0.2.
     wanted = {
         "modulus": (8e4, 1.2e5),
         "friction": (2 * 0.6 * 0.2 / 0.8, 2 * 1.0 * 0.2 / 1.2),
-        "mass": (0.075, 0.125),
+        "mass": mass,
     }
     for name, (low, high) in wanted.items():
         values = found[name]
@@ -81,6 +90,20 @@ def test_a_sensor_s_own_spread_is_drawn(task: str, measured: SensorProfile) -> N
     env.reset(seed=3)
     seen, _, _, truncated, _ = env.step(torch.zeros(env.action_space.shape))
     assert not truncated.any() and torch.isfinite(seen["wrench"]).all()
+
+
+def test_the_crown_of_a_sensor_s_gel_is_where_the_peg_s_path_has_it(
+    measured: SensorProfile,
+) -> None:
+    """Mounts stand 2 mm further apart each: the example's gels have their face at z = 2 mm."""
+    places = []
+    for sensor in (None, measured):
+        env = make_vec("peg-insertion", 1, sensor=sensor, device="cpu")
+        env.reset(seed=0)
+        seen = env.step(torch.zeros(1, 4))[0]
+        assert (seen["wrench"][0, :, 2] < -1).all(), "both squeeze the peg"
+        places.append(env.state.poses.numpy()[0, :2, 0])
+    np.testing.assert_allclose(places[1] - places[0], [2e-3, -2e-3], atol=1e-12)
 
 
 def test_ranges_that_are_given_stand_in_place(measured: SensorProfile) -> None:
@@ -117,7 +140,7 @@ def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
     for task, sensor, given, message in (
         *(("grasp-lift", who, {"colour": (0.0, 1.0)}, colour) for who in (None, measured)),
         *(("grasp-lift", who, {"mass_kg": (2.0, 1.0)}, mass) for who in (None, measured)),
-        ("peg-insertion", measured, False, "a sensor goes into grasp-lift"),
+        ("peg-insertion", layers, False, "a gel of several layers"),
         ("grasp-lift", layers, False, "a gel of several layers"),
     ):
         with pytest.raises(InputError, match=message):

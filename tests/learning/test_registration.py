@@ -27,7 +27,8 @@ def test_every_task_is_registered_whichever_package_loads_first(modules: str) ->
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert {env_id(task) for task in names()} <= set(listed.stdout.split())
-    assert PEG == "taccel_lab/PegInsertion-v0"
+    lifts = ["grasp-lift", *(f"grasp-lift-{what}" for what in ("ball", "cylinder", "hand"))]
+    assert names() == [*lifts, "peg-insertion"] and PEG == "taccel_lab/PegInsertion-v0"
 
 
 def test_make_gives_one_environment_of_arrays_and_its_picture() -> None:

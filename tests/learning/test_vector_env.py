@@ -13,18 +13,18 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from taccel_lab.learning.gymnasium_envs import env_id
 
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names
 from taccel_lab.learning.grasp_lift import JointControl
+from taccel_lab.learning.single_env import TactileEnv
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
 from taccel_lab.robots import named as named_robot
 from taccel_lab.solvers import EnvStatus
 from taccel_lab.tasks.catalogue import named
-from tests.learning.envs import SingleEnv, as_numpy, short_task
+from tests.learning.envs import as_numpy, short_task
 from tests.tasks.changed import parameters, task_with
 
 DOWN = [0.0, 0.0, -1.0, 0.0]
@@ -88,9 +88,10 @@ def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     ],
 )
 def test_gymnasiums_checkers_pass(name: str, actions: int, options: dict[str, Any]) -> None:
-    check_env(SingleEnv(name, randomised=True, **options), skip_render_check=True)
+    options |= {"device": "cpu", "randomised": True}
+    check_env(TactileEnv(name, **options), skip_render_check=True)
     short = short_task() if actions == 4 else name
-    pair = [SingleEnv(short, randomised=True, **options) for _ in range(2)]
+    pair = [TactileEnv(short, **options) for _ in range(2)]
     assert pair[0].action_space.shape == (actions,)
     check_environments_match(*pair, num_steps=12 if actions == 4 else 5, seed=3)
 
@@ -105,7 +106,7 @@ def both(
 ) -> tuple[TactileVectorEnv, SyncVectorEnv]:
     task = short_task()
     ours = make(task, count, autoreset_mode=mode, randomised=randomised)
-    singles = [lambda: SingleEnv(task, randomised=randomised)] * count
+    singles = [lambda: TactileEnv(task, device="cpu", randomised=randomised)] * count
     theirs = SyncVectorEnv(singles, autoreset_mode=mode)
     assert ours.metadata["autoreset_mode"] is mode
     same(ours.reset(seed=seed)[0], theirs.reset(seed=seed)[0])
@@ -113,9 +114,16 @@ def both(
 
 
 def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray) -> np.ndarray:
-    seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
+    seen, reward, terminated, truncated, info = ours.step(torch.tensor(actions))
     wanted = theirs.step(actions)
     same(seen, wanted[0])
+    assert ("final_obs" in info) == ("final_obs" in wanted[4])
+    if "final_obs" in info:
+        who = wanted[4]["_final_obs"]
+        np.testing.assert_array_equal(info["_final_obs"].numpy(), who)
+        ended = wanted[4]["final_obs"][who]
+        last = {name: np.stack([one[name] for one in ended]) for name in seen}
+        same({name: part[torch.tensor(who)] for name, part in info["final_obs"].items()}, last)
     np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
     ends = np.stack([terminated.numpy(), truncated.numpy()])
     np.testing.assert_array_equal(ends, wanted[2:4])
@@ -123,8 +131,9 @@ def step_both(ours: TactileVectorEnv, theirs: SyncVectorEnv, actions: np.ndarray
 
 
 @pytest.mark.thorough
-def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
-    ours, theirs = both(AutoresetMode.NEXT_STEP, 3, 5, True)
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_new_episodes_are_those_of_gymnasiums_own_vector_environment(mode: AutoresetMode) -> None:
+    ours, theirs = both(mode, 3, 5, True)
     actions = np.array([DOWN, [0.4, 0.1, -0.2, 0.3], [0.0, 0.0, -0.7, 0.0]], dtype=np.float32)
     ends = np.sum([step_both(ours, theirs, actions) for _ in range(18)], axis=0)
     assert ends[0, 0] >= 2 and ends[0, 2] >= 1 and ends[1, 1] >= 2
@@ -197,6 +206,7 @@ def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
     assert env.step(half)[3].tolist() == [False, False], "the first step only closes the gels"
     _, reward, _, truncated, info = env.step(half)
     assert truncated.tolist() == [False, True] == info["_cause"].tolist()
+    assert info["cause"].tolist() == [None, "NOT_A_NUMBER"]
     seen, *_ = env.step(torch.zeros(2, 4))
     assert all(torch.isfinite(part).all() for part in (reward, *seen.values()))
 
@@ -228,7 +238,9 @@ def test_seeds() -> None:
     ("options", "message"),
     [
         ({"observe": ("smell",)}, r"observe names some of rgb, .*; got smell"),
-        ({"autoreset_mode": AutoresetMode.SAME_STEP}, "autoreset_mode must be NEXT_STEP or DISAB"),
+        ({"autoreset_mode": "NEVER"}, "no autoreset_mode 'NEVER'.*NEXT_STEP, SAME_STEP, DISABLED"),
+        ({"arrays": "jax"}, "no arrays 'jax'.*torch, numpy"),
+        ({"render_mode": "human"}, "no render_mode 'human'.*rgb_array"),
         ({"task": "juggle"}, r"be learned.*peg-insertion"),
         ({"task": named("ball-rolling")}, r"be learned.*peg-insertion"),
         ({"count": 0}, "num_envs must be at least 1"),
@@ -254,17 +266,6 @@ def test_bad_resets_and_actions_are_refused() -> None:
     env.reset()
     with pytest.raises(InputError, match=r"actions must have shape \[2, 4\], got \[2, 3\]"):
         env.step(torch.zeros(2, 3))
-
-
-def test_gymnasium_knows_every_task_and_makes_ours() -> None:
-    lifts = ["grasp-lift", *(f"grasp-lift-{what}" for what in ("ball", "cylinder", "hand"))]
-    assert names() == [*lifts, "peg-insertion"]
-    assert {f"taccel_lab/{env_id(task)}" for task in names()} <= set(gymnasium.registry)
-    assert env_id("peg-insertion") == "PegInsertion-v0"
-    env = gymnasium.make_vec("taccel_lab/PegInsertion-v0", num_envs=2, device="cpu")
-    assert isinstance(env, TactileVectorEnv) and env.num_envs == 2
-    with pytest.raises(InputError, match="num_envs must be at least 1"):
-        gymnasium.make_vec("taccel_lab/PegInsertion-v0", num_envs=0)
 
 
 HAND = named_robot("three_finger_hand")
