@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_captures, load_captures
@@ -146,6 +146,7 @@ def test_bad_pack(tmp_path: Path, changes: dict, message: str) -> None:
     assert str(tmp_path) in str(caught.value)
 
 
+@example(u=80.0, v=60.0, radius=25 * (1 + EQUATOR_SLACK), ball=5.0)
 @given(
     u=st.floats(-50, 250), v=st.floats(-50, 200), radius=st.floats(0.1, 120), ball=st.floats(0.5, 9)
 )

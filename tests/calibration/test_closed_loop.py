@@ -9,7 +9,7 @@ noise. The profile then has to say what a roller looks like, and to read its sha
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
+from tests.calibration.drawn.faults import quantise
 from tests.support.synthetic_presses import write_folder
 
 FAMILY, BALL_MM, PRESSES = "gelsight_mini", 2.0, 14
@@ -44,37 +45,29 @@ CONTACT_MM = 1.3
 OBJECT, OBJECT_AT_MM, OBJECT_DEPTH_MM = "roller:1.5x4", (1.2, -0.8), 0.5
 
 
-@dataclass(frozen=True)
 class Camera:
-    """What sees the gel: the optical model of the catalogue, cut to the middle of its picture."""
+    """The optical model of the catalogue, cut to the middle of its picture."""
 
-    size: tuple[int, int]
-    window: tuple[slice, slice]
-    grid: PixelGrid
-    """The plain scale that a person would state: millimetres per pixel in the middle."""
-
-    @classmethod
-    def of_family(cls) -> Camera:
+    def __init__(self) -> None:
         parameters = sensor_family(FAMILY).parameters(None)
         design = parameters.optics()
         assert design is not None
-        width, height = size = design.camera.size_within(LONGEST_PX, enlarged=True)
-        points = OpticalModel(design, gel_mesh(parameters.pad()), size_px=size).render().points_mm
+        self.design = design
+        width, height = self.size = design.camera.size_within(LONGEST_PX, enlarged=True)
+        model = OpticalModel(design, gel_mesh(parameters.pad()), size_px=self.size)
+        points = model.render().points_mm
         du, dv = round(CUT * width), round(CUT * height)
-        window = (slice(dv, height - dv), slice(du, width - du))
-        x_mm = float(np.nanmedian(np.diff(points[..., 0], axis=1)))
-        y_mm = float(np.nanmedian(np.diff(points[..., 1], axis=0)))
-        return cls(size, window, PixelGrid(width - 2 * du, height - 2 * dv, x_mm, y_mm))
+        self.window = (slice(dv, height - dv), slice(du, width - du))
+        x_mm, y_mm = (float(np.nanmedian(np.diff(points[..., k], axis=1 - k))) for k in (0, 1))
+        # The plain scale that a person would state: millimetres per pixel in the middle.
+        self.grid = PixelGrid(width - 2 * du, height - 2 * dv, x_mm, y_mm)
 
     def shot(self, outcome: PressOutcome, pressed: bool, rng: np.random.Generator) -> np.ndarray:
         """A noisy picture, RGB uint8."""
-        design = sensor_family(FAMILY).parameters(None).optics()
-        assert design is not None
-        model = OpticalModel(design, outcome.mesh, size_px=self.size)
+        model = OpticalModel(self.design, outcome.mesh, size_px=self.size)
         seen = model.render(outcome.positions_m if pressed else None)
         clean = model.display.levels(seen.linear)[self.window]
-        noisy = clean + rng.normal(0, NOISE_LEVELS, clean.shape)
-        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return quantise(clean + rng.normal(0, NOISE_LEVELS, clean.shape))
 
 
 def truth(grid: PixelGrid, indenter: str, at_mm: tuple[float, float], depth_mm: float) -> Any:
@@ -92,7 +85,7 @@ def loop(tmp_path_factory) -> tuple[SensorProfile, dict[str, Any], PressOutcome,
     """Calibrated profile, report of its colours, the object's press, and its picture."""
     folder = tmp_path_factory.mktemp("loop")
     rng = np.random.default_rng(11)
-    camera = Camera.of_family()
+    camera = Camera()
     grid = camera.grid
     size_mm = np.array([grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y])
     reach = 0.5 * size_mm - 2.2

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search and robust fit that lenses, planes, grids and materials share, against referees, and
-cross-conformal bounds."""
+"""The search and robust fit that lenses and materials share, and cross-conformal bounds."""
 
 from __future__ import annotations
 
