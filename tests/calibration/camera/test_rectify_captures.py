@@ -213,7 +213,7 @@ def test_raw_images_do_not_go_with_a_profile_of_rectified_ones(captures: Path) -
     profile = profile.without("color", "background").with_block(block)
     raw, (even, _) = load_capture_folder(captures), rectified(captures)
     calls: tuple[Any, ...] = (presses_on_camera, calibrate_background, calibrate_scale)
-    for call in (*calls, lambda *given: grey_captures(*given, None)):
+    for call in (*calls, lambda folder, base: grey_captures(folder, base, None)):
         with pytest.raises(InputError, match=r"images are raw.*taccel-lab capture rectify"):
             call(raw, profile)
     # A profile that is made of rectified captures says so as well.
