@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the check of captures does with a frame, once for all tests that show it the same one.
-
-Most frames of a spoilt set are those of the sound one, and most commands of a file of tests begin
-with the same captures.
-"""
+"""What the check of captures does with a frame, once for all tests that show it the same one."""
 
 from __future__ import annotations
 
 import hashlib
 import pickle
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,17 +19,15 @@ from taccel_lab.calibration.circles.contact_finder import detect_contact
 
 
 def detect_once(patch: pytest.MonkeyPatch) -> None:
-    """The contact of equal images before equal backgrounds is found once; so is where the search
-    starts for presses that are fitted together, a third of the work."""
+    """The contact of equal images before equal backgrounds, and where a common search starts."""
     known: dict[str, Any] = {}
     starts: dict[str, Any] = {}
     first = contact_finder._first
 
     def detected(*given: Any, name: str, **named: Any) -> Any:
         # The name is a path, which is another in every test.
-        return _remembered(
-            known, (given, named), lambda: detect_contact(*given, name=name, **named)
-        )
+        find = partial(detect_contact, *given, name=name, **named)
+        return _remembered(known, (given, named), find)
 
     def started(read: Callable[[], np.ndarray], scene: Any, name: str) -> Any:
         image = read()

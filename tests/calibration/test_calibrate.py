@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -19,17 +20,21 @@ import pytest
 
 from taccel_lab.calibration.blocks import BLOCKS, block_named
 from taccel_lab.calibration.calibrate import calibrate
-from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.check import run as block_findings
-from taccel_lab.calibration.check.run import CaptureCheck
+from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.press_options import ColorOptions
 from taccel_lab.calibration.unfinished import BlockState
 from taccel_lab.errors import InputError
 from taccel_lab.files import images
-from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
+from taccel_lab.profile import CameraBlock, Provenance, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.support.capture_sets import edit_manifest
 from tests.support.small_captures import fit_colors_as_backgrounds, write_captures
+
+BOTH = ("background", "color")
+ALL_DONE = [BlockState.DONE, BlockState.DONE]
+REFUSED = [BlockState.DONE, BlockState.REFUSED]
 
 
 @pytest.fixture
@@ -38,12 +43,23 @@ def captures(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Sources of the checks that are made."""
+def replace_fit(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Any], None]:
+    """Lets a function fit the block of this name."""
+
+    def replaced(name: str, fit: Any) -> None:
+        module = import_module(f"taccel_lab.calibration.{block_named(name).fitted_in}")
+        monkeypatch.setattr(module, f"calibrate_{name}", fit)
+
+    return replaced
+
+
+@pytest.fixture
+def checked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Sources of the captures that are checked."""
     sources: list[str] = []
     real = block_findings.check_captures
 
-    def counted(folder: CaptureFolder, **options: Any) -> CaptureCheck:
+    def counted(folder: CaptureFolder, **options: Any) -> Any:
         sources.append(folder.source)
         return real(folder, **options)
 
@@ -51,18 +67,17 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return sources
 
 
-def refuse(*_: object) -> None:
-    raise InputError("the light is off")
-
-
 @pytest.fixture
 def quick_color(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_colors_as_backgrounds(monkeypatch)
 
 
-def replace_fit(monkeypatch: pytest.MonkeyPatch, name: str, fit: Any) -> None:
-    module = import_module(f"taccel_lab.calibration.{block_named(name).fitted_in}")
-    monkeypatch.setattr(module, f"calibrate_{name}", fit)
+def refuse(*_: object) -> None:
+    raise InputError("the light is off")
+
+
+def kill(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 @pytest.mark.thorough
@@ -81,40 +96,31 @@ def test_a_block_loads_no_other() -> None:
 
 @pytest.mark.thorough
 def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
-    told: list[str] = []
+    tasks: list[str] = []
     found = calibrate(
-        captures,
-        only=("background", "markers"),
-        progress=lambda task, done, total: told.append(task),
+        captures, only=("background", "markers"), progress=lambda task, *_: tasks.append(task)
     )
-    assert [(o.name, o.state) for o in found.blocks] == [
-        ("background", BlockState.DONE),
-        ("markers", BlockState.SKIPPED),
-    ]
-    assert "dots at rest" in found.blocks[1].message
-    assert not found.unfit
+    states = {"background": BlockState.DONE, "markers": BlockState.SKIPPED}
+    assert {o.name: o.state for o in found.blocks} == states
+    assert "dots at rest" in found.blocks[1].message and not found.unfit
     assert found.profile.background is not None and found.profile.perturbation is not None
     assert found.profile.background.provenance.kind == "calibrated"
-    assert {"checking the presses", "background: comparing the frames"} <= set(told)
-
-    found.write_report(tmp_path / "report")
-    assert (tmp_path / "report" / "background" / "report.html").is_file()
-    assert (tmp_path / "report" / "background" / "dust.png").is_file()
-    html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert {"checking the presses", "background: comparing the frames"} <= set(tasks)
+    report = tmp_path / "report"
+    found.write_report(report)
+    assert {"report.html", "dust.png"} <= {path.name for path in (report / "background").iterdir()}
+    html = (report / "report.html").read_text(encoding="utf-8")
     assert "Calibrated blocks" in html and "perturbation" in html
 
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("quick_color")
-def test_a_block_that_refuses_leaves_the_others_alone(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    replace_fit(monkeypatch, "background", refuse)
-    found = calibrate(load_capture_folder(captures), only=("background", "color"))
+def test_a_block_that_refuses_leaves_the_others_alone(captures, tmp_path, replace_fit) -> None:
+    replace_fit("background", refuse)
+    found = calibrate(load_capture_folder(captures), only=BOTH)
     (refused,) = found.unfit
     assert (refused.state, refused.message) == (BlockState.REFUSED, "the light is off")
-    assert refused.page is None
-    assert found.profile.background is not None
+    assert refused.page is None and found.profile.background is not None
     found.write_report(tmp_path / "report")
     data = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert data["verdict"] == "weak" and data["blocks"][0]["state"] == "refused"
@@ -122,32 +128,22 @@ def test_a_block_that_refuses_leaves_the_others_alone(
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("quick_color")
-def test_the_same_call_goes_on_after_a_kill(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    only, kept = ("background", "color"), tmp_path / "kept"
-
-    def kill(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        replace_fit(patch, "color", kill)
-        with pytest.raises(KeyboardInterrupt):
-            calibrate(captures, only=only, unfinished=kept)
+def test_the_same_call_goes_on_after_a_kill(captures, tmp_path, replace_fit) -> None:
+    how: dict[str, Any] = {"only": BOTH, "unfinished": tmp_path / "kept"}
+    fits = import_module("taccel_lab.calibration.color.fit").calibrate_color
+    replace_fit("color", kill)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(captures, **how)
     # What is finished is a whole profile with its report.
-    assert load_profile(kept / "profile").background is not None
-    assert (kept / "report" / "background" / "report.html").is_file()
-    with monkeypatch.context() as patch:
-        replace_fit(patch, "background", kill)
-        found = calibrate(captures, only=only, unfinished=kept)
-    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.DONE]
-    whole_run = calibrate(captures, only=only)
-    made = []
-    for profile in (found.profile, whole_run.profile):
-        assert profile.perturbation is not None
-        made.append(profile.perturbation.model_dump(exclude={"provenance"}))
-    assert made[0] == made[1]
-    np.testing.assert_array_equal(found.profile.background_rgb, whole_run.profile.background_rgb)
+    kept = load_profile(tmp_path / "kept" / "profile")
+    assert (tmp_path / "kept" / "report" / "background" / "report.html").is_file()
+    replace_fit("color", fits)
+    replace_fit("background", kill)
+    found = calibrate(captures, **how)
+    assert [o.state for o in found.blocks] == ALL_DONE
+    first, second = (each.blocks()["perturbation"] for each in (kept, found.profile))
+    assert first.replace(provenance=second.provenance) == second
+    np.testing.assert_array_equal(found.profile.background_rgb, kept.background_rgb)
     found.write_report(tmp_path / "report")
     assert (tmp_path / "report" / "background" / "report.html").is_file()
     with pytest.raises(InputError, match="no result of background: done, "):
@@ -158,40 +154,37 @@ def test_the_same_call_goes_on_after_a_kill(
     again, about = captures / "p0.png", (captures / "p0.png").stat()
     again.write_bytes(again.read_bytes())
     os.utime(again, ns=(about.st_atime_ns, about.st_mtime_ns))
-    with monkeypatch.context() as patch:
-        replace_fit(patch, "background", kill)
-        with pytest.raises(KeyboardInterrupt):
-            calibrate(captures, only=only, unfinished=kept)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(captures, **how)
     assert found.unfinished is not None
     found.unfinished.remove()
-    assert not kept.exists()
-
-
-def test_captures_that_calibrate_nothing_leave_nothing(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    replace_fit(monkeypatch, "background", refuse)
-    with pytest.raises(InputError, match="nothing could be calibrated"):
-        calibrate(captures, only=("background",), unfinished=tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
 
 
 @pytest.mark.thorough
-def test_a_block_is_fitted_with_its_options(
-    captures: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given: list[ColorOptions] = []
+def test_a_block_is_fitted_with_its_options_on_the_scale_of_the_base(captures, replace_fit) -> None:
+    """A measured scale serves captures that state none."""
+    given: list[tuple[Any, Any]] = []
 
-    def fit(folder: CaptureFolder, base: SensorProfile, options: ColorOptions, _: object) -> None:
-        given.append(options)
-        raise InputError("no fit in this test")
+    def fit(folder: CaptureFolder, _: Any, options: ColorOptions, __: Any) -> None:
+        given.append((folder.mm_per_px, options))
+        refuse()
 
-    replace_fit(monkeypatch, "color", fit)
-    seeded = ColorOptions(seed=3)
-    only = ("background", "color")
-    calibrate(captures, only=only, options={"color": seeded})
-    calibrate(captures, only=only)
-    assert given == [seeded, ColorOptions()]
+    replace_fit("color", fit)
+    grid, seeded = load_capture_folder(captures).grid(), ColorOptions(seed=3)
+    calibrate(captures, only=BOTH, options={"color": seeded})
+    for axis in "xy":
+        edit_manifest(captures, f"mm_per_px_{axis} = {grid.mm_per_px_x}\n", "")
+    on_board = Provenance(
+        kind="measured", method="for this test", source="none", inputs={"board": "0" * 64}
+    )
+    base = catalogue_profile("gelsight").with_block(CameraBlock.from_grid(grid, on_board))
+    found = calibrate(captures, base, only=BOTH)
+    assert [o.state for o in found.blocks] == REFUSED
+    scale = (grid.mm_per_px_x, grid.mm_per_px_y)
+    assert given == [(scale, seeded), (scale, ColorOptions())]
+    with pytest.raises(InputError, match=r"(?s)background: needs the scale.*color: needs the scal"):
+        calibrate(captures, only=BOTH)
 
 
 @pytest.mark.thorough
@@ -206,92 +199,32 @@ def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.Monkey
     assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
 
 
-def test_nothing_to_do_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
-    with pytest.raises(InputError, match="nothing could be calibrated\n  markers: needs"):
-        calibrate(captures, only=("markers",))
-    with pytest.raises(InputError, match="no block colour; there are camera, scale"):
-        calibrate(captures, only=("colour",))
-    with pytest.raises(InputError, match="no block colour"):
-        calibrate(captures, options={"colour": None})
-    with pytest.raises(InputError, match="captures are of a gelsight, the profile to extend is of"):
-        calibrate(captures, catalogue_profile("digit"))
+def test_what_calibrates_nothing_is_refused_and_leaves_nothing(captures, replace_fit) -> None:
+    replace_fit("background", refuse)
+    kept = captures.parent / "kept"
+    rows: list[tuple[dict[str, Any], str]] = [
+        ({"only": ("markers",)}, "nothing could be calibrated\n  markers: needs"),
+        ({"only": ("background",), "unfinished": kept}, "nothing could be calibrated"),
+        ({"only": ("colour",)}, "no block colour; there are camera, scale"),
+        ({"options": {"colour": None}}, "no block colour"),
+        ({"base": catalogue_profile("digit")}, "are of a gelsight, the profile to extend is of"),
+    ]
+    for how, said in rows:
+        with pytest.raises(InputError, match=said):
+            calibrate(captures, **how)
+    assert not kept.exists()
 
 
 def test_a_block_is_stopped_by_errors_and_not_by_warnings(captures: Path) -> None:
-    manifest = captures / "captures.toml"
-    manifest.write_text(manifest.read_text().replace("[indenter]\nradius_mm = 2.0\n", ""))
-    found = calibrate(captures, only=("background", "color"))
-    (blocked,) = found.unfit
+    edit_manifest(captures, "[indenter]\nradius_mm = 2.0\n", "")
+    (blocked,) = calibrate(captures, only=BOTH).unfit
     assert blocked.message.startswith("needs the ball's radius; the radius of the ball is not")
     assert "30 to 50" not in blocked.message, "five presses are a warning"
 
 
-@pytest.mark.thorough
-def test_a_measured_scale_of_the_base_serves_captures_that_state_none(
-    captures: Path, monkeypatch: pytest.MonkeyPatch
+def test_all_blocks_share_one_check_and_images_that_are_decoded_once(
+    captures: Path, checked: list[str], replace_fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = load_capture_folder(captures)
-    scale = folder.grid()
-    on_board = Provenance(
-        kind="measured", method="for this test", source="none", inputs={"board": "0" * 64}
-    )
-    measured = CameraBlock.from_grid(scale, on_board)
-    base = catalogue_profile(folder.sensor).with_block(measured)
-    manifest = captures / "captures.toml"
-    kept = [line for line in manifest.read_text().splitlines() if "mm_per_px" not in line]
-    manifest.write_text("\n".join(kept) + "\n")
-    seen: list[tuple[float, float] | None] = []
-
-    def fit(folder: CaptureFolder, *_: object) -> None:
-        seen.append(folder.mm_per_px)
-        raise InputError("no fit in this test")
-
-    replace_fit(monkeypatch, "color", fit)
-    found = calibrate(captures, base, only=("background", "color"))
-    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.REFUSED]
-    assert seen == [(scale.mm_per_px_x, scale.mm_per_px_y)]
-    with pytest.raises(
-        InputError, match=r"(?s)background: needs the scale.*color: needs the scale"
-    ):
-        calibrate(captures, only=("background", "color"))
-
-
-def test_one_check_serves_all_blocks(
-    captures: Path, made: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def asks(folder: CaptureFolder, *_: object) -> None:
-        block_findings.capture_findings(folder, "color")
-        raise InputError("no fit in this test")
-
-    replace_fit(monkeypatch, "color", asks)
-    found = calibrate(captures, only=("background", "color"))
-    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.REFUSED]
-    assert len(made) == 1
-
-
-@pytest.mark.thorough
-def test_a_check_goes_with_its_captures_and_is_made_again_for_others(
-    captures: Path, made: list[str]
-) -> None:
-    folder = load_capture_folder(captures)
-    first = block_findings.capture_check(folder)
-    assert block_findings.capture_check(folder) is first
-    assert block_findings.capture_findings(folder, "color") == [
-        finding for finding in first.findings if "color" in finding.blocks
-    ]
-    assert len(made) == 1
-    # Another folder in between takes nothing from the first.
-    other = load_capture_folder(captures)
-    block_findings.capture_check(other)
-    assert block_findings.capture_check(folder) is first
-    assert len(made) == 2
-    # What is changed of the captures is checked anew.
-    block_findings.capture_check(replace(folder, mm_per_px=(0.1, 0.1)))
-    assert len(made) == 3
-
-
-@pytest.mark.usefixtures("quick_color")
-def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded: Counter[str] = Counter()
     real = images.read_apart
 
@@ -299,8 +232,30 @@ def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyP
         decoded[what] += 1
         return real(what, *arguments, **options)
 
+    def asks(folder: CaptureFolder, base: Any, *_: object) -> None:
+        block_findings.capture_findings(folder, "color")
+        calibrate_background(folder, base)
+        refuse()
+
     monkeypatch.setattr(images, "read_apart", counted)
-    found = calibrate(captures, only=("background", "color"))
-    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.DONE]
-    files = {str(path) for path in captures.glob("*.png")}
-    assert decoded == Counter(dict.fromkeys(files, 1))
+    replace_fit("color", asks)
+    assert [o.state for o in calibrate(captures, only=BOTH).blocks] == REFUSED
+    assert len(checked) == 1
+    assert decoded == Counter(dict.fromkeys(map(str, captures.glob("*.png")), 1))
+
+
+@pytest.mark.thorough
+def test_a_check_goes_with_its_captures_and_is_made_again_for_others(captures, checked) -> None:
+    folder = load_capture_folder(captures)
+    first = block_findings.capture_check(folder)
+    assert block_findings.capture_check(folder) is first
+    of_color = [finding for finding in first.findings if "color" in finding.blocks]
+    assert block_findings.capture_findings(folder, "color") == of_color
+    assert len(checked) == 1
+    # Another folder in between takes nothing from the first.
+    block_findings.capture_check(load_capture_folder(captures))
+    assert block_findings.capture_check(folder) is first
+    assert len(checked) == 2
+    # What is changed of the captures is checked anew.
+    block_findings.capture_check(replace(folder, mm_per_px=(0.1, 0.1)))
+    assert len(checked) == 3

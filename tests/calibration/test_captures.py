@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Capture folders: what loads, and every way a folder can be refused."""
+"""Capture folders and taxim's packs: what loads, and every way either can be refused."""
 
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_captures, load_captures
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_place, check_radius
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from tests.support.capture_sets import edit_manifest, write_image
 
 MANIFEST = """
 schema_version = 1
@@ -33,60 +32,41 @@ contact = { u_px = 30.0, v_px = 25.0, radius_px = 12.0 }
 image = "b.png"
 name = "second"
 """
-
-NO_PRESSES = MANIFEST[: MANIFEST.index("[[presses]]")]
-
-
-def write_image(path: Path, shape: tuple[int, ...] = (48, 64, 3), value: int = 90) -> None:
-    assert cv2.imwrite(str(path), np.full(shape, value, dtype=np.uint8))
+NO_PRESSES = f"presses = []{MANIFEST[: MANIFEST.index('[[presses]]')]}"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in ("background", "a", "b"):
-        write_image(tmp_path / f"{name}.png")
-    write_image(tmp_path / "black.png", (48, 64), 0)
-    red = np.zeros((48, 64, 3), dtype=np.uint8)
-    red[..., 2] = 200  # OpenCV writes BGR.
-    assert cv2.imwrite(str(tmp_path / "b.png"), red)
+    grey, mask = np.full((48, 64, 3), 90, np.uint8), np.full((48, 64), 255, np.uint8)
+    mask[:10] = 0
+    images = {"background": grey, "a": grey, "mask": mask, "black": 0 * mask}
+    for name, image in {**images, "b": grey * np.array([2, 0, 0], np.uint8)}.items():
+        write_image(tmp_path / f"{name}.png", image)
     (tmp_path / "captures.toml").write_text(MANIFEST)
     return tmp_path
 
 
-def edit(folder: Path, old: str, new: str) -> None:
-    path = folder / "captures.toml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-
-
 def test_loads_a_folder_as_rgb(folder: Path) -> None:
     captures = load_captures(folder)
-    assert [press.name for press in captures.presses] == ["a", "second"]
-    assert captures.presses[0].circle == ContactCircle(30.0, 25.0, 12.0)
-    assert captures.presses[1].circle is None
-    assert captures.presses[1].image()[0, 0].tolist() == [200, 0, 0]
+    first, second = captures.presses
+    assert (first.name, second.name) == ("a", "second")
+    assert (first.circle, second.circle) == (ContactCircle(30.0, 25.0, 12.0), None)
+    assert second.image()[0, 0].tolist() == [180, 0, 0]
     assert captures.grid == PixelGrid(64, 48, 0.1, 0.1)
     hashes = captures.hashes()
     assert set(hashes) == {"background", "a", "second"}
     # a.png and background.png are the same bytes, b.png is not.
     assert hashes["a"] == hashes["background"] != hashes["second"]
+    mask = load_captures(edit_manifest(folder, "sensor", 'mask = "mask.png"\nsensor')).mask
+    assert not mask[:10].any() and mask[10:].all()
 
 
-def test_mask_is_read(folder: Path) -> None:
-    mask = np.full((48, 64), 255, dtype=np.uint8)
-    mask[:10] = 0
-    assert cv2.imwrite(str(folder / "mask.png"), mask)
-    edit(folder, 'background = "background.png"', 'background = "background.png"\nmask="mask.png"')
-    captures = load_captures(folder)
-    assert not captures.mask[:10].any() and captures.mask[10:].all()
-
-
-def test_folders_without_captures_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere does not exist.*captures\.toml"):
-        load_captures(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"an empty folder.*captures\.toml"):
-        load_captures(tmp_path)
+@pytest.mark.parametrize(
+    ("name", "said"), [("nowhere", "nowhere does not exist"), ("", "an empty folder")]
+)
+def test_folders_without_captures_are_refused(tmp_path: Path, name: str, said: str) -> None:
+    with pytest.raises(InputError, match=rf"{said}.*captures\.toml"):
+        load_captures(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -105,22 +85,21 @@ def test_folders_without_captures_are_refused(tmp_path: Path) -> None:
         ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
         ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
         ("schema_version = 1", "schema_version =", r"not valid TOML"),
-        (MANIFEST, f"presses = []{NO_PRESSES}", r"captures\.toml holds no presses; at least one"),
+        (MANIFEST, NO_PRESSES, r"captures\.toml holds no presses; at least one"),
         ("schema_version", 'mask = "black.png"\nschema_version', r"black\.png masks every pixel"),
     ],
 )
 def test_bad_manifest(folder: Path, old: str, new: str, message: str) -> None:
-    edit(folder, old, new)
     with pytest.raises(InputError, match=message) as caught:
-        load_captures(folder)
+        load_captures(edit_manifest(folder, old, new))
     assert str(folder) in str(caught.value)
 
 
-def write_pack(folder: Path, **changes: object) -> Path:
-    frames = np.zeros((2, 48, 64, 3), dtype=np.uint8)
+def write_pack(folder: Path, scale: float = 0.1, **changes: object) -> Path:
+    frames = np.zeros((2, 48, 64, 3), np.uint8)
     frames[..., 0] = 50  # blue
     arrays = {
-        "f0": np.full((48, 64, 3), 9, dtype=np.uint8),
+        "f0": np.full((48, 64, 3), 9, np.uint8),
         "imgs": frames,
         "touch_center": np.array([[30.0, 24.0], [33.0, 24.0]]),
         "touch_radius": np.array([12, 13]),
@@ -128,7 +107,7 @@ def write_pack(folder: Path, **changes: object) -> Path:
     }
     path = folder / "dataPack.npz"
     np.savez(path, **{k: v for k, v in arrays.items() if v is not None})  # type: ignore[arg-type]
-    (folder / "params.json").write_text(json.dumps({"sensor": {"pixmm": 0.1}}))
+    (folder / "params.json").write_text(json.dumps({"sensor": {"pixmm": scale}}))
     return path
 
 
@@ -148,42 +127,31 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"f0": None}, r"lacks f0"),
-        ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
-        (
-            {"imgs": np.zeros((2, 40, 64, 3), np.uint8)},
-            r"must have shape \[frames, 48, 64, 3\]",
-        ),
-        ({"touch_center": np.array([[30.0, math.nan], [33.0, 24.0]])}, r"\[0, 1\].*finite"),
         ({"f0": np.uint8(3)}, r"f0 must have shape"),
+        ({"imgs": np.zeros((0, 48, 64, 3), np.uint8)}, r"at least one frame"),
+        ({"imgs": np.zeros((2, 40, 64, 3), np.uint8)}, r"must have shape \[frames, 48, 64, 3\]"),
+        ({"touch_center": np.array([[30.0, np.nan], [33.0, 24.0]])}, r"\[0, 1\].*finite"),
         ({"touch_center": np.full((2, 2), "x")}, r"touch_center has type <U1; real numbers"),
-        ({"touch_radius": np.array([12, 13, 14])}, r"touch_radius must have shape \[2\]"),
         ({"touch_center": np.array([[30.0, 24.0], [-3.0, 24.0]])}, r"\[1\].*into the image"),
+        ({"touch_radius": np.array([12, 13, 14])}, r"touch_radius must have shape \[2\]"),
         ({"touch_radius": np.array([12, 21])}, r"\[1\].*(more than the ball|outside)"),
+        ({"scale": 0.0}, r"params\.json: sensor\.pixmm is"),
+        ({"scale": -0.1}, r"params\.json: sensor\.pixmm is"),
+        ({"scale": 40.0}, r"params\.json: sensor\.pixmm is"),
     ],
 )
-def test_bad_pack(tmp_path: Path, changes: dict[str, object], message: str) -> None:
-    pack = write_pack(tmp_path, **changes)
+def test_bad_pack(tmp_path: Path, changes: dict, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        load_captures(pack)
-    assert str(pack) in str(caught.value)
+        load_captures(write_pack(tmp_path, **changes))
+    assert str(tmp_path) in str(caught.value)
 
 
-@pytest.mark.parametrize("scale", [0.0, -0.1, 40.0])
-def test_absurd_scale_of_a_pack(tmp_path: Path, scale: float) -> None:
-    pack = write_pack(tmp_path)
-    (tmp_path / "params.json").write_text(json.dumps({"sensor": {"pixmm": scale}}))
-    with pytest.raises(InputError, match=r"params\.json: sensor\.pixmm is"):
-        load_captures(pack)
-
-
+@example(u=80.0, v=60.0, radius=25 * (1 + EQUATOR_SLACK), ball=5.0)
 @given(
     u=st.floats(-50, 250), v=st.floats(-50, 200), radius=st.floats(0.1, 120), ball=st.floats(0.5, 9)
 )
-def test_accepted_circles_fit_image_and_ball(
-    u: float, v: float, radius: float, ball: float
-) -> None:
-    grid = PixelGrid(160, 120, 0.1, 0.05)
-    circle = ContactCircle(u, v, radius)
+def test_accepted_circles_fit_image_and_ball(u, v, radius, ball) -> None:
+    grid, circle = PixelGrid(160, 120, 0.1, 0.05), ContactCircle(u, v, radius)
     fits = 3 <= radius <= EQUATOR_SLACK * ball / 0.1 and 0 <= u <= 159 and 0 <= v <= 119
     rows = radius * 0.1 / 0.05
     inside = radius <= u <= 159 - radius and rows <= v <= 119 - rows
@@ -196,8 +164,7 @@ def test_accepted_circles_fit_image_and_ball(
     except InputError as error:
         assert "x.png" in str(error)
         accepted = False
-    near = abs(radius * 0.1 - EQUATOR_SLACK * ball) < 1e-9
-    assert accepted == fits or near
+    assert accepted == fits or abs(radius * 0.1 - EQUATOR_SLACK * ball) < 1e-9
 
 
 def test_taxim_presses(taxim_captures: CaptureSet) -> None:

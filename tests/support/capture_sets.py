@@ -110,3 +110,12 @@ def write_image(path: Path, rgb: np.ndarray) -> None:
     done, data = cv2.imencode(path.suffix, np.ascontiguousarray(rgb[..., ::-1]))
     assert done
     path.write_bytes(data.tobytes())
+
+
+def edit_manifest(folder: Path, old: str, new: str) -> Path:
+    """Replace what captures.toml says, which has to be there; the folder."""
+    path = folder / "captures.toml"
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return folder

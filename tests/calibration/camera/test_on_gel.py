@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.camera.board import BoardView
@@ -21,29 +23,23 @@ from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane import CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.robust_fit import huber_weights
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
-from tests.calibration.camera.views import SIZE, TRUTHS, views_of
-from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over
+from tests.calibration.drawn import boards
 from tests.support.real_data import real_data
 
-NINE = "9dtact_official/shape_reconstruction/calibration"
 MEDIA = FlatMedia((-7.0, -4.0), (1.0, 1.49, 1.41))
+INDEX, PLACES_MM = boards.lattice_points(9, 7), (boards.lattice_points(9, 7) - [4, 3]) * 2.5
 
 
 def flat_view(
-    scale: tuple[float, float], turn_deg: float = 0.0, noise_px: float = 0.0, seed: int = 0
+    sx: float = 0.05, sy: float = 0.05, turn_deg: float = 0.0, noise: ArrayLike = 0.0
 ) -> BoardView:
     """A 9 x 7 board of 2.5 mm under an ideal scanner of unequal scales."""
-    index = lattice_points(9, 7)
-    angle = np.radians(turn_deg)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    xy = (index - [4, 3]) * 2.5 @ turn.T
-    uv = xy / scale + np.array([322.0, 236.0])
-    uv = uv + np.random.default_rng(seed).normal(0, noise_px, uv.shape)
-    return BoardView("flat", "flat", SIZE, index, uv, 63, pitch_mm=2.5)
+    turn = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()[:2, :2]
+    uv = PLACES_MM @ turn.T / (sx, sy) + (322.0, 236.0) + np.asarray(noise)
+    return BoardView("flat", "flat", boards.SIZE, INDEX, uv, 63, pitch_mm=2.5)
 
 
 def part_of(view: BoardView, chosen: np.ndarray) -> BoardView:
@@ -51,54 +47,51 @@ def part_of(view: BoardView, chosen: np.ndarray) -> BoardView:
 
 
 @pytest.mark.thorough
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(sx=st.floats(0.02, 0.08), ratio=st.floats(0.9, 1.1), turn=st.floats(-40, 40))
 def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) -> None:
-    found = fit_on_gel([flat_view((sx, sx * ratio), turn)])
+    found = fit_on_gel([flat_view(sx, sx * ratio, turn)])
     assert found.frame.mm_per_px_x.value == pytest.approx(sx, rel=1e-6)
     assert found.frame.mm_per_px_y.value == pytest.approx(sx * ratio, rel=1e-6)
     assert abs(found.frame.shear) < 1e-6
     assert found.fit.model.name == "unknown lens"
     # The gel frame's x runs along the image's rows, whatever the board does.
-    ahead = found.pixel_from_gel(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-    np.testing.assert_allclose(ahead[0], (319.5, 239.5), atol=1e-5)
-    np.testing.assert_allclose(ahead[1] - ahead[0], (1 / sx, 0), atol=1e-4)
-    np.testing.assert_allclose(ahead[2] - ahead[0], (0, 1 / (sx * ratio)), atol=1e-4)
+    origin, *ahead = found.pixel_from_gel(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    np.testing.assert_allclose(origin, (319.5, 239.5), atol=1e-5)
+    np.testing.assert_allclose(ahead - origin, np.diag([1 / sx, 1 / (sx * ratio)]), atol=1e-4)
 
 
 @pytest.mark.thorough
 def test_noise_stays_within_the_predicted_uncertainty() -> None:
     scores = []
     for seed in range(10):
-        view = flat_view((0.05, 0.052), 10.0, 0.3, seed)
+        noise = np.random.default_rng(seed).normal(0, 0.3, (63, 2))
+        view = flat_view(0.05, 0.052, 10.0, noise)
         if seed % 2:  # Also with a third of the dots missing.
             view = part_of(view, np.random.default_rng(seed).permutation(63)[:42])
         frame = fit_on_gel([view]).frame
-        scores += [
-            (frame.mm_per_px_x.value - 0.05) / frame.mm_per_px_x.sigma,
-            (frame.mm_per_px_y.value - 0.052) / frame.mm_per_px_y.sigma,
-        ]
+        for scale, true in ((frame.mm_per_px_x, 0.05), (frame.mm_per_px_y, 0.052)):
+            scores.append((scale.value - true) / scale.sigma)
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
 def test_boards_at_several_places_are_one_plane() -> None:
     """The second board is turned and shifted: neither changes the scale."""
-    views = [flat_view((0.05, 0.05), 3.0), flat_view((0.05, 0.05), -31.0)]
-    views[1] = replace(views[1], uv_px=views[1].uv_px + (35.0, -20.0))
-    found = fit_on_gel(views)
+    found = fit_on_gel([flat_view(turn_deg=3.0), flat_view(turn_deg=-31.0, noise=(35.0, -20.0))])
     assert found.frame.mm_per_px_x.value == pytest.approx(0.05, rel=1e-6)
     assert found.fit.rms_px < 1e-5
     assert np.degrees(found.fit.motions[1, 0]) == pytest.approx(-34.0, abs=1e-4)
 
 
+@cache
 def lens_of(name: str):
-    return calibrate_intrinsics(views_of(name, 8), models=[name], folds=2)
+    return calibrate_intrinsics(boards.views_of(name, 8), models=[name], folds=2)
 
 
 def board_through(intrinsics, media: FlatMedia | None) -> tuple[BoardView, np.ndarray, np.ndarray]:
     """A board on the gel as the camera sees it, with the camera's true position and rotation."""
     model = CameraPose(
-        intrinsics.lens, intrinsics.parameters, intrinsics.chosen.fit.covariance, SIZE, media
+        intrinsics.lens, intrinsics.parameters, intrinsics.chosen.fit.covariance, boards.SIZE, media
     )
     gel_from_camera = Rotation.from_euler("xyz", [4.0, -3.0, 0.0], degrees=True)
     position = np.array([0.4, -0.3, -27.0])
@@ -106,9 +99,8 @@ def board_through(intrinsics, media: FlatMedia | None) -> tuple[BoardView, np.nd
     theta = np.concatenate(
         [camera_from_gel.as_rotvec(), -camera_from_gel.apply(position), intrinsics.parameters]
     )
-    index = lattice_points(9, 7)
-    xy = (index - [4, 3]) * 2.5
-    view = BoardView("gel", "gel", SIZE, index, model.project(theta, xy), 63, pitch_mm=2.5)
+    uv = model.project(theta, PLACES_MM)
+    view = BoardView("gel", "gel", boards.SIZE, INDEX, uv, 63, pitch_mm=2.5)
     return view, position, gel_from_camera.as_matrix()
 
 
@@ -138,15 +130,14 @@ def test_pose_of_the_gel_with_and_without_refraction() -> None:
     assert in_air.fit.heldout_px > 10 * found.pose.fit.heldout_px
 
 
-def test_a_pose_parallel_to_the_gel_is_where_the_search_starts() -> None:
+@pytest.mark.parametrize("turn", [0.0, 3.25, 90.0])
+def test_a_pose_parallel_to_the_gel_is_where_the_search_starts(turn: float) -> None:
     """Exactly parallel planes make IPPE divide by zero; what it returned was taken."""
-    lens, truth = LENSES["fisheye"], TRUTHS["fisheye"]
-    for turn in (0.0, 3.25, 90.0):
-        pose = pose_over(8, 6, 3.0, distance_mm=25.0, tilt_deg=(0.0, 0.0), turn_deg=turn)
-        view = exact_view(lens, truth, pose, SIZE, 8, 6, 3.0)
-        model = CameraPose(lens, truth, np.zeros((len(truth), len(truth))), SIZE)
-        start = model.start(view.board_mm()[:, :2], view.uv_px)
-        np.testing.assert_allclose(start[3:6], pose[3:], atol=1e-4)
+    pose = boards.pose_over(*boards.BOARD, distance_mm=25.0, turn_deg=turn)
+    view, true = boards.view_of("fisheye", pose), boards.TRUTHS["fisheye"]
+    model = CameraPose(LENSES["fisheye"], true, np.zeros((len(true), len(true))), boards.SIZE)
+    start = model.start(view.board_mm()[:, :2], view.uv_px)
+    np.testing.assert_allclose(start[3:6], pose[3:], atol=1e-4)
 
 
 @pytest.mark.thorough
@@ -155,7 +146,7 @@ def test_rectified_pictures_have_one_scale() -> None:
     intrinsics = lens_of("k1")
     view, _, _ = board_through(intrinsics, None)
     found = fit_on_gel([view], intrinsics=intrinsics)
-    picture = np.full((SIZE[1], SIZE[0]), 200, np.uint8)
+    picture = np.full((boards.SIZE[1], boards.SIZE[0]), 200, np.uint8)
     for u, v in view.uv_px:
         cv2.circle(picture, (round(u * 16), round(v * 16)), 6 * 16, 20, -1, cv2.LINE_AA, 4)
     maps = gel_maps(found)
@@ -167,21 +158,23 @@ def test_rectified_pictures_have_one_scale() -> None:
     left = xy - design @ slopes
     assert np.sqrt(np.mean(np.sum(left**2, axis=1))) < 0.2 * found.grid.mm_per_px_x
     np.testing.assert_allclose(slopes[:2].T @ slopes[:2], 2.5**2 * np.eye(2), rtol=4e-3, atol=0.03)
-    assert maps.measured[SIZE[1] // 2, SIZE[0] // 2] and not maps.measured[0, 0]
+    assert maps.measured[boards.SIZE[1] // 2, boards.SIZE[0] // 2] and not maps.measured[0, 0]
 
 
 def test_maps_are_saved_whole(tmp_path: Path) -> None:
-    found = fit_on_gel([flat_view((0.05, 0.05))])
-    gel_maps(found).save(tmp_path / "maps.npz")
-    with np.load(tmp_path / "maps.npz") as stored:
-        assert stored["map_u_px"].shape == (SIZE[1], SIZE[0])
-        np.testing.assert_allclose(stored["mm_per_px"], 0.05, rtol=1e-6)
-    assert RectificationMaps.load(tmp_path / "maps.npz").raw_size_px == SIZE
+    maps = gel_maps(fit_on_gel([flat_view()]))
+    maps.save(tmp_path / "maps.npz")
+    loaded = RectificationMaps.load(tmp_path / "maps.npz")
+    for name in ("map_u_px", "map_v_px", "measured"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(maps, name))
+    assert loaded.grid == maps.grid and loaded.raw_size_px == boards.SIZE
+    assert loaded.grid is not None and loaded.map_u_px.shape == boards.SIZE[::-1]
+    assert loaded.grid.mm_per_px_x == pytest.approx(0.05, rel=1e-6)
 
 
 @pytest.mark.thorough
 def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
-    view = flat_view((0.05, 0.05), noise_px=0.05)
+    view = flat_view(noise=np.random.default_rng(0).normal(0, 0.05, (63, 2)))
     middle = np.array([322.0, 236.0])
     others = tuple(middle + (view.uv_px - middle) * [s, 1.0] for s in (0.997, 1.01, 1.004))
     shaded = replace(view, others_uv_px=others)
@@ -193,16 +186,15 @@ def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
 
 
 def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told() -> None:
-    view = flat_view((0.05, 0.05))
-    for bad, words in (
-        (replace(view, pitch_mm=None), "pitch_mm"),
-        (part_of(view, np.arange(5)), "at least 8"),
+    view = flat_view()
+    for bad, lens, words in (
+        (replace(view, pitch_mm=None), None, "pitch_mm"),
+        (part_of(view, np.arange(5)), None, "at least 8"),
+        (replace(view, size_px=(320, 240)), lens_of("k1"), "use one size"),
     ):
         with pytest.raises(InputError, match=words):
-            fit_on_gel([bad])
-    with pytest.raises(InputError, match="use one size"):
-        fit_on_gel([replace(view, size_px=(320, 240))], intrinsics=lens_of("k1"))
-    beside = replace(view, uv_px=flat_view((0.02, 0.02)).uv_px * 0.3 + (10.0, 10.0))
+            fit_on_gel([bad], intrinsics=lens)
+    beside = replace(view, uv_px=flat_view(0.02, 0.02).uv_px * 0.3 + (10.0, 10.0))
     assert "off_center" in {remark.code for remark in fit_on_gel([beside]).remarks}
 
 
@@ -210,7 +202,8 @@ def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told
 @pytest.mark.parametrize(("unit", "removed"), [(1, 0), pytest.param(2, 21, marks=pytest.mark.slow)])
 def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     """Within 1 % of the scale that the authors stored; also when a third of the dots is gone."""
-    folder = real_data(f"{NINE}/sensor_{unit}/camera_calibration")
+    nine = "9dtact_official/shape_reconstruction/calibration"
+    folder = real_data(f"{nine}/sensor_{unit}/camera_calibration")
     row, column, stored = np.load(folder / "position_scale.npy")
     image, reference = read_image(folder / "sample.png"), read_image(folder / "ref.png")
     if removed:
@@ -251,15 +244,3 @@ def test_a_pressed_board_is_seen_through_several_filters() -> None:
     (even, filters), (uneven, _) = scale(plain), scale(shaded)
     assert filters >= 3  # Of one picture, and of the other where it shows the dents.
     assert even < 0.002 and uneven > 2 * even
-
-
-def test_efficiency_on_normal_noise_is_the_stated_one() -> None:
-    """Variance of the mean of normal 2-vectors over that of Huber's estimate, by its influence."""
-    length = np.linspace(0, 12, 240_001)
-    density = length * np.exp(-(length**2) / 2) * length[1]
-    weight = huber_weights(np.stack([length, 0 * length], axis=1), 1.0)
-    psi = weight * length
-    # Divergence of psi(x) x / |x| in two dimensions.
-    slope = np.gradient(psi, length) + weight
-    efficiency = (0.5 * np.sum(density * slope)) ** 2 / (0.5 * np.sum(density * psi**2))
-    assert efficiency == pytest.approx(0.98, abs=0.004)

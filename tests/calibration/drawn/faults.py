@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of real captures, put into rendered ones: each takes and returns float levels.
-
-Images are RGB or grey levels of 255 as floats, shape [height_px, width_px] or [.., 3]; nothing is
-clipped or rounded before ``quantise``.
-"""
+"""Faults of real captures, put into RGB or grey levels as floats; only ``quantise`` clips them."""
 
 from __future__ import annotations
 
@@ -25,11 +21,8 @@ def vignette(image: np.ndarray, strength: float) -> np.ndarray:
     """Light falling off by ``strength`` (0..1) from the middle to the corners, as r^2."""
     height, width = image.shape[:2]
     v, u = np.mgrid[:height, :width]
-    radius2 = ((u - (width - 1) / 2) ** 2 + (v - (height - 1) / 2) ** 2) / (
-        ((width - 1) ** 2 + (height - 1) ** 2) / 4
-    )
-    gain = 1.0 - strength * radius2
-    return image * (gain[..., None] if image.ndim == 3 else gain)
+    radius2 = (2 * u - (width - 1)) ** 2 + (2 * v - (height - 1)) ** 2
+    return image * _like(image, 1.0 - strength * radius2 / ((width - 1) ** 2 + (height - 1) ** 2))
 
 
 def drift(
@@ -43,8 +36,7 @@ def add_gradient(image: np.ndarray, levels_u: float, levels_v: float) -> np.ndar
     """Light that changes linearly by this much from the middle to the right and lower edge."""
     height, width = image.shape[:2]
     u, v = np.linspace(-1, 1, width)[None, :], np.linspace(-1, 1, height)[:, None]
-    plane = levels_u * u + levels_v * v
-    return image + (plane[..., None] if image.ndim == 3 else plane)
+    return image + _like(image, levels_u * u + levels_v * v)
 
 
 def add_dust(
@@ -62,8 +54,7 @@ def add_dust(
     for _ in range(count):
         at = rng.uniform(0, 1, 2) * (width - 1, height - 1)
         specks += np.exp(-((u - at[0]) ** 2 + (v - at[1]) ** 2) / (2 * radius_px**2))
-    specks = levels * np.minimum(specks, 1.0)
-    return image + (specks[..., None] if image.ndim == 3 else specks)
+    return image + _like(image, levels * np.minimum(specks, 1.0))
 
 
 def poison(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -76,3 +67,8 @@ def poison(image: np.ndarray, mask: np.ndarray, rng: np.random.Generator) -> np.
 def quantise(image: np.ndarray) -> np.ndarray:
     """Whole levels 0..255, as a file stores them."""
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _like(image: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """A grey picture for every channel of the image."""
+    return levels[..., None] if image.ndim == 3 else levels

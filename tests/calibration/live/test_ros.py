@@ -23,15 +23,9 @@ from tests.calibration.live.test_live import Watching
 from tests.calibration.record.sessions import SteeredCamera
 
 
-def header() -> SimpleNamespace:
-    return SimpleNamespace(stamp=None, frame_id="")
-
-
-class Image:
+class Image(SimpleNamespace):
     def __init__(self) -> None:
-        self.header, self.height, self.width, self.step = header(), 0, 0, 0
-        self.encoding, self.is_bigendian = "", False
-        self.data = array.array("B")
+        super().__init__(header=SimpleNamespace(), data=array.array("B"))
 
     def pixels(self) -> np.ndarray:
         """As cv_bridge reads it."""
@@ -41,24 +35,43 @@ class Image:
         return np.frombuffer(self.data.tobytes(), kind).reshape(shape)
 
 
-class Float32:
-    def __init__(self, data: float = 0.0) -> None:
-        self.data = data
+class Float32(SimpleNamespace):
+    pass
 
 
-class WrenchStamped:
+class WrenchStamped(SimpleNamespace):
     def __init__(self) -> None:
-        self.header = header()
-        self.wrench = SimpleNamespace(
-            force=SimpleNamespace(x=0.0, y=0.0, z=0.0), torque=SimpleNamespace(x=0.0, y=0.0, z=0.0)
-        )
+        wrench = SimpleNamespace(force=SimpleNamespace(), torque=SimpleNamespace())
+        super().__init__(header=SimpleNamespace(), wrench=wrench)
 
 
-class Node:
-    """Keeps what is published, by topic."""
+class Time(float):
+    def __sub__(self, other: float) -> Time:
+        return Time(float(self) - other)
 
-    def __init__(self, name: str) -> None:
-        self.name, self.published, self.logged, self.ended = name, {}, [], False
+    def to_msg(self) -> float:
+        return float(self)
+
+
+class Ros(ModuleType):
+    """rclpy and its one node, which keeps what is published, by topic."""
+
+    def __init__(self) -> None:
+        super().__init__("rclpy")
+        self.up, self.ended, self.published, self.logged = False, False, {}, []
+
+    def ok(self) -> bool:
+        return self.up
+
+    def init(self) -> None:
+        self.up = True
+
+    def shutdown(self) -> None:
+        self.up = False
+
+    def create_node(self, name: str) -> Ros:
+        self.name = name
+        return self
 
     def create_publisher(self, kind: type, topic: str, queue: int) -> SimpleNamespace:
         kept = self.published.setdefault(topic, [])
@@ -70,13 +83,6 @@ class Node:
         return SimpleNamespace(publish=publish)
 
     def get_clock(self) -> Any:
-        class Time(float):
-            def __sub__(self, other: float) -> Time:
-                return Time(float(self) - other)
-
-            def to_msg(self) -> float:
-                return float(self)
-
         return SimpleNamespace(now=lambda: Time(100.0))
 
     def get_logger(self) -> Any:
@@ -85,40 +91,23 @@ class Node:
     def destroy_node(self) -> None:
         self.ended = True
 
-
-class Ros(ModuleType):
-    def __init__(self) -> None:
-        super().__init__("rclpy")
-        self.up, self.node = False, None
-
-    def ok(self) -> bool:
-        return self.up
-
-    def init(self) -> None:
-        self.up = True
-
-    def shutdown(self) -> None:
-        self.up = False
-
-    def create_node(self, name: str) -> Node:
-        self.node = Node(name)
-        return self.node
+    def newest(self, *names: str) -> list[Any]:
+        return [self.published[f"tactile/left/{name}"][-1] for name in names]
 
 
 @pytest.fixture
 def ros(monkeypatch: pytest.MonkeyPatch) -> Ros:
     rclpy = Ros()
-    modules: dict[str, dict[str, Any]] = {
-        "rclpy.duration": {"Duration": lambda nanoseconds: 1e-9 * nanoseconds},
-        "sensor_msgs.msg": {"Image": Image},
-        "std_msgs.msg": {"Float32": Float32},
-        "geometry_msgs.msg": {"WrenchStamped": WrenchStamped},
-    }
     monkeypatch.setitem(sys.modules, "rclpy", rclpy)
-    for name, contents in modules.items():
-        package = name.partition(".")[0]
-        if package != "rclpy":
-            monkeypatch.setitem(sys.modules, package, ModuleType(package))
+    for name, contents in {
+        "rclpy.duration": {"Duration": lambda nanoseconds: 1e-9 * nanoseconds},
+        "sensor_msgs": {},
+        "sensor_msgs.msg": {"Image": Image},
+        "std_msgs": {},
+        "std_msgs.msg": {"Float32": Float32},
+        "geometry_msgs": {},
+        "geometry_msgs.msg": {"WrenchStamped": WrenchStamped},
+    }.items():
         module = ModuleType(name)
         vars(module).update(contents)
         monkeypatch.setitem(sys.modules, name, module)
@@ -127,26 +116,21 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> Ros:
 
 @pytest.mark.thorough
 def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path) -> None:
-    captures, profile = grey_unit()
-    rest = np.asarray(captures.background)
-    pressed = np.clip(np.rint(captures.presses[2].image()), 0, 255).astype(np.uint8)
-    camera = SteeredCamera(tmp_path, rest, noise=0.5)
-    camera.image = pressed
+    unit = grey_unit()
+    camera = SteeredCamera(tmp_path, unit.rest, noise=0.5)
+    camera.image = unit.pressed
     publisher, watching = RosPublisher("tactile/left"), Watching()
     told = {"Fx [N]": 0.25, "Fx +- [N]": 0.1, "Fy [N]": -0.5}
 
     def reader(background: np.ndarray) -> LiveReader:
-        return LiveReader(profile, background, force=lambda image, rest: told)
+        return LiveReader(unit.profile, background, force=lambda image, rest: told)
 
-    watchers, untouched = [publisher, watching], rest.astype(np.float32)
+    watchers, untouched = [publisher, watching], unit.rest.astype(np.float32)
     session = live_session(reader, lambda: camera, watchers, background=untouched, frames=2)
     (result,) = run_together([session])
-    assert ros.node is not None and ros.node.name == "taccel_lab_tactile_left"
-    [*_, image], [*_, depth], [*_, contact], [*_, wrench] = (
-        ros.node.published[f"tactile/left/{topic}"]
-        for topic in ("image", "depth", "contact", "wrench")
-    )
     reading = watching.readings[-1]
+    assert ros.name == "taccel_lab_tactile_left"
+    image, depth, contact, wrench = ros.newest("image", "depth", "contact", "wrench")
     np.testing.assert_array_equal(image.pixels(), reading.image)
     np.testing.assert_array_equal(
         depth.pixels()[..., 0], -reading.surface.rise_m.astype(np.float32)
@@ -163,28 +147,25 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
         came = 100 - sum(reading.stages_s.values())
         assert message.header.stamp == pytest.approx(came, abs=1e-6)
     publisher.tell("Touch nothing")
-    assert ros.node.logged[-1] == "Touch nothing"
-    assert result.reader is not None
-    assert reading.surface is not None
+    assert ros.logged[-1] == "Touch nothing"
+    assert result.reader is not None and reading.surface is not None
     unpressed = replace(reading.surface, press=None)
     refused = replace(reading, refused="too steep", surface=unpressed, forces={})
     publisher.show(refused, result.reader, result.latency)
-    depth, wrench = (ros.node.published[f"tactile/left/{t}"][-1] for t in ("depth", "wrench"))
+    depth, wrench = ros.newest("depth", "wrench")
     force = wrench.wrench.force
     assert np.isnan(depth.pixels()).all() and np.isnan([force.x, force.y, force.z]).all()
     assert not publisher.stopped()
     publisher.close()
-    assert ros.node.ended and publisher.stopped()
+    assert ros.ended and publisher.stopped()
     # A snapshot of the same reading.
-    for number in range(2):
-        kept = save_snapshot(reading, tmp_path / "kept")
-        assert kept.name == f"snapshot_{number:03d}_image.png"
-    with np.load(tmp_path / "kept" / "snapshot_001.npz") as arrays:
+    kept = tmp_path / "kept"
+    for number, each in enumerate((reading, reading, refused)):
+        assert save_snapshot(each, kept).name == f"snapshot_{number:03d}_image.png"
+    with np.load(kept / "snapshot_001.npz") as arrays:
         np.testing.assert_allclose(arrays["rise_m"], reading.surface.rise_m, rtol=1e-6)
         assert arrays["pressure_pa"].max() > 0
-    save_snapshot(refused, tmp_path / "kept")
-    names = {path.name for path in (tmp_path / "kept").iterdir() if "002" in path.name}
-    assert names == {"snapshot_002_image.png"}
+    assert [path.name for path in kept.glob("*002*")] == ["snapshot_002_image.png"]
 
 
 def test_wrong_names_and_missing_ros_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -18,22 +18,27 @@ from taccel_lab.calibration.markers.rest import find_rest, frames_before
 from taccel_lab.calibration.markers.still_frames import still_stretches
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
-from tests.calibration.drawn.dot_grids import grid_points, picture
+from tests.calibration.drawn.dots import grid_points, picture
 from tests.support.real_data import real_data
+from tests.support.variants import variants
 
 REST = grid_points(pitch=(30.0, 29.0), turn_rad=0.02)
-PITCH = 29.0
 
 
-def pressed(depth: float, centre: tuple[float, float] = (150.0, 115.0)) -> np.ndarray:
+def pressed(depth: float) -> np.ndarray:
     """Dots pushed away from a contact, by up to ``depth`` px."""
-    way = REST - centre
+    way = REST - (150.0, 115.0)
     reach = np.linalg.norm(way, axis=1, keepdims=True)
     return REST + depth * way / 45.0 * np.exp(0.5 - 0.5 * (reach / 45.0) ** 2)
 
 
-def drawn(points: Sequence[np.ndarray], noise: float = 1.5) -> list[np.ndarray]:
-    return [picture(p, 5.0, noise=noise, seed=n) for n, p in enumerate(points)]
+def press(start: float, end: float, count: int) -> list[np.ndarray]:
+    """Moving, so that neither end is shown."""
+    return [pressed(depth) for depth in np.linspace(start, end, count + 2)[1:-1]]
+
+
+def drawn(points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [picture(p, noise=1.5, seed=n) for n, p in enumerate(points)]
 
 
 def captures(
@@ -45,22 +50,13 @@ def captures(
     return MarkerCaptures(still, None, None, (video,))
 
 
-def hold(points: np.ndarray, count: int) -> list[np.ndarray]:
-    return [points] * count
-
-
-def press(start: float, end: float, count: int) -> list[np.ndarray]:
-    """Moving, so that neither end is shown."""
-    return [pressed(depth) for depth in np.linspace(start, end, count + 2)[1:-1]]
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("points", "first", "last"),
     [
-        ([*hold(REST, 12), *press(0, 8, 8), *hold(pressed(8), 4)], 0, 11),
+        ([*[REST] * 12, *press(0, 8, 8), *[pressed(8)] * 4], 0, 11),
         # Held pressed for longer than it rests.
-        ([*hold(pressed(8), 20), *press(8, 0, 8), *hold(REST, 8)], 28, 35),
+        ([*[pressed(8)] * 20, *press(8, 0, 8), *[REST] * 8], 28, 35),
     ],
     ids=["first", "after a long press"],
 )
@@ -72,18 +68,14 @@ def test_rest_is_found_where_it_is(points: list[np.ndarray], first: int, last: i
     np.testing.assert_allclose(layout.pitch, (30.0, 29.0), atol=0.02)
 
 
-def slow_press() -> list[np.ndarray]:
-    return [pressed(0.06 * n) for n in range(60)]
-
-
 @pytest.mark.thorough(cases=("held", "moving", "slowly"))
 @pytest.mark.parametrize(
     ("points", "reason"),
     [
         (press(8, 2, 30), "at most 2 of 30 frames in a row"),
-        (slow_press(), "does not drift"),
-        ([*hold(pressed(8), 20), *press(8, 0.5, 12)], "held pressed"),
-        ([*press(8, 0, 8), *hold(REST, 4)], "at most 4 of 12 frames in a row, from frame 8"),
+        ([pressed(0.06 * n) for n in range(60)], "does not drift"),
+        ([*[pressed(8)] * 20, *press(8, 0.5, 12)], "held pressed"),
+        ([*press(8, 0, 8), *[REST] * 4], "at most 4 of 12 frames in a row, from frame 8"),
     ],
     ids=["moving", "slowly", "held", "too short"],
 )
@@ -97,46 +89,43 @@ def test_no_rest_is_refused(points: list[np.ndarray], reason: str) -> None:
 @pytest.mark.thorough
 def test_a_turning_point_is_no_rest_at_a_known_frame_rate() -> None:
     """Six frames of a fast camera last no fifth of a second."""
-    points = [*press(8, 0, 8), *hold(REST, 6), *press(0, 8, 8)]
-    assert find_rest(captures(drawn(points))).starts == (10,)
+    frames = drawn([*press(8, 0, 8), *[REST] * 6, *press(0, 8, 8)])
+    assert find_rest(captures(frames)).starts == (10,)
     with pytest.raises(InputError, match="a rest has 24"):
-        find_rest(captures(drawn(points), fps=120.0))
+        find_rest(captures(frames, fps=120.0))
 
 
 @pytest.mark.thorough
 def test_two_layouts_that_stand_still_are_told() -> None:
     """Dragged as a whole, dots lie as evenly as at rest."""
-    away = REST + (6.0, 2.0)
-    between = [REST + np.array([6.0, 2.0]) * t for t in np.linspace(0, 1, 9)[1:-1]]
-    found = find_rest(captures(drawn([*hold(REST, 14), *between, *hold(away, 10)])))
-    (remark,) = found.remarks
+    shares = [0.0] * 14 + [*np.linspace(0, 1, 9)[1:-1]] + [1.0] * 10
+    frames = drawn([REST + np.array([6.0, 2.0]) * share for share in shares])
+    (remark,) = find_rest(captures(frames)).remarks
     assert remark.code == "rest_ambiguous" and "6.3" in remark.message
 
 
 @pytest.mark.thorough
 def test_a_stated_picture_is_taken_and_a_contradiction_told() -> None:
-    frames = drawn([*press(8, 0, 8), *hold(REST, 12)])
-    good, bad = (picture(p, 5.0, noise=1.5, seed=99) for p in (REST, REST + (4.0, 0.0)))
+    frames = drawn([*press(8, 0, 8), *[REST] * 12])
+    good, bad = (picture(p, noise=1.5, seed=99) for p in (REST, REST + (4.0, 0.0)))
     found = find_rest(captures(frames, good))
     assert (found.frame.name, found.remarks) == ("rest", ())
     assert 8 <= found.starts[0] < 20
     (remark,) = find_rest(captures(frames, bad)).remarks
-    assert remark.code == "rest_disagrees"
-    assert "4.0" in remark.message
+    assert remark.code == "rest_disagrees" and "4.0" in remark.message
 
 
 def test_light_that_flickers_is_no_motion() -> None:
-    levels = 1.0 + 0.2 * np.sin(np.arange(20))
-    frames = [picture(REST, 5.0, levels=False) * level for level in levels]
-    assert still_stretches(frames, PITCH).stretches == (range(20),)
+    still = picture(REST, levels=False)
+    frames = [still * (1.0 + 0.2 * np.sin(n)) for n in range(20)]
+    assert still_stretches(frames, 29.0).stretches == (range(20),)
 
 
-def test_frames_are_read_backwards_in_parts() -> None:
-    frames = [np.full((2, 2), n) for n in range(11)]
-    (video,) = captures(frames).videos
-    for at_once in (1, 3, 100):
-        back = [int(frame[0, 0]) for frame in frames_before(video, 7, at_once)]
-        assert back == [7, 6, 5, 4, 3, 2, 1, 0]
+@pytest.mark.parametrize("at_once", [1, 3, 100])
+def test_frames_are_read_backwards_in_parts(at_once: int) -> None:
+    (video,) = captures([np.full((2, 2), n) for n in range(11)]).videos
+    back = [int(frame[0, 0]) for frame in frames_before(video, 7, at_once)]
+    assert back == [7, 6, 5, 4, 3, 2, 1, 0]
 
 
 @cache
@@ -148,24 +137,27 @@ PITCH_AT_REST = (30.94, 31.87)
 """Of the frames 0 to 55, which the set's description calls rest: their mean [px]."""
 
 
+def parts(frames: list[np.ndarray], name: str) -> list[np.ndarray]:
+    return {
+        "rests briefly": frames[45:80],
+        "all": frames,
+        "first half": frames[:60],
+        "reversed": frames[::-1],
+        "every other": frames[::2],
+        "begins pressed": [*frames[70:], *frames[:57]],
+    }[name]
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "choose",
-    [
-        pytest.param(lambda frames: frames, marks=pytest.mark.slow, id="all"),
-        pytest.param(lambda frames: frames[:60], marks=pytest.mark.slow, id="first half"),
-        pytest.param(lambda frames: frames[::-1], marks=pytest.mark.slow, id="reversed"),
-        pytest.param(lambda frames: frames[::2], marks=pytest.mark.slow, id="every other"),
-        pytest.param(
-            lambda frames: [*frames[70:], *frames[:57]], marks=pytest.mark.slow, id="begins pressed"
-        ),
-        pytest.param(lambda frames: frames[45:80], id="rests briefly"),
-    ],
+    "name",
+    variants(
+        ["rests briefly"],
+        ["rests briefly", "all", "first half", "reversed", "every other", "begins pressed"],
+    ),
 )
-def test_pitch_of_a_real_video_is_within_its_interval(
-    choose: Callable[[list[np.ndarray]], list[np.ndarray]],
-) -> None:
-    rest = find_rest(captures(choose(real_frames())))
+def test_pitch_of_a_real_video_is_within_its_interval(name: str) -> None:
+    rest = find_rest(captures(parts(real_frames(), name)))
     layout = find_markers(rest.frame.image()).layout_px
     for found, axis, true in zip(layout.pitch, (PITCH_X, PITCH_Y), PITCH_AT_REST, strict=True):
         assert abs(found - true) < 1.96 * layout.sigma(axis)

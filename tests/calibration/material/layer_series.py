@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 
@@ -25,25 +23,13 @@ def sphere_force_series_n(
     E. K. Dimitriadis, F. Horkay, J. Maresca, B. Kachar, R. S. Chadwick: "Determination of elastic
     moduli of thin layers of soft material using the atomic force microscope", Biophysical Journal
     82 (2002), eq. 6 and 13. Valid for chi <= 1 and depths of up to a tenth of the layer; deeper,
-    the force is too low by what the strains are no longer small.
-
-    Args:
-        depth_mm: Depth past first touch [mm], any shape, >= 0.
-        radius_mm: Of the ball [mm].
-        thickness_mm: Of the layer [mm].
-        poisson_ratio: 0 to 0.5, both allowed.
-        young_modulus_pa: Of the layer [Pa].
+    the force is too low by what the strains are no longer small. ``poisson_ratio`` may be 0 to 0.5.
     """
     depth, nu = np.asarray(depth_mm), poisson_ratio
     a0 = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
     b0 = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
-    chi = np.sqrt(radius_mm * depth) / thickness_mm
-    series = (
-        1
-        - 2 * a0 / math.pi * chi
-        + 4 * a0**2 / math.pi**2 * chi**2
-        - 8 / math.pi**3 * (a0**3 + 4 * math.pi**2 / 15 * b0) * chi**3
-        + 16 * a0 / math.pi**4 * (a0**3 + 3 * math.pi**2 / 5 * b0) * chi**4
-    )
+    x = 2 / np.pi * np.sqrt(radius_mm * depth) / thickness_mm
+    third, fourth = a0**3 + 4 * np.pi**2 / 15 * b0, a0 * (a0**3 + 3 * np.pi**2 / 5 * b0)
+    series = 1 - a0 * x + a0**2 * x**2 - third * x**3 + fourth * x**4
     hertz = 4 / 3 * young_modulus_pa / (1 - nu**2) * np.sqrt(radius_mm * depth**3) * 1e-6
     return hertz * series

@@ -7,44 +7,53 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.calibration.normals.surface_reading import touch_of
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 
 GRID = PixelGrid(160, 120, 0.12, 0.12)
 THICK_MM, NU, PA = 4.0, 0.46, 3e5
+LAYER = {"thickness_mm": THICK_MM, "poisson_ratio": NU}
+SIGMA = np.full((120, 160), 2e-5)
 
 
 @pytest.fixture(scope="module")
 def profile() -> SensorProfile:
-    made = catalogue_profile(
-        "flat_pad",
-        {
-            "thickness_mm": THICK_MM,
-            "poisson_ratio": NU,
-            "young_modulus_mpa": 1e-6 * PA,
-            "length_x_mm": 30.0,
-            "length_y_mm": 30.0,
-        },
-    )
-    measured = {"spread": {"young_modulus_pa": 0.01 * PA}}
-    provenance = made.material.provenance.model_copy(update=measured)
-    scale = {"spread": {"mm_per_px_x": 1e-4, "mm_per_px_y": 1e-4}}
-    camera = made.camera.replace(provenance=made.camera.provenance.model_copy(update=scale))
-    return made.with_block(camera).with_block(made.material.replace(provenance=provenance))
+    size = {"young_modulus_mpa": 1e-6 * PA, "length_x_mm": 30.0, "length_y_mm": 30.0}
+    made = catalogue_profile("flat_pad", LAYER | size)
+    spreads = {
+        "material": {"young_modulus_pa": 0.01 * PA},
+        "camera": {"mm_per_px_x": 1e-4, "mm_per_px_y": 1e-4},
+    }
+    for key, spread in spreads.items():
+        made = with_provenance(made, key, spread=spread)
+    return made
+
+
+def with_provenance(profile: SensorProfile, key: str, **said: object) -> SensorProfile:
+    block = profile.blocks()[key]
+    told = block.replace(provenance=block.provenance.model_copy(update=said))
+    return replace(profile, **{key: told})
 
 
 def read(
-    reader: PressureReader, rise: np.ndarray, sigma: np.ndarray | None = None
+    reader: PressureReader | SensorProfile, rise: np.ndarray, sigma: np.ndarray | None = None
 ) -> ContactPressure:
     """What presses a face whose height and reading are off by ``sigma`` [m]."""
+    if isinstance(reader, SensorProfile):
+        reader = PressureReader(reader, GRID)
     return reader.read(rise, touch_of(rise, sigma, GRID), sigma, sigma)
+
+
+def force_n(kind: ToolKind, radius_mm: float, depth_mm: float) -> float:
+    return float(layer_force_n(kind, np.array(depth_mm), radius_mm, THICK_MM, NU, PA))
 
 
 def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
@@ -74,12 +83,10 @@ def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
     ],
 )
 def test_forces_of_known_faces_are_those_of_the_closed_form(
-    profile: SensorProfile, kind: str, radius_mm: float, depth_mm: float, within: float
+    profile: SensorProfile, kind, radius_mm: float, depth_mm: float, within: float
 ) -> None:
-    found = read(PressureReader(profile, GRID), rise_m(kind, radius_mm, depth_mm))
-    tool = "sphere" if kind == "sphere" else "cylinder"
-    true = float(layer_force_n(tool, np.array(depth_mm), radius_mm, THICK_MM, NU, PA))
-    assert found.force_n == pytest.approx(true, rel=within)
+    found = read(profile, rise_m(kind, radius_mm, depth_mm))
+    assert found.force_n == pytest.approx(force_n(kind, radius_mm, depth_mm), rel=within)
     assert found.center_mm == pytest.approx((1.0, -0.5), abs=0.05)
     assert (found.pressure_pa >= 0).all()
     pixel_m2 = 1e-6 * GRID.mm_per_px_x * GRID.mm_per_px_y
@@ -88,21 +95,13 @@ def test_forces_of_known_faces_are_those_of_the_closed_form(
         assert found.contact_mm2 == pytest.approx(np.pi * radius_mm**2, rel=0.15)
 
 
-def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(
-    profile: SensorProfile,
-) -> None:
+def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(profile) -> None:
     """Rough and smooth errors of 20 um on a dent of 0.6 mm."""
-    from scipy.ndimage import gaussian_filter
-
-    true_rise = rise_m("sphere", 4.0, 0.6)
-    true = float(layer_force_n("sphere", np.array(0.6), 4.0, THICK_MM, NU, PA))
-    sigma = np.full(true_rise.shape, 2e-5)
-    rng = np.random.default_rng(0)
-    inside = []
+    rise, true = rise_m("sphere", 4.0, 0.6), force_n("sphere", 4.0, 0.6)
+    rng, inside = np.random.default_rng(0), []
     for smooth in (0, 0, 2, 2, 6, 6, 15, 15):
-        error = gaussian_filter(rng.standard_normal(true_rise.shape), smooth)
-        error *= 2e-5 / error.std()
-        found = read(PressureReader(profile, GRID), true_rise + error, sigma)
+        error = gaussian_filter(rng.standard_normal(rise.shape), smooth)
+        found = read(profile, rise + error * 2e-5 / error.std(), SIGMA)
         assert found.force_n == pytest.approx(true, rel=0.12)
         assert found.force_interval_n is not None
         low, high = found.force_interval_n
@@ -112,50 +111,36 @@ def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(
 
 
 def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile) -> None:
-    rise, sigma = rise_m("sphere", 4.0, 0.6), np.full((120, 160), 1e-5)
+    rise = rise_m("sphere", 4.0, 0.6)
 
     def width(of: SensorProfile) -> float:
-        interval = read(PressureReader(of, GRID), rise, sigma).force_interval_n
+        interval = read(of, rise, 0.5 * SIGMA).force_interval_n
         assert interval is not None
         return float(np.log(interval[1] / interval[0]))
 
-    def with_interval(key: str, name: str, interval: tuple[float, float]) -> SensorProfile:
-        block = profile.blocks()[key]
-        told = block.provenance.model_copy(update={"interval": {name: interval}})
-        return replace(profile, **{key: block.model_copy(update={"provenance": told})})
-
     known = width(profile)
-    assert width(with_interval("gel", "thickness_mm", (3.2, 5.0))) > 1.2 * known
-    modulus = with_interval("material", "young_modulus_pa", (0.8 * PA, 1.25 * PA))
+    thickness = with_provenance(profile, "gel", interval={"thickness_mm": (3.2, 5.0)})
+    assert width(thickness) > 1.2 * known
+    stiffness = {"young_modulus_pa": (0.8 * PA, 1.25 * PA)}
+    modulus = with_provenance(profile, "material", interval=stiffness)
     assert width(modulus) == pytest.approx(np.hypot(known, 2 * np.log(1.25)), rel=0.02)
-    assert read(PressureReader(modulus, GRID), rise).remarks == ()
-    assumed = catalogue_profile("flat_pad", {"thickness_mm": THICK_MM, "poisson_ratio": NU})
+    assert read(modulus, rise).remarks == ()
+    assumed = catalogue_profile("flat_pad", LAYER)
     assert width(assumed) == pytest.approx(np.hypot(known, 2 * np.log(2.0)), rel=0.1)
-    assert "holds 75 to 300 kPa" in read(PressureReader(assumed, GRID), rise).remarks[0]
+    assert "holds 75 to 300 kPa" in read(assumed, rise).remarks[0]
 
 
 def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorProfile) -> None:
+    """The last frame's pressure has nothing to do with one at another place."""
     reader = PressureReader(profile, GRID)
     for depth in (0.3, 0.6, 1.0, 0.5):
         rise = rise_m("sphere", 4.0, depth)
-        alone = read(PressureReader(profile, GRID), rise).force_n
-        assert read(reader, rise).force_n == pytest.approx(alone, rel=0.02)
+        assert read(reader, rise).force_n == pytest.approx(read(profile, rise).force_n, rel=0.02)
     untouched = read(reader, np.zeros((120, 160)))
-    assert untouched.force_n == 0
-    assert untouched.center_mm is None
-
-
-def test_a_press_elsewhere_in_the_next_frame_reads_as_it_would_alone(
-    profile: SensorProfile,
-) -> None:
-    """The last frame's pressure has nothing to do with it."""
-    here = rise_m("sphere", 2.0, 0.6)
-    there = np.roll(here, (35, 55), axis=(0, 1))
-    sigma = np.full_like(here, 2e-5)
-    reader = PressureReader(profile, GRID)
-    for frame in (here, there, here):
-        alone = read(PressureReader(profile, GRID), frame, sigma)
-        after = read(reader, frame, sigma)
+    assert untouched.force_n == 0 and untouched.center_mm is None
+    here, reader = rise_m("sphere", 2.0, 0.6), PressureReader(profile, GRID)
+    for frame in (here, np.roll(here, (35, 55), axis=(0, 1)), here):
+        alone, after = read(profile, frame, SIGMA), read(reader, frame, SIGMA)
         assert after.force_n == pytest.approx(alone.force_n, rel=0.03)
         assert after.force_interval_n == pytest.approx(alone.force_interval_n, rel=0.05)
 
@@ -164,15 +149,14 @@ def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: Sensor
     x, y = np.meshgrid(GRID.x_mm(), GRID.y_mm())
     away2 = (x - 9.0) ** 2 + y**2
     tool = np.where(away2 < 9.0, 4.0 - np.sqrt(16.0 - np.minimum(away2, 9.0)), FAR_MM)
-    layer = BondedLayer(THICK_MM, NU)
-    rise = 1e-3 * press_layer(tool, 0.6, (0.12, 0.12), layer).rise_mm
-    assert any("border" in text for text in read(PressureReader(profile, GRID), rise).remarks)
-    deep = read(PressureReader(profile, GRID), rise_m("sphere", 4.0, 1.9)).remarks
+    rise = 1e-3 * press_layer(tool, 0.6, (0.12, 0.12), BondedLayer(THICK_MM, NU)).rise_mm
+    assert any("border" in text for text in read(profile, rise).remarks)
+    deep = read(profile, rise_m("sphere", 4.0, 1.9)).remarks
     assert any("of its thickness" in text for text in deep)
 
 
 @pytest.mark.thorough
 def test_a_dome_is_refused() -> None:
-    dome = catalogue_profile("digit_360", {})
+    dome = catalogue_profile("digit_360")
     with pytest.raises(InputError, match="dome"):
         PressureReader(dome, dome.grid())

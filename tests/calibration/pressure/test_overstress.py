@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 import taccel_lab as tl
 from taccel_lab.api.press_result import Press
@@ -26,15 +25,13 @@ def test_the_recursion_is_the_integral() -> None:
     """Of a pressure that grows, rests and falls in straight lines, at uneven times."""
     times = np.array([0.0, 0.1, 0.15, 0.8, 1.0, 3.0, 3.2, 9.0])
     values = np.array([0.0, 1.0, 1.5, 2.0, 2.0, 2.0, 0.5, 0.5])
-    made = Overstress(BRANCHES)
+    rates, made = np.diff(values) / np.diff(times), Overstress(BRANCHES)
     for number, (time, value) in enumerate(zip(times, values, strict=True)):
         found, unknown = made.follow(np.full((2, 3), value), float(time))
-        expected = 0.0
-        for k in range(number):
-            rate = (values[k + 1] - values[k]) / (times[k + 1] - times[k])
-            for modulus, tau in BRANCHES:
-                part = quad(lambda s: np.exp((s - time) / tau), times[k], times[k + 1])[0]  # noqa: B023
-                expected += modulus * rate * part
+        expected = sum(
+            modulus * tau * (rates * np.diff(np.exp((times - time) / tau)))[:number].sum()
+            for modulus, tau in BRANCHES
+        )
         np.testing.assert_allclose(found, expected, atol=1e-12)
         assert unknown == 0
 
@@ -76,47 +73,44 @@ def held(gel: SensorProfile) -> Press:
 
 
 def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressure]:
-    reader = PressureReader(gel, gel.grid())
-    sigma = np.full((gel.camera.height_px, gel.camera.width_px), SIGMA_M)
-    found, states = [], held.outcome.states
+    """Of all states of a press."""
+    reader, grid = PressureReader(gel, gel.grid()), gel.grid()
+    sigma = np.full((grid.height_px, grid.width_px), SIGMA_M)
+    states = held.outcome.states
     assert states is not None
+
+    def read(rise: np.ndarray, time_s: float | None) -> ContactPressure:
+        return reader.read(rise, touch_of(rise, sigma, grid), sigma, sigma, time_s)
+
     if timed:
-        still = np.zeros(sigma.shape)
-        reader.read(still, touch_of(still, sigma, gel.grid()), sigma, sigma, 0.0)
-    for step, seen in zip(held.outcome.steps, states.surfaces, strict=True):
-        rise = seen.height_m - seen.rest_height_m
-        touch = touch_of(rise, sigma, gel.grid())
-        found.append(reader.read(rise, touch, sigma, sigma, step.time_s if timed else None))
-    return found
+        read(np.zeros(sigma.shape), 0.0)
+    return [
+        read(seen.height_m - seen.rest_height_m, step.time_s if timed else None)
+        for step, seen in zip(held.outcome.steps, states.surfaces, strict=True)
+    ]
+
+
+def width(found: ContactPressure, true_n: float) -> float:
+    """Ratio of the ends of an interval, which holds the force."""
+    assert found.force_interval_n is not None
+    low, high = found.force_interval_n
+    assert low <= true_n <= high
+    return high / low
 
 
 @pytest.mark.thorough
-def test_frames_with_times_read_the_force_of_a_hold(gel: SensorProfile, held: Press) -> None:
-    """Down, while it rests and on the way back; the rest is the layer's own error."""
-    true = np.array([step.wrench[2] for step in held.outcome.steps])
-    found = readings(gel, held, timed=True)
-    read = np.array([one.force_n for one in found])
-    for force, one in zip(true, found, strict=True):
-        assert one.force_interval_n is not None
-        low, high = one.force_interval_n
-        assert low <= force <= high
-        assert not any("held" in text for text in one.remarks)
-    pressed = true > 0.3 * true.max()
-    np.testing.assert_allclose(read[pressed], true[pressed], rtol=0.06)
-    assert read[-1] < 0.1 * read.max(), "the dent that is left needs no force"
-
-
-@pytest.mark.thorough
-def test_an_image_alone_holds_the_sudden_and_the_long_press(
+def test_an_image_with_its_time_reads_the_force_of_a_hold_alone_the_sudden_and_the_long_one(
     gel: SensorProfile, held: Press
 ) -> None:
-    """Down and while it rests; the interval is wider by what time may have done."""
+    """Of an image alone the interval is wider by what time may have done."""
+    true = np.array([step.wrench[2] for step in held.outcome.steps])
+    timed, alone = (readings(gel, held, timed=each) for each in (True, False))
+    widths = [width(one, force) for one, force in zip(timed, true, strict=True)]
+    assert not any("held" in text for one in timed for text in one.remarks)
+    read, pressed = np.array([one.force_n for one in timed]), true > 0.3 * true.max()
+    np.testing.assert_allclose(read[pressed], true[pressed], rtol=0.06)
+    assert read[-1] < 0.1 * read.max(), "the dent that is left needs no force"
     rests = len(held.outcome.path.way_there()) + 8
-    true = [step.wrench[2] for step in held.outcome.steps][:rests]
-    alone, timed = (readings(gel, held, timed)[:rests] for timed in (False, True))
-    for force, one, known in zip(true, alone, timed, strict=True):
-        assert one.force_interval_n is not None and known.force_interval_n is not None
-        low, high = one.force_interval_n
-        assert low <= force <= high
-        assert high / low > 1.3 * known.force_interval_n[1] / known.force_interval_n[0]
+    for one, force, known in list(zip(alone, true, widths, strict=True))[:rests]:
+        assert width(one, force) > 1.3 * known
         assert any("1.6 times the force of a long one" in text for text in one.remarks)

@@ -9,17 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.camera import (
-    Camera,
-    CameraInfo,
-    CameraLostError,
-    ControlLock,
-    ControlValues,
-    Shot,
-)
+from taccel_lab.calibration.capture.camera.camera import Camera, CameraLostError, Shot
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera, open_replay
-from taccel_lab.calibration.record.folder import RecordFacts
-from taccel_lab.calibration.record.session import Order, SessionStatus
+from taccel_lab.calibration.record.folder import RecordFacts, open_record
+from taccel_lab.calibration.record.session import Order, Recorder, SessionStatus, run_session
 from taccel_lab.files.videos import RecordedFrame
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID
@@ -74,42 +67,44 @@ class SteeredCamera(ReplayCamera):
 
 
 class UnpluggedCamera:
-    """A replay that is lost at some frames and goes on where it was when it is opened again, and
-    that drops every n-th frame."""
+    """A replay that drops every seventh frame and is lost at some: it opens at the third try."""
 
-    def __init__(self, path: Path, lost_at: tuple[int, ...], drop_every: int = 0) -> None:
+    def __init__(self, path: Path, lost_at: tuple[int, ...]) -> None:
         self._camera: Camera = open_replay(path, NOISY)
-        self._lost_at, self._drop_every = set(lost_at), drop_every
-        self._count, self._refuse = 0, 0
-        self.opened = 0
-
-    @property
-    def info(self) -> CameraInfo:
-        return self._camera.info
+        self._lost_at = lost_at
+        self._count = self._refuse = self.opened = 0
+        self.info, self.lock = self._camera.info, self._camera.lock
 
     def open(self) -> Camera:
-        """As ``open_camera``; refuses twice after each loss."""
+        """As ``open_camera``."""
         if self._refuse:
             self._refuse -= 1
             raise CameraLostError("no such camera")
         self.opened += 1
         return self
 
-    def lock(self, values: ControlValues) -> list[ControlLock]:
-        return self._camera.lock(values)
-
     def read(self) -> Shot | None:
         self._count += 1
         if self._count in self._lost_at:
             self._refuse = 2
             raise CameraLostError("the camera gives no frames any more")
-        if self._drop_every and self._count % self._drop_every == 0:
+        if self._count % 7 == 0:
             self._camera.read()
         return self._camera.read()
 
     def close(self) -> None: ...
 
 
-def replaying(path: Path, how: CameraReplay = NOISY) -> Callable[[], Camera]:
-    """Opens a replay of a capture folder."""
-    return lambda: open_replay(path, how)
+def record(
+    camera: Path | Callable[[], Camera],
+    out: Path,
+    wanted: int = 3,
+    facts: RecordFacts = FACTS,
+    watching: Watching | None = None,
+) -> list[SessionStatus]:
+    """What a session shows of a camera, or of the replay of a folder."""
+    watching = watching or Watching()
+    opened = (lambda: open_replay(camera, NOISY)) if isinstance(camera, Path) else camera
+    with open_record(out, facts) as folder:
+        run_session(Recorder(folder, facts, wanted), opened, [watching])
+    return watching.seen

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording: its page, its trigger and cameras that fail."""
+"""A recording: its page, its trigger and the press that it asks for."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
-from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
-from taccel_lab.calibration.capture.camera.camera import CameraInfo, Shot
+from taccel_lab.calibration.capture import ContactCircle, import_captures, load_capture_folder
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.capture.coverage import (
     CELLS,
@@ -26,20 +26,14 @@ from taccel_lab.calibration.capture.coverage import (
     next_press,
 )
 from taccel_lab.calibration.record.folder import open_record
-from taccel_lab.calibration.record.lamps import FROZEN_S
 from taccel_lab.calibration.record.page import BLUE, LAMP_COLORS, RecordPage, tiled
-from taccel_lab.calibration.record.session import (
-    Recorder,
-    SessionStatus,
-    run_session,
-)
-from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger, UntouchedGel
-from taccel_lab.errors import InputError
+from taccel_lab.calibration.record.session import Recorder, run_session
+from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from tests.calibration.capture.made_up_layouts import layout_of, ruihangao, rvsathu
 from tests.calibration.drawn.faults import quantise
-from tests.calibration.record.sessions import FACTS, SteeredCamera, Watching, source
-from tests.support.capture_sets import gel, press, spread_circles, write_image
+from tests.calibration.record.sessions import FACTS, SteeredCamera, source
+from tests.support.capture_sets import gel, press, spread_circles
 from tests.support.real_data import real_data
 from tests.support.synthetic_presses import GRID
 from tests.viewer.browser import chromium_page, picture, wait_for
@@ -69,30 +63,30 @@ def ring(page: Any) -> tuple[float, float, float] | None:
 
 
 def cells(page: Any) -> np.ndarray:
-    """The coverage table, a colour for each cell, float [row, column, 3]."""
-    from PIL import Image
-
-    shot = page.locator("img").last.screenshot()
-    with Image.open(io.BytesIO(shot)) as file:
+    """The coverage table, the pixels of each cell, float [row, column, pixel, 3]."""
+    with Image.open(io.BytesIO(page.locator("img").last.screenshot())) as file:
         seen = np.asarray(file.convert("RGB")).astype(float)
     high, wide = seen.shape[0] // CELLS[1], seen.shape[1] // CELLS[0]
     blocks = seen[: high * CELLS[1], : wide * CELLS[0]]
-    return blocks.reshape(CELLS[1], high, CELLS[0], wide, 3).transpose(0, 2, 1, 3, 4)
+    blocks = blocks.reshape(CELLS[1], high, CELLS[0], wide, 3).transpose(0, 2, 1, 3, 4)
+    return blocks.reshape(CELLS[1], CELLS[0], -1, 3)
+
+
+def place_of(most: np.ndarray) -> tuple[int, int]:
+    """Column and row of the cell where this is most."""
+    row, column = np.unravel_index(most.argmax(), most.shape)
+    return int(column), int(row)
 
 
 def odd_cell(page: Any) -> tuple[int, int]:
-    """Column and row of the cell whose colour is farthest from that of most."""
-    colors = np.median(cells(page), axis=(2, 3))
-    apart = np.abs(colors - np.median(colors.reshape(-1, 3), axis=0)).max(axis=-1)
-    row, column = np.unravel_index(apart.argmax(), apart.shape)
-    return int(column), int(row)
+    """The cell whose colour is farthest from that of most."""
+    colors = np.median(cells(page), axis=2)
+    return place_of(np.abs(colors - np.median(colors, axis=(0, 1))).max(axis=-1))
 
 
 def framed_cell(page: Any) -> tuple[int, int]:
-    """Column and row of the cell with the blue frame."""
-    blue = (np.abs(cells(page) - BLUE).max(axis=-1) < 40).sum(axis=(2, 3))
-    row, column = np.unravel_index(blue.argmax(), blue.shape)
-    return int(column), int(row)
+    """The cell with the blue frame."""
+    return place_of((np.abs(cells(page) - BLUE).max(axis=-1) < 40).sum(axis=2))
 
 
 def lamp(page: Any, name: str) -> tuple[str, str]:
@@ -177,18 +171,16 @@ def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path)
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.5])
 def test_tiles_show_every_picture_whole(aspect: float) -> None:
-    colors = ((250, 0, 0), (0, 250, 0), (0, 0, 250))
-    shapes = ((240, 320, 3), (320, 240, 3), (100, 100, 3))
+    shapes = {(250, 0, 0): (240, 320), (0, 250, 0): (320, 240), (0, 0, 250): (100, 100)}
     pictures = [
-        (str(k), np.full(shape, color, np.uint8))
-        for k, (shape, color) in enumerate(zip(shapes, colors, strict=True))
+        (str(color), np.full((*shape, 3), color, np.uint8)) for color, shape in shapes.items()
     ]
     sheet = tiled(pictures, aspect, 600)
     assert sheet.shape[1] == 600 and sheet.shape[0] == pytest.approx(600 / aspect, abs=1)
-    for shape, color in zip(shapes, colors, strict=True):
+    for color, (height, width) in shapes.items():
         rows, columns = np.nonzero((sheet == color).all(axis=-1))
         wide, high = np.ptp(columns) + 1, np.ptp(rows) + 1
-        assert wide / high == pytest.approx(shape[1] / shape[0], rel=0.03) and wide > 60
+        assert wide / high == pytest.approx(width / height, rel=0.03) and wide > 60
         assert len(rows) == wide * high
 
 
@@ -196,8 +188,7 @@ FPS = 20.0
 
 
 def watched(path: Path, how: CameraReplay) -> tuple[list[tuple[float, Seen]], Trigger]:
-    camera, trigger = open_camera(str(path), None, how), Trigger()
-    seen = []
+    camera, trigger, seen = open_camera(str(path), None, how), Trigger(), []
     while (shot := camera.read()) is not None:
         seen.append((shot.time_s, trigger.see(shot.image, shot.time_s)))
     return seen, trigger
@@ -217,61 +208,54 @@ def test_every_press_is_taken_once_when_it_stands_still(tmp_path: Path, noise: f
         assert arrived + HOLD_S < time < arrived + how.hold_s + 0.05
 
 
+def seen_by(
+    trigger: Trigger, frames: list[np.ndarray], noise: float, seed: int, start: int = 0
+) -> list[Seen]:
+    """What it sees of frames under noise, from the time of the frame ``start`` on."""
+    rng = np.random.default_rng(seed)
+    return [
+        trigger.see(quantise(frame + rng.normal(0, noise, frame.shape)), k / FPS)
+        for k, frame in enumerate(frames, start)
+    ]
+
+
 @pytest.mark.thorough
 def test_limits_follow_the_cameras_own_noise() -> None:
-    rng = np.random.default_rng(3)
-
-    def rest_at(noise: float) -> UntouchedGel:
-        trigger, k = Trigger(), 0
-        while trigger.rest is None and k < 200:
-            trigger.see(quantise(gel() + rng.normal(0, noise, gel().shape)), k / FPS)
-            k += 1
+    limits = []
+    for noise in (4.0, 0.5):
+        trigger = Trigger()
+        seen_by(trigger, [gel()] * 60, noise, 3)
         assert trigger.rest is not None
-        return trigger.rest
-
-    assert rest_at(4.0).change_levels > 3 * rest_at(0.5).change_levels
+        limits.append(trigger.rest.change_levels)
+    assert limits[0] > 3 * limits[1]
 
 
 @pytest.mark.thorough
 def test_a_moving_contact_is_not_taken() -> None:
-    rng, trigger = np.random.default_rng(0), Trigger()
-
-    def see(image: np.ndarray, k: int) -> Seen:
-        noisy = image + rng.normal(0, 1.0, image.shape)
-        return trigger.see(quantise(noisy), k / FPS)
-
-    for k in range(50):
-        see(gel(), k)
-    phases = [
-        see(press(ContactCircle(40.0 + 1.5 * k, 60.0, 15.0)), 50 + k).phase for k in range(40)
-    ]
+    trigger = Trigger()
+    moving = [press(ContactCircle(40.0 + 1.5 * k, 60.0, 15.0)) for k in range(40)]
+    phases = [seen.phase for seen in seen_by(trigger, [gel()] * 50 + moving, 1.0, 0)][50:]
     assert Phase.TAKEN not in phases and Phase.APPROACHING in phases[3:]
 
 
 @pytest.mark.thorough
 def test_what_moves_at_the_start_is_not_taken_for_rest() -> None:
     trigger = Trigger()
-    rng = np.random.default_rng(1)
-    for k in range(40):  # Two seconds of a ball that is pulled away.
-        image = press(ContactCircle(80.0, 60.0, 18.0 - 0.3 * k))
-        trigger.see(quantise(image + rng.normal(0, 1.0, image.shape)), k / FPS)
+    # Two seconds of a ball that is pulled away.
+    pulled = [press(ContactCircle(80.0, 60.0, 18.0 - 0.3 * k)) for k in range(40)]
+    seen_by(trigger, pulled, 1.0, 1)
     assert trigger.rest is None
-    for k in range(40, 120):
-        trigger.see(quantise(gel() + rng.normal(0, 1.0, gel().shape)), k / FPS)
+    seen_by(trigger, [gel()] * 80, 1.0, 2, start=40)
     assert trigger.rest is not None
     assert np.abs(trigger.rest.image.mean() - gel().mean()) < 1.0
 
 
 @pytest.mark.thorough
 def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
-    rng, trigger = np.random.default_rng(2), Trigger()
     contact = press(ContactCircle(80.0, 60.0, 16.0))
     marked = gel() + 0.1 * (contact - gel())
     frames = [gel()] * 40 + [contact] * 20 + [marked] * 60 + [contact] * 20
-    seen = [
-        trigger.see(quantise(f + rng.normal(0, 0.5, f.shape)), k / FPS)
-        for k, f in enumerate(frames)
-    ]
+    seen = seen_by(Trigger(), frames, 0.5, 2)
     assert sum(frame.renewed for frame in seen) == 1
     assert sum(frame.take for frame in seen) == 2
 
@@ -284,8 +268,6 @@ def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
 def test_real_presses_are_taken(
     tmp_path: Path, name: str, make: Callable[[Path], None], count: int
 ) -> None:
-    from taccel_lab.calibration.capture import import_captures
-
     (folder,) = import_captures(real_data(name), tmp_path / "set", layout_of(make))
     seen, _ = watched(folder, CameraReplay(noise_levels=1.0))
     assert sum(frame.take for _, frame in seen) == count
@@ -311,94 +293,16 @@ def test_whoever_follows_it_covers_all_cells_at_all_depths(count: int) -> None:
         u, v = ((advice.cell[k] + 0.5) * SIZE[k] / CELLS[k] for k in (0, 1))
         assert advice.radius_px is not None
         circles.append(ContactCircle(u, v, advice.radius_px))
-    cells = [cell_of(circle, *SIZE) for circle in circles]
-    each = [cells.count(cell) for cell in {(c, r) for c in range(4) for r in range(3)}]
-    assert max(each) - min(each) <= 1
+    counts = np.zeros(CELLS, dtype=int)
+    for circle in circles:
+        counts[cell_of(circle, *SIZE)] += 1
+    assert np.ptp(counts) <= 1
     if count >= 36:
         here = {circle.radius_px for circle in circles if cell_of(circle, *SIZE) == (0, 0)}
         assert here == {share * 40.0 for share in SHARES}
 
 
-def test_without_a_scale_the_depth_is_told_by_the_contacts_so_far() -> None:
+def test_without_a_scale_depth_is_told_by_the_contacts_so_far_none_wider_than_the_ball() -> None:
     assert next_press([], SIZE, None).radius_px is None
     assert "px wide" in str(next_press([ContactCircle(30, 30, 20)], SIZE, None))
-
-
-def test_a_balls_contact_is_never_wider_than_the_ball() -> None:
     assert contact_radius_mm(2.0, 5.0) == 2.0 and contact_radius_mm(2.0, 0.5) < 2.0
-
-
-FRAMES = 50
-
-
-def shown(folder: Path, frames: list[np.ndarray], out: Path) -> list[SessionStatus]:
-    """What a session says of a folder of frames."""
-    folder.mkdir()
-    for k, frame in enumerate(frames):
-        write_image(folder / f"{k:03d}.png", frame)
-    watching = Watching()
-    with open_record(out, FACTS) as record:
-        recorder = Recorder(record, FACTS, 1)
-        run_session(recorder, lambda: open_camera(str(folder), None, CameraReplay()), [watching])
-    return watching.seen
-
-
-def noisy(count: int = FRAMES, gains: tuple[float, ...] = (1.0,)) -> list[np.ndarray]:
-    rng = np.random.default_rng(0)
-    return [
-        np.clip(gel() * gains[k % len(gains)] + rng.normal(0, 1, gel().shape), 0, 255)
-        .round()
-        .astype(np.uint8)
-        for k in range(count)
-    ]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("level", "said"), [(0, "black"), (255, "white")])
-def test_the_untouched_gel_waits_until_one_is_seen(tmp_path: Path, level: int, said: str) -> None:
-    blank = [np.full(gel().shape, level, np.uint8)] * FRAMES
-    seen = shown(tmp_path / "blank", blank, tmp_path / "none")
-    assert said in seen[-1].prompt and said in seen[-1].unseen
-    assert not (tmp_path / "none").exists()
-    seen = shown(tmp_path / "later", [*blank, *noisy()], tmp_path / "out")
-    assert seen[-1].prompt.startswith("Press next") and seen[-1].unseen == ""
-    background = load_capture_folder(tmp_path / "out").background
-    assert background is not None
-    assert np.abs(background.image().astype(float) - gel()).mean() < 2.0
-
-
-@pytest.mark.thorough
-def test_light_that_flickers_lights_its_lamp(tmp_path: Path) -> None:
-    def state(name: str, gains: tuple[float, ...]) -> tuple[str, str]:
-        seen = shown(tmp_path / name, noisy(gains=gains), tmp_path / f"out_{name}")
-        lamp = next(lamp for lamp in seen[-1].lamps if lamp.name == "flicker")
-        return lamp.state, lamp.text
-
-    assert state("steady", (1.0,))[0] == "ok"
-    flickers, told = state("flickers", (0.9, 1.1))
-    assert flickers == "bad" and "10 ms" in told
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("replayed", [False, True])
-def test_a_camera_that_hangs_is_told_a_replay_is_not(tmp_path: Path, replayed: bool) -> None:
-    with open_record(tmp_path / "out", FACTS) as folder:
-        recorder = Recorder(folder, FACTS, 1)
-        recorder.opened(CameraInfo("usb-1", "mine", replayed=replayed), [])
-        for k, image in enumerate(noisy()):
-            status = recorder.see(Shot(image, k / 25))
-        start = FRAMES / 25
-        for k in range(int(25 * (FROZEN_S + 1))):
-            status = recorder.see(Shot(image, start + k / 25))
-        lamp = next(lamp for lamp in status.lamps if lamp.name == "camera")
-        assert ("hangs" in status.prompt) is not replayed
-        assert ("hangs" in lamp.text and lamp.state == "bad") is not replayed
-        status = recorder.see(Shot(noisy(1)[0], start + FROZEN_S + 1.1))
-        assert "hangs" not in status.prompt
-
-
-def test_images_too_small_to_calibrate_leave_nothing(tmp_path: Path) -> None:
-    small = [np.full((12, 16, 3), 90, np.uint8)] * 5
-    with pytest.raises(InputError, match="16x12 px; at least 32x32"):
-        shown(tmp_path / "small", small, tmp_path / "out")
-    assert not (tmp_path / "out").exists()

@@ -3,40 +3,68 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, Shot
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.calibration.record.folder import RecordFacts, open_record
-from taccel_lab.calibration.record.session import Recorder, SessionStatus, run_session
+from taccel_lab.calibration.profile_page import profile_page
+from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT, RecordFacts, open_record
+from taccel_lab.calibration.record.lamps import FROZEN_S, Lamp
+from taccel_lab.calibration.record.session import Recorder, SessionStatus
 from taccel_lab.errors import InputError
+from taccel_lab.profile import load_profile, save_profile
+from tests.calibration.drawn.faults import quantise
 from tests.calibration.record.sessions import (
     FACTS,
     NOISY,
     UnpluggedCamera,
     Watching,
-    replaying,
+    record,
     source,
 )
-from tests.support.capture_sets import write_image
+from tests.support.capture_sets import gel, write_image
+
+FRAMES = 50
+CATALOGUE = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
 
 
-def recorded(path: Path, out: Path, wanted: int = 3, facts: RecordFacts = FACTS) -> SessionStatus:
-    with open_record(out, facts) as folder:
-        return run_session(Recorder(folder, facts, wanted), replaying(path), [])
+def written(folder: Path, frames: list[np.ndarray]) -> Path:
+    folder.mkdir()
+    for k, frame in enumerate(frames):
+        write_image(folder / f"{k:03d}.png", frame)
+    return folder
+
+
+def noisy(count: int = FRAMES, gains: tuple[float, ...] = (1.0,)) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [
+        quantise(gel() * gains[k % len(gains)] + rng.normal(0, 1, gel().shape))
+        for k in range(count)
+    ]
+
+
+def shown(folder: Path, frames: list[np.ndarray], out: Path) -> list[SessionStatus]:
+    """What a session says of frames."""
+    written(folder, frames)
+    return record(lambda: open_camera(str(folder), None, CameraReplay()), out, 1)
+
+
+def lamp(status: SessionStatus, name: str) -> Lamp:
+    return next(lamp for lamp in status.lamps if lamp.name == name)
 
 
 @pytest.mark.thorough
 def test_the_folder_is_one_that_checks_and_calibrations_read(tmp_path: Path) -> None:
     original = source(tmp_path / "set", 5)
-    status = recorded(original, tmp_path / "out", 5)
+    status = record(original, tmp_path / "out", 5)[-1]
     assert status.finished and status.taken == 5
     made, given = load_capture_folder(tmp_path / "out"), load_capture_folder(original)
     assert made.ball_radius_mm == given.ball_radius_mm and made.mm_per_px == given.mm_per_px
@@ -49,35 +77,18 @@ def test_the_folder_is_one_that_checks_and_calibrations_read(tmp_path: Path) -> 
 
 
 @pytest.mark.thorough
-def test_the_same_command_goes_on(tmp_path: Path) -> None:
+def test_the_same_command_goes_on_and_clears_what_a_kill_left(tmp_path: Path) -> None:
     path, out = source(tmp_path / "set", 3), tmp_path / "out"
-    with open_record(out, FACTS) as folder:
-        watching = Watching({110: "finish"})
-        run_session(Recorder(folder, FACTS, 3), replaying(path), [watching])
+    record(path, out, watching=Watching({110: "finish"}))
     before = [press.sha256 for press in load_capture_folder(out).presses]
     assert 0 < len(before) < 3
-    status = recorded(path, out, 3, RecordFacts("flat_pad"))  # What is known need not be stated.
+    # Killed with an image in hand: whole without its line, or half under another name.
+    for name in (f"press_{len(before):03d}.png", ".press_001.abc.png", ".captures.abc.toml"):
+        (out / name).write_bytes(b"torn")
+    status = record(path, out, facts=RecordFacts("flat_pad"))[-1]  # What is known goes unstated.
     after = load_capture_folder(out)
     assert status.finished and [p.sha256 for p in after.presses][: len(before)] == before
     assert len(after.untouched) >= 1  # The gel at the start of the second session.
-
-
-@pytest.mark.thorough
-def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
-    path, out = source(tmp_path / "set", 3), tmp_path / "out"
-    command = (
-        "from pathlib import Path; from tests.calibration.record.test_session import recorded;"
-        f"recorded(Path({str(path)!r}), Path({str(out)!r}))"
-    )
-    child = subprocess.Popen([sys.executable, "-c", command], cwd=Path.cwd())
-    while len(list(out.glob("press_*.png"))) < 2 and child.poll() is None:
-        time.sleep(0.002)
-    child.kill()
-    child.wait()
-    written = len(list(out.glob("press_*.png")))
-    there = len(load_capture_folder(out).presses)
-    assert written >= 2 and there >= written - 1  # At most the frame in hand is lost.
-    assert recorded(path, out).finished
     names = sorted(p.name for p in out.iterdir() if not p.name.startswith("untouched"))
     assert names == ["background.png", "captures.toml", *(f"press_{k:03d}.png" for k in range(3))]
 
@@ -85,81 +96,65 @@ def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
 @pytest.mark.thorough
 def test_a_camera_may_go_and_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("taccel_lab.calibration.capture.camera.camera.AGAIN_S", 0.0)
-    camera = UnpluggedCamera(source(tmp_path / "set", 3), lost_at=(30, 75, 120), drop_every=7)
-    watching = Watching()
-    with open_record(tmp_path / "out", FACTS) as folder:
-        recorder = Recorder(folder, FACTS, 3)
-        run_session(recorder, camera.open, [watching])
+    camera = UnpluggedCamera(source(tmp_path / "set", 3), lost_at=(30, 75, 120))
+    seen = record(camera.open, tmp_path / "out")
     assert camera.opened == 4
-    gone = [status.prompt for status in watching.seen if "camera is gone" in status.prompt]
+    gone = [status.prompt for status in seen if "camera is gone" in status.prompt]
     assert len(gone) == 9 and "nothing is lost" in gone[0]  # the loss, and two refusals each
     assert len(load_capture_folder(tmp_path / "out").presses) >= 2
 
 
 @pytest.mark.thorough
 def test_take_undo_and_finish(tmp_path: Path) -> None:
-    path = source(tmp_path / "set", 2)
-    watching = Watching({47: "take", 55: "undo", 58: "finish"})  # Before it stands still.
-    with open_record(tmp_path / "out", FACTS) as folder:
-        run_session(Recorder(folder, FACTS, 5), replaying(path), [watching])
-    counts = [status.taken for status in watching.seen]
-    assert counts[46] == 0 and counts[47] == 1 and counts[-1] == 0
-    assert watching.seen[-1].finished
-    assert len(load_capture_folder(tmp_path / "out").presses) == counts[-1]
+    orders = Watching({47: "take", 55: "undo", 58: "finish"})  # Before it stands still.
+    seen = record(source(tmp_path / "set", 2), tmp_path / "out", 5, watching=orders)
+    counts = [status.taken for status in seen]
+    assert counts[46] == 0 and counts[47] == 1 and counts[-1] == 0 and seen[-1].finished
+    assert len(load_capture_folder(tmp_path / "out").presses) == 0
 
 
 def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
-    with (
-        pytest.raises(InputError, match=r"(?s)--radius-mm.*--mm-per-px-x.*--scale later"),
-        open_record(tmp_path / "out", RecordFacts("gelsight_mini")),
-    ):
-        pass
+    with pytest.raises(InputError, match=r"(?s)--radius-mm.*--mm-per-px-x.*--scale later"):
+        record(tmp_path, tmp_path / "out", facts=RecordFacts("gelsight_mini"))
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.thorough
-def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
-    imported = source(tmp_path / "set", 2)
-    with pytest.raises(InputError, match="did not write"), open_record(imported, FACTS):
-        pass
-    (tmp_path / "notes").mkdir()
-    (tmp_path / "notes" / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"mine\.txt"), open_record(tmp_path / "notes", FACTS):
-        pass
-    recorded(imported, tmp_path / "out", 1)
-    other = replace(FACTS, radius_mm=3.0)
-    with pytest.raises(InputError, match="begun otherwise"), open_record(tmp_path / "out", other):
-        pass
-    with open_record(tmp_path / "out", FACTS), pytest.raises(InputError, match="another taccel"):
-        with open_record(tmp_path / "out", FACTS):
-            pass
+def test_folders_of_others_and_other_sizes_are_refused(tmp_path: Path) -> None:
+    imported, out = source(tmp_path / "set", 2), tmp_path / "out"
+    (written(tmp_path / "notes", []) / "mine.txt").write_text("mine")
+    wide = written(tmp_path / "wide", [np.full((100, 200, 3), 90, np.uint8)] * 20)
+    record(imported, out, 1)
+    for camera, folder, facts, said in (
+        (imported, imported, FACTS, "did not write"),
+        (imported, tmp_path / "notes", FACTS, r"mine\.txt"),
+        (imported, out, replace(FACTS, radius_mm=3.0), "begun otherwise"),
+        (wide, out, FACTS, "200x100"),
+    ):
+        with pytest.raises(InputError, match=said):
+            record(camera, folder, 2, facts)
+    with open_record(out, FACTS), pytest.raises(InputError, match="another taccel"):
+        record(imported, out)
 
 
 @pytest.mark.thorough
 def test_a_scale_of_the_catalogue_is_noted_as_assumed(tmp_path: Path) -> None:
-    facts = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
-    recorded(source(tmp_path / "set", 1), tmp_path / "out", 1, facts)
+    record(source(tmp_path / "set", 1), tmp_path / "out", 1, CATALOGUE)
     made = load_capture_folder(tmp_path / "out")
     assert made.mm_per_px is not None and "mm_per_px" in made.assumed
     text = (tmp_path / "out" / "captures.toml").read_text()
     assert text.startswith("# a quick session, which leaves out:") and "# - force" in text
-    with pytest.raises(InputError, match="turned by a quarter: turn it back"):
-        facts.catalogue_scale(240, 320)
     with pytest.raises(InputError, match="--crop"):
-        facts.catalogue_scale(320, 320)
+        CATALOGUE.catalogue_scale(320, 320)
 
 
 @pytest.mark.thorough
 def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    (tmp_path / "turned").mkdir()
-    for k in range(80):
-        image = rng.normal(90.0, 1.0, (320, 240, 3)).round().astype(np.uint8)
-        write_image(tmp_path / "turned" / f"{k}.png", image)
-    facts = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
-    watching, out = Watching(), tmp_path / "new" / "out"
-    with pytest.raises(InputError, match="turned by a quarter"), open_record(out, facts) as folder:
-        run_session(Recorder(folder, facts, 1), replaying(tmp_path / "turned"), [watching])
+    turned = [quantise(rng.normal(90.0, 1.0, (320, 240, 3))) for _ in range(80)]
+    path, watching = written(tmp_path / "turned", turned), Watching()
+    with pytest.raises(InputError, match="turned by a quarter: turn it back"):
+        record(path, tmp_path / "new" / "out", 1, CATALOGUE, watching)
     assert watching.seen == [], "refused at the first frame"
     assert not (tmp_path / "new").exists()
 
@@ -167,24 +162,80 @@ def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Pa
 @pytest.mark.thorough
 def test_lamps_say_what_is_wrong(tmp_path: Path) -> None:
     path = source(tmp_path / "set", 2)
-    image = load_capture_folder(path).presses[0].image().astype(float)
-    bright = np.clip(2.2 * image, 0, 255).astype(np.uint8)
+    bright = quantise(2.2 * load_capture_folder(path).presses[0].image().astype(float))
     write_image(path / "p00.png", bright)
-    watching = Watching()
-    with open_record(tmp_path / "out", FACTS) as folder:
-        run_session(Recorder(folder, FACTS, 2), replaying(path), [watching])
-    bad = {lamp.name for status in watching.seen for lamp in status.lamps if lamp.state == "bad"}
+    seen = record(path, tmp_path / "out", 2)
+    bad = {lamp.name for status in seen for lamp in status.lamps if lamp.state == "bad"}
     assert {"saturation", "drift"} <= bad
-    first = {lamp.name: lamp.state for lamp in watching.seen[50].lamps}
-    assert first["saturation"] == "ok" and first["drift"] == "ok" and first["blur"] == "ok"
+    assert {lamp(seen[50], name).state for name in ("saturation", "drift", "blur")} == {"ok"}
 
 
 @pytest.mark.thorough
-def test_other_sizes_are_refused(tmp_path: Path) -> None:
-    recorded(source(tmp_path / "set", 1), tmp_path / "out", 1)
-    wide = tmp_path / "wide"
-    wide.mkdir()
-    for k in range(20):
-        write_image(wide / f"{k}.png", np.full((100, 200, 3), 90, np.uint8))
-    with pytest.raises(InputError, match="200x100"), open_record(tmp_path / "out", FACTS) as folder:
-        run_session(Recorder(folder, FACTS, 2), replaying(wide), [])
+@pytest.mark.parametrize(("level", "said"), [(0, "black"), (255, "white")])
+def test_the_untouched_gel_waits_until_one_is_seen(tmp_path: Path, level: int, said: str) -> None:
+    blank = [np.full(gel().shape, level, np.uint8)] * FRAMES
+    last = shown(tmp_path / "blank", blank, tmp_path / "none")[-1]
+    assert said in last.prompt and said in last.unseen
+    assert not (tmp_path / "none").exists()
+    last = shown(tmp_path / "later", [*blank, *noisy()], tmp_path / "out")[-1]
+    assert last.prompt.startswith("Press next") and last.unseen == ""
+    background = load_capture_folder(tmp_path / "out").background
+    assert background is not None
+    assert np.abs(background.image().astype(float) - gel()).mean() < 2.0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("gains", "state", "said"), [((1.0,), "ok", ""), ((0.9, 1.1), "bad", "10 ms")]
+)
+def test_light_that_flickers_lights_its_lamp(tmp_path: Path, gains, state: str, said: str) -> None:
+    seen = shown(tmp_path / "frames", noisy(gains=gains), tmp_path / "out")
+    flicker = lamp(seen[-1], "flicker")
+    assert flicker.state == state and said in flicker.text
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("replayed", [False, True])
+def test_a_camera_that_hangs_is_told_a_replay_is_not(tmp_path: Path, replayed: bool) -> None:
+    with open_record(tmp_path / "out", FACTS) as folder:
+        recorder = Recorder(folder, FACTS, 1)
+        recorder.opened(CameraInfo("usb-1", "mine", replayed=replayed), [])
+        frames = noisy()
+        hanging = [frames[-1]] * int(25 * (FROZEN_S + 1))
+        for k, image in enumerate([*frames, *hanging]):
+            status = recorder.see(Shot(image, k / 25))
+        camera = lamp(status, "camera")
+        assert ("hangs" in status.prompt) is not replayed
+        assert ("hangs" in camera.text and camera.state == "bad") is not replayed
+        status = recorder.see(Shot(frames[0], FRAMES / 25 + FROZEN_S + 1.1))
+        assert "hangs" not in status.prompt
+
+
+def test_images_too_small_to_calibrate_leave_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="16x12 px; at least 32x32"):
+        shown(tmp_path / "small", [np.full((12, 16, 3), 90, np.uint8)] * 5, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.thorough
+def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path) -> None:
+    path, out = source(tmp_path / "set", 2), tmp_path / "out"
+    record(path, out, 2, replace(FACTS, quick=True, source="bench 2, by Ada"))
+    profile = calibrate(out, only=["background"]).profile
+    save_profile(profile, tmp_path / "profile")
+    (session,) = load_profile(tmp_path / "profile").sensor.recorded
+    assert session.blocks == ("background", "perturbation")
+    assert session.camera == str(path) and session.source == "bench 2, by Ada"
+    assert session.controls["exposure"] == "as it was recorded"
+    assert session.left_out == QUICK_LEAVES_OUT
+    assert session.begun and datetime.now(UTC) - session.begun < timedelta(minutes=5)
+    (table,) = [table for table in profile_page(profile).tables if table.title == "Recordings"]
+    told = {row[0]: row[1] for row in table.rows}
+    assert told["camera"] == str(path) and told["blocks"] == "background, perturbation"
+    assert [row[1] for row in table.rows if row[0] == "left out"] == list(QUICK_LEAVES_OUT)
+    # Another session's background takes the block over; what nobody recorded says nothing.
+    both = session.model_copy(update={"blocks": ("background", "color")})
+    older = profile.with_block(profile.sensor.replace(recorded=(both,)))
+    assert load_capture_folder(path).recorded is None
+    (left,) = calibrate(path, older, only=["background"]).profile.sensor.recorded
+    assert left.blocks == ("color",) and left.camera == session.camera
