@@ -16,65 +16,52 @@ from tests.verification.affine_scenes import Run, affine_scene, box, turned
 
 SIZES = [(0.1, 0.02, 0.03), (0.04, 0.05, 0.06), (0.03, 0.03, 0.08)]
 CENTERS = [(0.05, 0, 0), (0.12, 0.01, 0.0), (0.16, 0, 0.05)]
+ACTIVE = wp.full(1, 1, dtype=wp.int32)
 
 
-def three_bodies(joints: list, kinematic: list | None = None) -> Run:
+def three_bodies(*joints, **options) -> Run:
     bodies = [
         box(name, size, center, turned((1, 2, i), 0.3 * i))
         for i, (name, size, center) in enumerate(zip("abc", SIZES, CENTERS, strict=True))
     ]
-    return Run(affine_scene(bodies, joints, kinematic=kinematic or [], gravity=(0.0, 0.0, 0.0)))
+    return Run(affine_scene(bodies, joints, gravity=(0.0, 0.0, 0.0), **options))
 
 
-FREE = three_bodies([])
+FREE = three_bodies()
 TREE = three_bodies(
-    [
-        # Of mixed direction: the first body of a joint is not always the one nearer to the world.
-        PrismaticJoint("c", "b", (0.14, 0, 0.02), (0, 0.3, 1), name="slide"),
-        RevoluteJoint("a", None, (0.01, 0, 0), (0, 1, 0.2), name="root"),
-        FixedJoint("a", "b", (0.1, 0, 0), name="weld"),
-    ]
+    # Of mixed direction: the first body of a joint is not always the one nearer to the world.
+    PrismaticJoint("c", "b", (0.14, 0, 0.02), (0, 0.3, 1), name="slide"),
+    RevoluteJoint("a", None, (0.01, 0, 0), (0, 1, 0.2), name="root"),
+    FixedJoint("a", "b", (0.1, 0, 0), name="weld"),
 )
 FLOATING = three_bodies(
-    [
-        RevoluteJoint("a", "b", (0.1, 0, 0), (0, 1, 0), name="1"),
-        RevoluteJoint("c", "b", (0.14, 0, 0.02), (1, 1, 0), name="2"),
-    ]
+    RevoluteJoint("a", "b", (0.1, 0, 0), (0, 1, 0), name="1"),
+    RevoluteJoint("c", "b", (0.14, 0, 0.02), (1, 1, 0), name="2"),
 )
 
 
-def strained(run: Run, seed: int, amount: float) -> wp.array:
-    """Positions with random control nodes."""
+def predicted(run: Run, seed: int, amount: float) -> tuple[np.ndarray, wp.array, float]:
+    """Random control nodes [3, 4, 3], positions with their prediction, and how far that is off."""
     x = run.state.positions.numpy().copy()
     y = x[0, run.control]
-    y += (
-        amount
-        * np.random.default_rng(seed).uniform(-1, 1, y.shape)
-        * run.lengths.repeat(4)[:, None]
-    )
-    return wp.array(x, dtype=wp.vec3d)
-
-
-def active(run: Run) -> wp.array:
-    return wp.full(run.model.env_count, 1, dtype=wp.int32)
+    way = np.random.default_rng(seed).uniform(-1, 1, y.shape)
+    y += amount * way * run.lengths.repeat(4)[:, None]
+    found, bends = wp.clone(run.state.positions), wp.zeros(1, dtype=wp.float64)
+    predict_affine(run.model, ACTIVE, wp.array(x, dtype=wp.vec3d), found, bends)
+    return y.reshape(3, 4, 3), found, bends.numpy()[0]
 
 
 @given(seed=st.integers(0, 2**31), amount=st.floats(0, 0.5))
 def test_free_flight_is_the_nearest_rigid_placement(seed: int, amount: float) -> None:
-    inertial = strained(FREE, seed, amount)
-    found = wp.clone(FREE.state.positions)
-    bends = wp.zeros(1, dtype=wp.float64)
-    predict_affine(FREE.model, active(FREE), inertial, found, bends)
-    y = inertial.numpy()[0, FREE.control].reshape(3, 4, 3)
+    y, found, bend = predicted(FREE, seed, amount)
     z = found.numpy()[0, FREE.control].reshape(3, 4, 3)
     np.testing.assert_array_equal(z[:, 0], y[:, 0])
     for body in range(3):
-        weighted = (FREE.masses[body, 1:] * y[body, 1:]).T
-        u, _, vt = np.linalg.svd(weighted)
+        u, _, vt = np.linalg.svd((FREE.masses[body, 1:] * y[body, 1:]).T)
         expected = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
         np.testing.assert_allclose(z[body, 1:].T / FREE.lengths[body], expected, atol=1e-11)
     off = np.linalg.norm(z[:, 1:] - y[:, 1:], axis=2).max(axis=1) / FREE.lengths
-    assert bends.numpy()[0] == pytest.approx(off.max(), rel=1e-12, abs=1e-15)
+    assert bend == pytest.approx(off.max(), rel=1e-12, abs=1e-15)
 
 
 @settings(max_examples=30)
@@ -83,35 +70,28 @@ def test_free_flight_is_the_nearest_rigid_placement(seed: int, amount: float) ->
 def test_joints_of_a_prediction_are_closed(run: Run, seed: int, amount: float) -> None:
     joints = run.solver.joints
     assert joints is not None
-    predicted = wp.clone(run.state.positions)
-    bends = wp.zeros(1, dtype=wp.float64)
-    predict_affine(run.model, active(run), strained(run, seed, amount), predicted, bends)
-    joints.begin_step(predicted, run.state.poses)
-    joints.update_multipliers(active(run), predicted)
-    loose = joints.violations.numpy()[0]
-    joints.close_predicted(active(run), predicted)
-    joints.update_multipliers(active(run), predicted)
-    closed = joints.violations.numpy()[0]
-    assert closed < 1e-14
-    assert loose > 1e-3 * amount
+    _, found, _ = predicted(run, seed, amount)
+    joints.begin_step(found, run.state.poses)
+    joints.update_multipliers(ACTIVE, found)
+    assert joints.violations.numpy()[0] > 1e-3 * amount
+    joints.close_predicted(ACTIVE, found)
+    joints.update_multipliers(ACTIVE, found)
+    assert joints.violations.numpy()[0] < 1e-14
     # Closing turns and shifts; it does not strain.
-    maps = predicted.numpy()[0, run.control].reshape(3, 4, 3)[:, 1:] / run.lengths[:, None, None]
-    np.testing.assert_allclose(
-        maps @ maps.transpose(0, 2, 1), np.eye(3)[None].repeat(3, 0), atol=1e-13
-    )
+    maps = found.numpy()[0, run.control].reshape(3, 4, 3)[:, 1:] / run.lengths[:, None, None]
+    np.testing.assert_allclose(maps @ maps.transpose(0, 2, 1) - np.eye(3), 0, atol=1e-13)
     joints.reset(np.ones(1, dtype=bool))
 
 
 def test_joints_to_a_moving_frame_are_closed_there() -> None:
-    run = three_bodies(
-        [RevoluteJoint("a", "hand", (0, 0, 0), name="j")], [KinematicBody(None, name="hand")]
-    )
+    joint = RevoluteJoint("a", "hand", (0, 0, 0), name="j")
+    run = three_bodies(joint, kinematic=[KinematicBody(None, name="hand")])
     joints = run.solver.joints
     assert joints is not None
     pose = np.array([0.1, 0.2, 0.3, *turned((1, 0, 1), 0.4)])
     joints.set_frames(wp.array(pose[None, None], dtype=wp.transformd))
     x = wp.clone(run.state.positions)
-    joints.close_predicted(active(run), x)
+    joints.close_predicted(ACTIVE, x)
     y = x.numpy()[0, run.control][:4]
     anchor = y[0] + (y[1:].T / run.lengths[0]) @ [-0.05, 0, 0]
     np.testing.assert_allclose(anchor, pose[:3], atol=1e-15)
@@ -119,8 +99,7 @@ def test_joints_to_a_moving_frame_are_closed_there() -> None:
 
 def test_it_saves_newton_iterations_and_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def spin() -> tuple[np.ndarray, int]:
-        body = box("b", SIZES[0], initial_spin_rad_s=(1.0, 2.0, 3.0))
-        run = Run(affine_scene([body]))
+        run = Run(affine_scene([box("b", SIZES[0], initial_spin_rad_s=(1.0, 2.0, 3.0))]))
         iterations = sum(int(run.step().newton_iterations[0]) for _ in range(5))
         return run.y, iterations
 

@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.ipc.dense_system import Dense, differences, empty_system
 
 from taccel_lab.bodies.bodies import AffineBody, KinematicBody, Surface
 from taccel_lab.bodies.joints import (
@@ -26,7 +27,6 @@ from taccel_lab.ipc.potentials.joints import JointPotential
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import Scene, TimeStepping
 from taccel_lab.state import initial_state
-from tests.ipc.dense_system import Dense, differences, empty_system
 
 KINDS: dict[str, type[Joint]] = {
     "fixed": FixedJoint,
