@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Newton-like system of two gels and a body between them, and its direct solution.
+"""A Newton-like system of two gels and a body between them.
 
 Linear elasticity and inertia on boxes of tets whose bottom is bonded; both touch one body of four
 control nodes, whose couplings come as a list with repeated places, as assembly writes them.
@@ -8,14 +8,13 @@ control nodes, whose couplings come as a list with repeated places, as assembly 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
-from tests.ipc.linear.systems import list_extra
+from tests.ipc.linear.systems import add_extra, list_extra
 
 YOUNG_PA = 1.5e5
 POISSON = 0.46
@@ -38,26 +37,16 @@ class System:
     """Extra blocks, [extra_count, 3, 3]."""
     clusters: list[tuple[int, int]] = field(default_factory=list)
 
-    def matrix(self) -> Any:
-        """Both triangles with the extra blocks, a scipy CSR array."""
-        from scipy.sparse import csr_array
-
-        p = self.pattern
-        off = p.rows > p.columns
-        rows = np.concatenate([p.rows, p.columns[off], self.places[:, 0], self.places[:, 1]])
-        columns = np.concatenate([p.columns, p.rows[off], self.places[:, 1], self.places[:, 0]])
-        flip = (0, 2, 1)
-        blocks = np.concatenate(
-            [self.values, self.values[off].transpose(flip)]
-            + [self.blocks, self.blocks.transpose(flip)]
-        )
-        i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None], blocks.shape)
-        j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), blocks.shape)
-        size = 3 * p.free_count
-        return csr_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(size, size))
+    def dense(self) -> np.ndarray:
+        """Both triangles with the extra blocks."""
+        matrix = self.pattern.dense(self.values[None])[0]
+        add_extra(matrix, self.places, self.blocks)
+        return matrix
 
 
-def box_tets(shape: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[Any, Any]:
+def box_tets(
+    shape: tuple[int, int, int], size: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [n, 3] of a grid of ``shape`` nodes, the bottom layer first, and its tets, six a
     cell."""
     axes = [np.linspace(0.0, length, count) for length, count in zip(size, shape, strict=True)]
@@ -119,17 +108,12 @@ def peg(seed: int = 0, contacts: int = 160) -> System:
         pattern, np.concatenate([tets, tets + count]), free, np.concatenate([elastic, elastic])
     )
     keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
-
-    def add(row: int, column: int, block: np.ndarray) -> None:
-        if row >= column:
-            values[np.searchsorted(keys, row * pattern.free_count + column)] += block
-
     # 1e9 Pa of a cubic centimetre against a change of shape, a mass of 20 g against all motion.
     root = rng.normal(size=(12, 6))
     body = 1e5 * root @ root.T + np.kron(np.diag([1.0, 0.2, 0.2, 0.2]), 50 * np.eye(3))
-    for i in range(4):
-        for j in range(4):
-            add(160 + i, 160 + j, body[3 * i : 3 * i + 3, 3 * j : 3 * j + 3])
+    i, j = np.tril_indices(4)
+    own = np.searchsorted(keys, (160 + i) * pattern.free_count + 160 + j)
+    values[own] += body.reshape(4, 3, 4, 3).transpose(0, 2, 1, 3)[i, j]
     places, blocks = [], []
     patch = np.concatenate([30 + np.arange(26), 110 + np.arange(26)])
     for _ in range(contacts):
@@ -192,16 +176,11 @@ def with_contact_in_pattern(system: System) -> System:
 def build(system: System, env_count: int, device: wp.Device) -> LinearSystem:
     """The system in ``env_count`` environments: s H p = s^2 rhs with its factor s, so that a
     mix-up of environments shows."""
-    linear = LinearSystem(
-        system.pattern,
-        env_count,
-        device,
-        clusters=system.clusters,
-        method="cg",
-    )
-    scales = scale_factors(env_count)
-    linear.values.assign(scales[:, None, None, None] * system.values)
-    linear.rhs.assign(scales[:, None, None] ** 2 * system.rhs)
+    clusters = system.clusters
+    linear = LinearSystem(system.pattern, env_count, device, clusters=clusters, method="cg")
+    scales = scale_factors(env_count)[:, None, None]
+    linear.values.assign(scales[..., None] * system.values)
+    linear.rhs.assign(scales**2 * system.rhs)
     if len(system.places):
         blocks = [scale * system.blocks for scale in scales]
         list_extra(linear.extra, env_count * [system.places], blocks)
@@ -211,15 +190,3 @@ def build(system: System, env_count: int, device: wp.Device) -> LinearSystem:
 def scale_factors(env_count: int) -> np.ndarray:
     """Factor s of each environment; its solution is s times that of the system."""
     return np.linspace(1.0, 2.0, env_count)
-
-
-def direct(system: System) -> np.ndarray:
-    """Reference solution [free_count, 3] of scipy's sparse LU, refined once."""
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    matrix, b = system.matrix(), system.rhs.ravel()
-    factor = splu(csc_array(matrix))
-    x = factor.solve(b)
-    x += factor.solve(b - matrix @ x)
-    return x.reshape(-1, 3)
