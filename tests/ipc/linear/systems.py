@@ -54,8 +54,8 @@ def list_extra(extra: ExtraBlocks, places: Sequence[Sequence], blocks: Sequence[
     all_places = np.zeros((extra.capacity, 2), dtype=np.int32)
     all_blocks = np.full((extra.capacity, 3, 3), np.nan)
     for start, where, what in zip(extra.starts.numpy()[:-1], places, blocks, strict=True):
-        all_places[start : start + len(where)] = where
-        all_blocks[start : start + len(where)] = what
+        all_places[start : start + len(where)] = np.reshape(where, (-1, 2))
+        all_blocks[start : start + len(where)] = np.reshape(what, (-1, 3, 3))
     extra.places.assign(all_places)
     extra.values.assign(all_blocks)
     extra.counts.assign(counts.astype(np.int32))
@@ -140,6 +140,24 @@ def touch_elsewhere(system: LinearSystem, dense: Array, bodies: int) -> None:
     list_extra(extra, [places], [values])
 
 
+def with_contact_in_pattern(system: LinearSystem, dense: Array) -> LinearSystem:
+    """The same matrices with all blocks of the bodies' rows in the pattern, as scenes on a GPU have
+    it, and no list."""
+    n, gels = system.pattern.free_count, system.clusters[0][0]
+    held = np.tril(np.ones((n, n), dtype=bool))
+    held[:gels, :gels] = False
+    held[system.pattern.rows, system.pattern.columns] = True
+    rows, columns = np.nonzero(held)
+    starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
+    pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
+    clusters = system.clusters
+    other = LinearSystem(pattern, len(dense), system.device, clusters=clusters, method="cg")
+    blocks = dense.reshape(-1, n, 3, n, 3)[:, rows, :, columns]
+    other.values.assign(blocks.swapaxes(0, 1))
+    other.rhs.assign(system.rhs)
+    return other
+
+
 def mask(*active: int, on: str = "cpu") -> wp.array:
     return wp.array(active, dtype=wp.int32, device=on)
 
@@ -162,9 +180,10 @@ def solve(
     return system.report()
 
 
-def residuals(system: LinearSystem, dense: Array) -> Array:
-    """Of each environment over its load."""
-    load, x = (array.numpy().reshape(len(dense), -1) for array in (system.rhs, system.solution))
+def residuals(system: LinearSystem, dense: Array, rhs: Array | None = None) -> Array:
+    """Of each environment over its load, the right-hand side of the system when None."""
+    rhs = system.rhs.numpy() if rhs is None else rhs
+    load, x = (array.reshape(len(dense), -1) for array in (rhs, system.solution.numpy()))
     left = load - np.einsum("eij,ej->ei", dense, x)
     return np.linalg.norm(left, axis=1) / np.linalg.norm(load, axis=1)
 

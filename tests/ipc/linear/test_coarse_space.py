@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.linear.cg.block_cg import BlockCG
 from taccel_lab.ipc.linear.cg.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.coarse.matrix import CoarseCorrection, coarse_parts
@@ -16,8 +17,10 @@ from taccel_lab.ipc.linear.coarse.space import MODES
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
-from tests.ipc.linear.peg_system import assemble, box_tets, elastic_blocks
+from taccel_lab.scene import Material, Scene
 from tests.ipc.linear.systems import contact_system, mask, residuals, solve, touch_elsewhere
+from tests.support.blocks import soft_block
+from tests.verification.elements import ElementForces
 
 CPU = wp.get_device("cpu")
 LANES = 64
@@ -26,11 +29,12 @@ every_method = pytest.mark.parametrize("method", [BlockCG, PipelinedCG])
 
 def bar(length: int, envs: int = 1) -> tuple[LinearSystem, np.ndarray]:
     """A bar that stands on its bonded end, 4 by 4 nodes thick, and its dense matrix."""
-    nodes, tets = box_tets((4, 4, length), (3e-3, 3e-3, 1e-3 * (length - 1)))
-    free = np.maximum(np.arange(len(nodes)) - 16, -1)
-    pattern = block_pattern([tets], free)
-    values = assemble(pattern, tets, free, elastic_blocks(nodes, tets))
-    system = LinearSystem(pattern, envs, CPU, method="cg", positions_m=nodes[16:])
+    size = (3e-3, 3e-3, 1e-3 * (length - 1))
+    gel = soft_block((3, 3, length - 1), size, Material(1.5e5, 0.46))
+    forces = ElementForces(Scene(gel).finalize())
+    rest, pattern = forces.model.rest_positions.numpy(), forces.model.pattern
+    values = forces.system(rest, PSD_NONE)[0][0]
+    system = LinearSystem(pattern, envs, CPU, method="cg", positions_m=rest[0, forces.free])
     system.values.assign(np.broadcast_to(values, (envs, *values.shape)))
     rng = np.random.default_rng(1)
     system.rhs.assign(1e-3 * rng.normal(size=(envs, pattern.free_count, 3)))

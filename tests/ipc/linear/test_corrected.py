@@ -51,7 +51,7 @@ class Corrected:
         totals = wp.zeros(ENVS, dtype=wp.int32)
         self.solve.solve(self.who, self.change, 2000, totals)
         self.totals = totals.numpy()
-        return residuals(self.system, self.dense + self.corrections)
+        return residuals(self.system, self.dense + self.corrections, self.rhs)
 
 
 def test_a_correction_of_rank_three_is_solved_in_four() -> None:
