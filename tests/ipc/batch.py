@@ -61,20 +61,10 @@ def _query(kind: wp.int32, x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3
 
 @wp.func
 def _collide(
-    kind: wp.int32,
-    x0: wp.vec3d,
-    x1: wp.vec3d,
-    x2: wp.vec3d,
-    x3: wp.vec3d,
-    v0: wp.vec3d,
-    v1: wp.vec3d,
-    v2: wp.vec3d,
-    v3: wp.vec3d,
-    thickness: wp.float64,
-    slackness: wp.float64,
-    t_max: wp.float64,
-    most: wp.int32,
-):
+    kind: wp.int32, x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d,
+    v0: wp.vec3d, v1: wp.vec3d, v2: wp.vec3d, v3: wp.vec3d,
+    thickness: wp.float64, slackness: wp.float64, t_max: wp.float64, most: wp.int32,
+):  # fmt: skip
     found = ccd.CCDResult()
     if kind == 0:
         found = ccd.point_triangle_ccd(
