@@ -13,7 +13,6 @@ from taccel_lab.ipc.distance import ccd, closest_pairs
 
 Array = np.ndarray[Any, np.dtype[Any]]
 NODE_COUNTS = {"point_triangle": 4, "edge_edge": 4, "point_edge": 3, "point_point": 2}
-"""Of each kind of pair, in the order of their numbers."""
 POINT_TRIANGLE, EDGE_EDGE, POINT_EDGE, POINT_POINT = range(4)
 PLANE = 2
 """For ``collide``: point, point of the plane, its normal."""
@@ -89,7 +88,6 @@ def filled(values: Any, count: int) -> Array:
 
 
 def query_pairs(kind: int, x: Array) -> Pairs:
-    """Closest pairs of stencils x, shape [count, 4, 3]."""
     return Pairs(*mapped(_query, kind, *x.swapaxes(0, 1)))
 
 
@@ -102,7 +100,6 @@ def collide(
     t_max: float = 1.0,
     max_iterations: int = 1000,
 ) -> list[Array]:
-    """Time of impact, status and iterations."""
     nodes = [*x.swapaxes(0, 1), *dx.swapaxes(0, 1)]
     kept = filled(thickness, len(x))
     return mapped(_collide, kind, *nodes, kept, slackness, t_max, max_iterations)
@@ -135,8 +132,7 @@ def nearly_parallel_edges(
 
 @st.composite
 def degenerate_stencils(draw: st.DrawFn) -> Array:
-    """Nodes on a coarse grid, hence often coincident, collinear, coplanar or parallel, then scaled,
-    shifted by a power of two and some of them moved by a few ulp."""
+    """Nodes on a coarse grid, often coincident or coplanar, scaled, shifted, and nudged by ulps."""
     grid = st.integers(-2, 2)
     nodes = np.array(draw(st.lists(grid, min_size=12, max_size=12)), dtype=np.float64)
     stencil = nodes.reshape(4, 3) * 10.0 ** draw(st.integers(-7, 2))

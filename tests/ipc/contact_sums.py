@@ -25,7 +25,6 @@ def log_barrier(distance: float, reach: float) -> float:
 
 
 def face_areas(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """[m^2]."""
     sides = (x[faces[:, k]] - x[faces[:, 0]] for k in (1, 2))
     return 0.5 * np.linalg.norm(np.cross(*sides), axis=1)
 
@@ -68,7 +67,6 @@ def edge_areas(rest: np.ndarray, faces: np.ndarray) -> dict[tuple[int, ...], flo
 def edge_pair_sum(
     x: np.ndarray, rest: np.ndarray, first: np.ndarray, second: np.ndarray, reach: float
 ) -> float:
-    """Energy over kappa of the edge pairs of two surfaces, or of one with itself."""
     itself = first is second
     area = edge_areas(rest, first) | edge_areas(rest, second)
     total = 0.0
@@ -88,8 +86,7 @@ def edge_pair_sum(
 
 
 def plain_sum(model: Model, x: np.ndarray, dhat: float) -> float:
-    """Energy over kappa of one body with itself or of two with each other, without thickness:
-    nodes of the measuring body within ``dhat``, those of the other and edges within the guard."""
+    """Energy over kappa of one body with itself or of two with each other, without thickness."""
     faces, guard = model.surface.faces.numpy(), GUARD_FRACTION * dhat
     rest, area = model.rest_positions.numpy()[0], model.surface.node_areas.numpy()[0]
     parts = [faces[slice(*body.faces)] for body in model.bodies]

@@ -19,8 +19,7 @@ Array = np.ndarray
 def differences(
     function: Callable[[Array], Array], x: Array, step: float, some: Any = slice(None)
 ) -> Array:
-    """Of a function of configurations [count, *x.shape], by (some of) the coordinates of ``x``,
-    shape [coordinate, ...]."""
+    """By (some of) the coordinates of ``x``, of a function of configurations, [coordinate, ...]."""
     moves = step * np.eye(x.size)[some].reshape(-1, *x.shape)
     values = function(np.concatenate([x + moves, x - moves]))
     return (values[: len(moves)] - values[len(moves) :]) / (2 * step)
@@ -86,7 +85,6 @@ class Dense:
     def __init__(self, model: Model, potential: Any, base: Array) -> None:
         self.model, self.potential = model, potential
         self.base = base
-        """All nodes of environment 0 [m], shape [node_count, 3]."""
         self.free = model.free_nodes.numpy()
         self.active = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
 
@@ -104,12 +102,10 @@ class Dense:
             yield len(part), self.positions(part)
 
     def energy(self, free: Array) -> Array:
-        """[count]."""
         found = [self.potential.energy(self.active, x)[:n] for n, x in self.batches(free)]
         return np.concatenate(found)
 
     def gradient(self, free: Array) -> Array:
-        """[count, free_count, 3]."""
         found = []
         for n, x in self.batches(free):
             out = wp.zeros_like(x)
@@ -118,7 +114,6 @@ class Dense:
         return np.concatenate(found)
 
     def hessian(self, free: Array, mode: int) -> Array:
-        """Of one configuration, shape [3 free_count, 3 free_count]."""
         system, n = empty_system(self.model), self.model.free_count
         modes = wp.full(self.model.env_count, mode, dtype=wp.int32, device=self.model.device)
         self.potential.add_hessian(self.active, self.positions(free[None]), system, modes)

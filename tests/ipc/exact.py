@@ -37,7 +37,6 @@ def _stationary(u: Array, v: Array, r: Array) -> tuple[Fraction, Fraction, Fract
 
 
 def exact_point_triangle_sq(nodes: Array) -> float:
-    """Squared point-triangle distance without rounding but the last."""
     p, *t = fractions(nodes)
     best = min(_point_edge(p, a, b) for a, b in pairwise([*t, t[0]]))
     inner = _stationary(t[1] - t[0], t[2] - t[0], p - t[0])
@@ -47,7 +46,6 @@ def exact_point_triangle_sq(nodes: Array) -> float:
 
 
 def exact_edge_edge_sq(nodes: Array) -> float:
-    """Squared segment-segment distance without rounding but the last."""
     a0, a1, b0, b1 = fractions(nodes)
     ends = ((a0, b0, b1), (a1, b0, b1), (b0, a0, a1), (b1, a0, a1))
     best = min(_point_edge(*end) for end in ends)

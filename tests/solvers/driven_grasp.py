@@ -35,7 +35,6 @@ GAP_M = 5e-5
 PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
 FINGER_M = 8e-3
 START_M = HALF_BOX_M + GAP_M
-"""Where the contact faces are at the start."""
 BACK_M = 3e-3 + FINGER_M / 2
 """From the contact face to the centre of the finger."""
 
@@ -72,7 +71,6 @@ def time_of(gravity: bool, scheme: TimeScheme = TimeScheme.EULER) -> TimeSteppin
 
 
 def held_box() -> KinematicBody:
-    """Does not move."""
     side = 2 * HALF_BOX_M
     return KinematicBody(box_mesh((side, 2 * side, 2 * side)), name="box")
 
@@ -130,5 +128,4 @@ def prescribed_squeeze(elements: tuple[Element, Element]) -> Scene:
 
 
 def base_poses(env_count: int, z_m: float = 0.0) -> np.ndarray:
-    """Of the base, [env_count, 1, 7]."""
     return everywhere(env_count, pose(0, 0, z_m))

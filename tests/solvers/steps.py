@@ -31,7 +31,6 @@ ENVS = 3
 EVERYONE = np.ones(ENVS, dtype=bool)
 RELAXING = (MaxwellBranch(0.5, 8e-3), MaxwellBranch(0.2, 0.1))
 DT_S = [0, 5e-3, 4e-3, 6e-3, 5e-3, 3e-3]
-"""Of each step of the mechanism."""
 HAND = everywhere(ENVS, pose(0, 0, 0))
 Begun = tuple[SolverIPC, State]
 
@@ -43,7 +42,6 @@ def begun(scene: Scene | Model, poses: np.ndarray | None = None, **options: Any)
 
 
 def stepped(solver: SolverIPC, state: State, target: Any = None, **options: Any) -> StepReport:
-    """The report of a step that has to converge in all environments."""
     report = solver.step(state, target, **options)
     assert report.converged.all(), report.summary()
     return report
@@ -61,8 +59,7 @@ def assert_same(found: Iterable[np.ndarray], expected: Iterable[np.ndarray]) -> 
 
 
 def poses(steps: np.ndarray | list[int] | int) -> np.ndarray:
-    """Of the hand that presses the gel on the table and drags it, each environment its own way; the
-    number of the step, or that of each environment."""
+    """Of the hand that presses and drags the gel, for the step of all or of each environment."""
     return hand_poses(
         (4e-5 * env * step, 1.3e-4 - (3e-5 + 2e-5 * env) * step)
         for env, step in enumerate(np.broadcast_to(steps, ENVS))
@@ -79,8 +76,7 @@ def pressed(
 
 
 def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> Begun:
-    """A driven finger on a hinge at a hand presses a gel; a bolt on a slide at the finger runs
-    against its limits, so that joints open and close."""
+    """A finger on a hinge presses a gel; a bolt on a slide at it runs against its limits."""
     material = Material(1e5, 0.4, branches=RELAXING)
     gel = soft_block((3, 3, 2), (6e-3, 6e-3, 3e-3), material, friction_coefficient=0.3)
     finger, bolt = (
@@ -103,7 +99,6 @@ def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> Begun:
 
 
 def asked(solver: SolverIPC, steps: np.ndarray | int, dt_s: float | None = None) -> Control:
-    """Another request to the mechanism in each step and environment."""
     env = np.arange(ENVS)
     steps = np.broadcast_to(steps, ENVS)
     poses = HAND.copy()

@@ -35,7 +35,6 @@ def arm(env_count: int = 2) -> Begun:
 
 
 def hands(x: float, other: float | None = None) -> np.ndarray:
-    """Poses of the hand in both environments."""
     found = everywhere(2, pose(x, 0, 0))
     found[1, 0, 0] = 2 * x if other is None else other
     return found
@@ -67,7 +66,6 @@ def test_arrays_of_the_device_do_what_those_of_the_host_do() -> None:
 
 
 def test_a_step_is_as_long_as_asked() -> None:
-    """Free fall by implicit Euler: v += g dt, z += v dt, with steps of any length."""
     solver, state = arm(1)
     free = solver.model.affine.first_control + 4
     z = v = 0.0

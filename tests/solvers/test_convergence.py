@@ -42,14 +42,12 @@ from tests.support.variants import variants
 
 MESH = block_mesh((4, 4, 2), (6e-3, 6e-3, 2e-3), jitter=0.1)
 ASIDE = 0.05
-"""Where the second gel is [m]."""
 DYNAMIC = TimeStepping(quasi_static=False, dt_s=5e-3)
 
 
 @lru_cache
 def pressed(*youngs_pa: float) -> tuple[SolverIPC, np.ndarray]:
-    """Gels of these stiffnesses beside one another, each pressed by a ball of its own: the solver
-    and the force on each ball [N], [gel]."""
+    """Gels beside one another, each under a ball: the solver, and the force on each ball [N]."""
     shift = ASIDE * np.arange(len(youngs_pa))
     options = {"element": Element.QUADRATIC}
     gels = [
@@ -71,8 +69,7 @@ def test_a_soft_body_is_solved_beside_a_stiff_one() -> None:
     """A gel of 100 Pa beside one of 100 MPa: its force is that of the gel alone."""
     (alone,) = pressed(1e2)[1]
     solver, forces = pressed(1e8, 1e2)
-    assert abs(forces[0]) > 1e4 * abs(alone)
-    assert forces[1] == pytest.approx(alone, rel=2e-4)
+    assert abs(forces[0]) > 1e4 * abs(alone) and forces[1] == pytest.approx(alone, rel=2e-4)
     p = solver.progress.balance
     residuals, contact = p.body_residuals.numpy()[0], p.body_forces.numpy()[0]
     assert (residuals[:2] <= 1.0001e-4 * contact[:2]).all()
@@ -104,8 +101,7 @@ def test_a_body_that_is_not_a_number_is_not_lost_among_others(bad: int) -> None:
 
 
 def moving(soft: SoftBody, *bodies: AffineBody) -> tuple[SolverIPC, float]:
-    """The solver of a step in which a soft body begins to shear by a tenth of its length a second,
-    and which converges without halves; its residual [N]."""
+    """The solver of a step, without halves, in which a soft body begins to shear; residual [N]."""
     time = TimeStepping(quasi_static=False, dt_s=1e-3)
     made = Scene(soft, affine_bodies=bodies, time=time)
     solver, state = begun(made, max_substep_halvings=0, max_newton_iterations=12)
@@ -125,8 +121,7 @@ STIFF_BLOCKS = {
 
 @pytest.mark.parametrize("name", STIFF_BLOCKS)
 def test_a_stiff_body_stops_at_what_rounding_leaves(name: str) -> None:
-    """Not at a force that no step reaches; what is allowed is near that of the last digit of the
-    positions alone, which at rest is all there is."""
+    """What is allowed is near the force of the last digit of the positions alone."""
     cells, element, away = STIFF_BLOCKS[name]
     block, nothing = free_block(cells, 0.02, 0.2), np.zeros(0, dtype=np.int64)
     place = pose(away, away, away)
@@ -186,8 +181,7 @@ def test_it_converges_quadratically_under_prestress(model: MaterialModel, elemen
 
 @pytest.mark.thorough
 def test_it_gets_away_from_a_saddle_by_longer_and_longer_steps() -> None:
-    """A peg whose grip slips on the rim: 22, 16 and 20 iterations in three of its steps by those
-    that all have the length of Newton's, 17, 16 and 15 by these."""
+    """A peg slips on the rim: 22, 16 and 20 iterations by steps of the length of Newton's."""
     bench = build_scene("peg", SceneOptions(1, "generated", {}))
     solver = SolverIPC(bench.scene.finalize(), bench.config)
     state, taken = initial_state(solver.model, bench.targets(0)), []
@@ -198,8 +192,7 @@ def test_it_gets_away_from_a_saddle_by_longer_and_longer_steps() -> None:
 
 @pytest.mark.thorough
 def test_a_bar_that_is_pressed_too_hard_bends() -> None:
-    """Straight it is in balance too, but that is a saddle, which projected matrices alone do not
-    leave in 1,800 iterations, and where the exact one is indefinite."""
+    """Straight is a saddle, which projected matrices alone do not leave in 1,800 iterations."""
     width_m, length_m, young_pa = 1e-3, 1e-2, 1e5
     # The load under which a bar that is held at one end buckles.
     euler_n = np.pi**2 * young_pa * width_m**4 / 12 / (2 * length_m) ** 2
@@ -214,8 +207,7 @@ def test_a_bar_that_is_pressed_too_hard_bends() -> None:
         state.load(solver.model, forces)
         report = stepped(solver, state)
         leans.append(abs(state.positions.numpy()[0, top, 0].mean()))
-    assert leans[0] < 0.01 * length_m
-    assert leans[1] > 0.3 * length_m
+    assert leans[0] < 0.01 * length_m and leans[1] > 0.3 * length_m
     assert report.newton_iterations[0] < 300
 
 
@@ -223,13 +215,11 @@ def test_a_bar_that_is_pressed_too_hard_bends() -> None:
 
 
 def test_a_steady_drag_takes_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gel on a mount is pressed on a block and dragged along it."""
     path = [(0.0, 5e-5 - 5e-5 * k) for k in range(8)]
     path += [(2e-4 * k, path[-1][1]) for k in range(1, 25)]
     options = {"dhat_m": 1e-4, "relative_tolerance": 1e-6}
 
     def drag() -> tuple[np.ndarray, int]:
-        """Positions at the end, and the iterations of the last ten steps."""
         solver, state = begun(gel_above_a_table(DYNAMIC), hand_poses(path[:1]), **options)
         taken = [stepped(solver, state, hand_poses([at])).newton_iterations[0] for at in path[1:]]
         assert np.abs(solver.friction_gradient.numpy()[0, :, 0]).sum() > 0.1, "it rubs"
@@ -243,8 +233,7 @@ def test_a_steady_drag_takes_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_start_that_turns_an_element_inside_out_is_not_taken() -> None:
-    """The last velocities would lead the free face through the bonded one; nothing is in the way
-    of them, and Newton's method would start from an energy that is infinite."""
+    """The last velocities lead the free face through the bonded one: energy is infinite there."""
     solver, state = begun(gel_above_a_table(DYNAMIC), hand_poses([(0.0, 0.02)]), dhat_m=1e-4)
     velocities, gel = state.velocities.numpy(), slice(0, solver.model.soft_count)
     height = state.positions.numpy()[0, gel, 2]
@@ -261,8 +250,7 @@ def test_a_start_that_turns_an_element_inside_out_is_not_taken() -> None:
 def rub(
     cells: int, side_m: float, turned_deg: float, pace: tuple[float, ...] = (1.0,), **options: Any
 ) -> tuple[State, np.ndarray]:
-    """A box is pressed into a gel in three steps of 0.2 mm, at a pace of each environment: the last
-    state, and the Newton iterations of each step, [step, env]."""
+    """A box pressed into a gel in three steps: the last state, and iterations [step, env]."""
     material = Material(1e5, 0.46)
     size = (6e-3, 6e-3, 2.5e-3)
     gel = soft_block((cells, cells, 3), size, material, Element.QUADRATIC, friction_coefficient=1.0)

@@ -30,8 +30,7 @@ ENVS = 2
 
 
 def grasp() -> Scene:
-    """A cube between two gels on mounts, above a plane: contact of gels with an affine body has
-    blocks outside of the pattern on the CPU."""
+    """A cube between two gels on mounts: on the CPU with blocks outside of the pattern."""
     gels, mounts = mounted_gels((3, 3, 1), (Element.LINEAR, Element.QUADRATIC))
     held = cube(8e-3, friction_coefficient=1.0)
     floor = Plane((0, 0, -4.05e-3), (0, 0, 1), friction_coefficient=0.5)
@@ -43,7 +42,6 @@ def grasp_poses(step: int) -> np.ndarray:
 
 
 def pads() -> Scene:
-    """One gel rubs another."""
     size, rubs = (4e-3, 4e-3, 2e-3), {"friction_coefficient": 0.5}
     gels = [
         soft_block((3, 3, 1), size, name="lower", mount="lower mount", **rubs),
@@ -68,7 +66,6 @@ SCENES: dict[str, tuple[Callable[[], Scene], Callable[[int], np.ndarray]]] = {
 
 
 def run(name: str, deterministic: bool) -> list[np.ndarray]:
-    """Positions, velocities and forces after some steps."""
     make, poses = SCENES[name]
     options = {"dhat_m": 1e-4, "capture": False, "relative_tolerance": 1e-8}
     model = make().finalize("cpu")
@@ -85,7 +82,6 @@ def run(name: str, deterministic: bool) -> list[np.ndarray]:
 
 
 in_turn = cache(run)
-"""As the CPU takes contacts."""
 
 
 def permute(
@@ -108,7 +104,6 @@ def permute(
 
 
 def disorder(patch: pytest.MonkeyPatch, seed: int) -> None:
-    """What a GPU may do in another order is done in another order."""
     rng = np.random.default_rng(seed)
     search = Candidates.search
 

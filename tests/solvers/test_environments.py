@@ -85,8 +85,7 @@ def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static:
     ],
 )
 def test_a_body_does_not_leave_through_the_glued_back(law: str, ends: EnvStatus) -> None:
-    """These energies bear inversion: one still pushes back until the box is at the glued face,
-    where no way goes on, the other lets tets turn inside out before."""
+    """These energies bear inversion; one pushes back until the box is at the glued face."""
     gel = soft_block((3, 3, 1), (4e-3, 4e-3, 1e-3), Material(1e5, 0.4, model=MaterialModel(law)))
     made = Scene(gel, KinematicBody(box_mesh((1e-3, 1e-3, 1e-3)), name="box"))
     solver, state = begun(made, everywhere(1, pose(0, 0, 5.5e-4)), max_substep_halvings=1)
@@ -99,8 +98,7 @@ def test_a_body_does_not_leave_through_the_glued_back(law: str, ends: EnvStatus)
         if not report.converged[0]:
             np.testing.assert_array_equal(state.positions.numpy(), before)
             break
-    assert statuses[0] == EnvStatus.CONVERGED
-    assert statuses[-1] == ends
+    assert statuses[0] == EnvStatus.CONVERGED and statuses[-1] == ends
 
 
 # What goes wrong in one environment stays there, is named, and can be reset -----------------------
@@ -230,7 +228,6 @@ def test_others_are_bitwise_as_if_alone_and_a_reset_starts_anew(
 
 
 def test_bodies_that_start_inside_each_other_are_flagged_and_refused() -> None:
-    """Environment 1 starts with the cube in the gel."""
     envs = [0, 1, 2]
     solver, state = begun(falling(envs), ball_at(envs, 0), relative_tolerance=1e-6)
     model = solver.model
@@ -242,8 +239,7 @@ def test_bodies_that_start_inside_each_other_are_flagged_and_refused() -> None:
     before = state.positions.numpy()[1].copy()
     report = solver.step(state, ball_at(envs, 1))
     expected = [EnvStatus.CONVERGED, EnvStatus.OVERLAP, EnvStatus.CONVERGED]
-    assert report.status.tolist() == expected
-    assert report.failures() == {"OVERLAP": [1]}
+    assert report.status.tolist() == expected and report.failures() == {"OVERLAP": [1]}
     np.testing.assert_array_equal(state.positions.numpy()[1], before)
     # Not once and then forgotten; and a reset puts it right.
     assert solver.step(state, ball_at(envs, 2)).status.tolist() == expected
@@ -271,15 +267,12 @@ FRICTION = np.where(DRAWN[:, 2] < 0.2, 0.0, DRAWN[:, 2])
 
 
 def object_at(env: int, step: int) -> np.ndarray:
-    """Pose of its object: down from beyond reach, then sideways as well."""
     depth_m, shear_m = 1e-4 + 2e-4 * DRAWN[env, 3], 2e-4 * (DRAWN[env, 4:] - 0.5)
     z = OBJECTS[NAMES[KINDS[env]]][1] + 1e-4 - (1e-4 + depth_m) * step / 5
     return pose(*shear_m * max(step - 2, 0) / 5, z)
 
 
 def run_objects(model: Model, envs: range, tools: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of the pad [env, node, 3] and contact forces [env] after five steps."""
-
     def poses(step: int) -> np.ndarray:
         return np.stack([[object_at(env, step)] * tools for env in envs])
 

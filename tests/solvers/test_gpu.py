@@ -36,12 +36,10 @@ GPU_METHODS = [name for name in METHODS if name != "ssor"]
 
 
 def grasp_poses(step: int, env_count: int = 3) -> np.ndarray:
-    """Closing, then lifting."""
     return mount_poses([4.05e-3 - 5e-5 * min(step, 12)] * env_count, 1e-4 * max(step - 12, 0))
 
 
 def grasp(env_count: int = 3, element: Element = Element.LINEAR, **options: object) -> Begun:
-    """A cube between two gels on mounts, above a plane."""
     gels, mounts = mounted_gels((3, 3, 2), (element, element))
     held = cube(8e-3, friction_coefficient=1.0)
     planes = [Plane((0, 0, -5e-3), (0, 0, 1))]
@@ -178,8 +176,7 @@ def test_joints() -> None:
     ],
 )
 def test_two_runs_give_the_same_bits(name: str, env_count: int, options: dict[str, object]) -> None:
-    """State and forces after each of up to 30 steps of a benchmark scene whose environments
-    differ."""
+    """State and forces of a benchmark scene whose environments differ."""
     bench = build_scene(
         name, SceneOptions(env_count, config={"deterministic": True, **options}, lag=5)
     )

@@ -62,8 +62,7 @@ def test_a_module_has_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
     solver, state = begun(grasp(), start, dhat_m=1e-4, capture=False)
     for target in targets:
         stepped(solver, state, target)
-    assert solver.friction_gradient.numpy().any()
-    assert len(sizes) > 20
+    assert solver.friction_gradient.numpy().any() and len(sizes) > 20
     several = {name: dict(found) for name, found in sizes.items() if len(found) > 1}
     assert not several
     # What a module is compiled for ahead of its first launch, and what its shared memory is for.

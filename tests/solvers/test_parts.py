@@ -42,8 +42,7 @@ def pad(friction: float, rests: np.ndarray = RESTS, **options: str) -> SoftBody:
 
 
 def pressed() -> Scene:
-    """A ball or a block is pressed into a gel of other shape in each environment, beside a cube
-    that falls and a flap that a drive turns."""
+    """A ball or a block presses a gel, beside a cube that falls and a flap that a drive turns."""
     envs = np.arange(ENVS)
     falling = [pose(4e-3, 0, SIDE / 2 - 2.48e-3 + 2e-6 * e, (0, 0, 1), 9.0 * e) for e in envs]
     where = np.stack([pose(-5e-3, 1e-4 * e, 0.0) for e in envs])
@@ -91,7 +90,6 @@ def mount_at(step: int) -> np.ndarray:
 
 
 def motion(scene: Scene, targets: np.ndarray, part: slice) -> list[tuple[StepReport, list]]:
-    """Reports and arrays after each step; two environments are reset before the last one."""
     solver, state = begun(scene.finalize("cpu"), targets[0][part], **CONFIG)
     solver.model.set_body("pad", young_modulus_pa=YOUNG[part])
     found = []

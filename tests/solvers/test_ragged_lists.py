@@ -42,8 +42,7 @@ GAPS = (1.2e-4, 0.6e-4, 0.2e-4)
 def touch(
     envs: list[int], gaps: tuple[float, ...] = GAPS, **options: int
 ) -> tuple[SolverIPC, State, StepReport]:
-    """Steps down from gap to gap in the given environments, whose lists have room for ``ROOM``
-    at first."""
+    """Steps down from gap to gap, with room for ``ROOM`` at first."""
     made = scene(MESH, KinematicBody(PLATE, 0.5), env_count=len(envs))
     start, *targets = (np.stack([plate(env, gap)[None] for env in envs]) for gap in gaps)
     solver, state = begun(made, start, dhat_m=DHAT, **options)
@@ -56,7 +55,6 @@ def touch(
 def assert_as_alone(
     solver: SolverIPC, state: State, env: int, gaps: tuple[float, ...] = GAPS
 ) -> None:
-    """Same bits, same rooms, and the same forces read out."""
     alone, own, report = touch([env], gaps)
     assert report.converged.all()
     assert_same(left(solver, state, env), left(alone, own, 0))
@@ -84,8 +82,7 @@ def test_many_contacts_cost_the_memory_of_their_environment() -> None:
     entry = 4 + 16 + 8 + 8 + 8 + 8
     held = sum(getattr(collisions, name).capacity for name in collisions.columns)
     assert held == entry * (collisions.rooms[CROWDED] + 7 * ROOM)
-    assert len(solver.contact.energies) == collisions.capacity
-    assert solver.friction is not None
+    assert len(solver.contact.energies) == collisions.capacity and solver.friction is not None
     assert len(solver.friction.frozen.stencils) == collisions.capacity
     for env in (0, CROWDED, ENVS - 1):
         assert_as_alone(solver, state, env)

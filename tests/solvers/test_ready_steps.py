@@ -109,7 +109,6 @@ def test_a_step_may_be_given_up(by_reset: bool) -> None:
 
 
 def found(solver: SolverIPC, state: State) -> dict[str, np.ndarray]:
-    """All that a step leaves behind."""
     joints = solver.joints
     assert joints is not None and state.joints is not None
     arrays = {name: getattr(state, name) for name in ("positions", "velocities", "poses")}
@@ -128,8 +127,7 @@ def found(solver: SolverIPC, state: State) -> dict[str, np.ndarray]:
     ),
 )  # fmt: skip
 def test_joints_and_controls_know_no_pace(scheme: TimeScheme, iterations: int, short: bool) -> None:
-    """Loads, drive targets and lengths of steps are those of an environment's own step, also of
-    one that begins anew since its lists of contacts were too ``short``."""
+    """Loads, targets and lengths of steps are those of its own step, also where it begins anew."""
     solver, state = finger(scheme)
     rounds = 0
     for step in range(1, STEPS + 1):

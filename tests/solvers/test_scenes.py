@@ -38,8 +38,6 @@ def dynamic(gravity: tuple[float, float, float] = (0.0, 0.0, -G)) -> TimeSteppin
 
 
 class Fall:
-    """Affine bodies after some steps; in none of them do any overlap."""
-
     def __init__(self, *bodies: AffineBody, steps: int = 20, **options) -> None:
         scene = Scene(affine_bodies=bodies, **{"time": dynamic(), "planes": Plane()} | options)
         tight = {"relative_tolerance": 1e-7, "absolute_tolerance_n": 1e-11}
@@ -49,7 +47,6 @@ class Fall:
             assert not any(find_intersections(self.solver.model, self.state))
 
     def middle(self, name: str) -> np.ndarray:
-        """Mean of a body's nodes in each environment [m], [env, 3]."""
         model = self.solver.model
         nodes = model.bodies[model.body_id(name)].node_slice
         return self.state.positions.numpy()[:, nodes].mean(axis=1)
@@ -73,8 +70,7 @@ def test_layers_decide_who_meets() -> None:
         cube(SIDE, pose(2e-4, 0, 6e-4), "ghost", surface=ghost),
         steps=12,
     )
-    assert fall.middle("stopped")[0, 2] > 0.5 * SIDE
-    assert fall.middle("ghost")[0, 2] < -SIDE
+    assert fall.middle("stopped")[0, 2] > 0.5 * SIDE and fall.middle("ghost")[0, 2] < -SIDE
 
 
 def test_friction_of_a_pair_comes_before_that_of_its_bodies() -> None:
@@ -205,7 +201,6 @@ UNUSED += ("soft_targets", "linear_kernels", "mooney", "pcg")
 
 @pytest.mark.thorough
 def test_modules_that_nobody_launches_are_not_compiled() -> None:
-    """A frictionless quasi-static press by a ball, in a fresh process."""
     run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
     (loaded,) = (line for line in run.stdout.splitlines() if line.startswith("LOADED"))
     assert [name for name in (*NEEDED, "potentials.contact") if name not in loaded] == []

@@ -65,7 +65,6 @@ def motion(state: State) -> Leftover:
 
 
 def everything(solver: SolverIPC, state: State) -> Leftover:
-    """All that a step leaves behind."""
     forces = (solver.contact_gradient, solver.friction_gradient)
     return motion(state) + [array.numpy().copy() for array in forces]
 
@@ -141,7 +140,6 @@ def test_an_interrupted_call_gives_up_all_steps_underway(case: Any) -> None:
 
 @pytest.mark.thorough(cases=("mechanism",))
 def test_a_copy_is_a_checkpoint_for_any_solver_and_its_graph(case: Any) -> None:
-    """Two solvers take the steps of three states in turn."""
     build, ask, expected = case
     (first, state), (second, _) = build(), build()
     states = [state, state.copy(), state.copy()]
@@ -307,7 +305,6 @@ def test_two_solvers_in_two_threads_are_refused_one_state() -> None:
 
 
 def test_a_solver_in_two_threads_is_refused() -> None:
-    """And nothing of what the first one does is disturbed."""
     (solver, state), expected = pressed(False), pressed(False)
     for step in STEPS:
         expected[0].step(expected[1], poses(step))

@@ -36,7 +36,6 @@ def carried(step: int) -> np.ndarray:
 
 
 def make(**options: object) -> Begun:
-    """A gel on a mount under a free cube."""
     gel = soft_block((4, 4, 2), (6e-3, 6e-3, 3e-3), mount="hand", **RUBS)
     box = cube(3e-3, pose(0.2e-3, 0, 1.58e-3), **RUBS)
     scene = Scene([gel], [HAND], 2, FALLING, affine_bodies=[box])
@@ -107,7 +106,6 @@ def test_the_plan_says_why_steps_are_not_captured() -> None:
 
 
 def scratch(solver: SolverIPC) -> Iterator[wp.array]:
-    """What a step writes before it reads it."""
     for name in ("trial", "path", "displacements", "reduced", "gradient", "pivots"):
         yield getattr(solver, name)
     linear, p = solver.linear, solver.progress
@@ -176,7 +174,6 @@ def cube_on_a_gel() -> Scene:
 
 
 def fingers() -> Scene:
-    """Fingers that drives push, with gels on them, close on a box."""
     return driven_grasp(1, (Element.LINEAR, Element.LINEAR))
 
 
@@ -202,5 +199,4 @@ def test_contact_in_the_pattern_changes_no_result(make: Callable[[], Scene], met
         extras.append(most)
         counts.append(model.pattern.block_count)
     np.testing.assert_allclose(*ends, atol=1e-10 if make is cube_on_a_gel else 1e-9)
-    assert extras[0] > 0 == extras[1]
-    assert counts[1] > counts[0]
+    assert extras[0] > 0 == extras[1] and counts[1] > counts[0]

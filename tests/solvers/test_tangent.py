@@ -30,7 +30,6 @@ NO_CONTACT = {
 
 
 def squeezed(by: float) -> tuple[Tangent, np.ndarray]:
-    """The tangent of a bar on its foot, shortened by a part, and its dense matrix."""
     made = Scene(BAR, KinematicBody(Ball(1e-3))).finalize("cpu")
     solver, state = begun(made, everywhere(1, pose(0, 0, 0.1)))
     x, height = state.positions.numpy().copy(), BAR.mesh.nodes_m[:, 2]

@@ -56,7 +56,6 @@ def search(
 
 
 def found(candidates: Candidates, env: int = 0) -> list[Pairs]:
-    """Node-face and edge-edge pairs of an environment."""
     lists = [part.of(env, part.pairs) for part in candidates.lists]
     pairs = [set(map(tuple, part.tolist())) for part in lists]
     assert [*map(len, pairs)] == [*map(len, lists)], "a pair came twice"
@@ -64,8 +63,7 @@ def found(candidates: Candidates, env: int = 0) -> list[Pairs]:
 
 
 def near(a: np.ndarray, b: np.ndarray, margin: float, first: np.ndarray, second: int) -> Pairs:
-    """Numbers of primitives [n, k, 3] and [m, k, 3] whose boxes are within the margin: those of
-    ``first``, and counted from ``second``."""
+    """Numbers of primitives with boxes within the margin, those of b counted from ``second``."""
     low_a, high_a, low_b, high_b = a.min(1), a.max(1), b.min(1), b.max(1)
     gaps = np.maximum(low_a[:, None] - high_b[None], low_b[None] - high_a[:, None]).max(axis=-1)
     return {(int(first[i]), int(second + j)) for i, j in np.argwhere(gaps < margin)}
@@ -104,7 +102,6 @@ def nearby(model: Model, x: np.ndarray, margin: float) -> tuple[Pairs, Pairs]:
 def test_no_pair_is_missed_on_the_way(
     seed: int, margin: float, turn: float, reach: float, behind: bool
 ) -> None:
-    """From above the gel or from behind, where its nodes are held."""
     rng = np.random.default_rng(seed)
     model = scene(MESH, tool(), KinematicBody(BALL, name="ball")).finalize()
     start = everywhere(
@@ -161,8 +158,7 @@ def test_thickness_comes_on_top_of_the_margin() -> None:
 
 
 def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
-    """By 2 rad there is no bound on the path of a body in the frame of another: everything is a
-    candidate, where it turns. The gels may touch each other, too."""
+    """By 2 rad there is no bound on the path of a body: where it turns, all are candidates."""
     above = replace(MESH, nodes_m=MESH.nodes_m + [0, 0, 1.05e-3])
     gels = [
         SoftBody(mesh, Material(1e5, 0.4), name=name, element=Element.LINEAR)
@@ -170,7 +166,6 @@ def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
     ]
 
     def turned(*angles: float) -> list[list[np.ndarray]]:
-        """Pairs of faces and of edges in each environment."""
         model, place = Scene(gels, tool(), len(angles)).finalize(), (1.5e-3, 1.5e-3, 1.9e-3)
         end = np.stack([pose(*place, (1, 2, 3), np.degrees(angle))[None] for angle in angles])
         start = everywhere(len(angles), pose(*place))
@@ -203,11 +198,9 @@ class Bench:
         self.reaches = wp.full(ENVS, REACH, dtype=wp.float64)
         self.searched = np.zeros(ENVS, dtype=int)
         self.near = 0
-        """Pairs within reach so far."""
 
     def cover(self, gel: np.ndarray | float = 0.0, body: np.ndarray | float = 0.0) -> None:
-        """In environment 0 the nodes of the gel go ``gel`` [m], [soft_count, 3], and the body goes
-        ``body`` [m], [3]; numbers: along z."""
+        """In environment 0 gel and body go these ways [m]; numbers are along z."""
         gel, body = (np.array([0, 0, w]) if isinstance(w, float) else w for w in (gel, body))
         ways = np.zeros((ENVS, self.model.node_count, 3))
         ways[0, : self.model.soft_count], ways[0, self.model.soft_count :] = gel, body
@@ -264,8 +257,7 @@ def test_who_comes_nearer_is_seen_in_time() -> None:
     bench.cover()
     for _ in range(14):
         bench.cover(body=-4e-5)
-    assert bench.near > 0
-    assert 4 <= bench.searched[0] <= 10
+    assert bench.near > 0 and 4 <= bench.searched[0] <= 10
 
 
 def test_small_and_shared_ways_share_a_search_which_others_end() -> None:

@@ -18,7 +18,6 @@ from tests.support import blocks
 from tests.support.blocks import soft_block
 
 CELLS, SIZE_M = (4, 4, 2), (8e-3, 8e-3, 4e-3)
-"""Contact face at z = 0, bonded face 4 mm below."""
 BALL = Ball(2e-3)
 PIN = cylinder_mesh(0.5e-3, 6e-3)
 BAR = box_mesh((12e-3, 2e-3, 1e-3))
@@ -83,7 +82,6 @@ def test_a_step_is_refused_and_the_others_go_on() -> None:
 
 
 def test_what_is_held_moves_with_its_mount() -> None:
-    """A tool that goes along is not in the way of anything; one that stays is."""
     ways = BlockedWays(model(mount="mount"))
     one = np.ones(1, dtype=bool)
     start = np.concatenate([pose(0, 0, 2.1), pose(0, 0, 0)], axis=1)

@@ -58,8 +58,7 @@ def kinds(found: list[Intersection]) -> list[IntersectionKind]:
 
 
 def seen(model: Model, state: State, mask: np.ndarray | None = None) -> list[list[Intersection]]:
-    """Overlaps of each environment by the referee. The device names the same bodies and kinds in
-    those of the mask, and no others; inverted tets are not its business."""
+    """Overlaps by the referee; the device names the same, but inverted tets, where asked."""
     found = find_intersections(model, state)
     wanted = np.ones(model.env_count, dtype=bool) if mask is None else mask
     search = OverlapSearch(model)
@@ -67,13 +66,11 @@ def seen(model: Model, state: State, mask: np.ndarray | None = None) -> list[lis
     overlapping = search.find(state, chosen).numpy() != 0
     for env, told in enumerate(search.describe(state)):
         expected = named(found[env]) if wanted[env] else set()
-        assert named(told) == expected
-        assert overlapping[env] == bool(expected)
+        assert named(told) == expected and overlapping[env] == bool(expected)
     return found
 
 
 def intersections(shape: TriangleMesh | Ball, *poses: np.ndarray) -> list[list[Intersection]]:
-    """Overlaps of one body in as many environments as there are poses."""
     model = scene(MESH, KinematicBody(shape), env_count=len(poses)).finalize()
     return seen(model, initial_state(model, np.stack(poses)[:, None]))
 
@@ -122,7 +119,6 @@ NEEDLE = TriangleMesh(
     np.array([[0, 0, -1e-4], [1e-6, 0, 1e-3], [-1e-6, 1e-6, 1e-3], [0, -1e-6, 1e-3]]),
     np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]),
 )
-"""Between the nodes of the gel."""
 
 
 @pytest.mark.parametrize(
@@ -185,7 +181,6 @@ def test_any_two_bodies() -> None:
     )
 
     def overlaps(made: Scene, **shifts: list[float]) -> set[tuple[str, str, str]]:
-        """When bodies are moved by shifts from where they start, the ball out of the way."""
         model = made.finalize()
         state = initial_state(model)
         x = state.positions.numpy()
@@ -241,7 +236,6 @@ def test_a_curved_face_may_reach_into_a_ball_by_its_inset() -> None:
 
 
 def test_inverted_tets_are_found() -> None:
-    """Quadratic ones can turn inside out at a corner, or between corners that are in order."""
     model = scene(MESH, KinematicBody(Ball(1e-3)), env_count=2).finalize()
     state = moved(initial_state(model, everywhere(2, pose(0, 0, 5e-3))), 62, (0, 0, -1.5e-3), 1)
     assert list(map(kinds, seen(model, state))) == [[], [INVERTED]]

@@ -74,7 +74,6 @@ def pair_terms(
 
 
 def pair_energy(kind: int, mode: int, x: Array, e1: Array | float, e2: Array | float) -> list:
-    """Gradient [count, 4, 3] and Hessian [count, 12, 12] of E(d)."""
     slopes = (filled(e1, len(x)), filled(e2, len(x)))
     return mapped(pair_terms, kind, mode, *x.swapaxes(0, 1), *slopes)
 
@@ -99,7 +98,6 @@ def outer(a: Array, b: Array) -> Array:
 
 
 def chain_rule(kind: int, x: Array, e1: Array, e2: Array) -> Array:
-    """12x12 Hessian of E(d)."""
     d, g, half = of_ipctk(kind, x)
     normal = outer(g, g)
     return e2[:, None, None] * normal + (e1 / d)[:, None, None] * (half - normal)
@@ -213,7 +211,6 @@ def mollified_terms(
 
 
 def mollified_energy(mode: int, x: Array, threshold: float, dhat: float, stiffness: float) -> list:
-    """Value, gradient and Hessian of the mollified edge-edge contact potential."""
     return mapped(mollified_terms, mode, *x.swapaxes(0, 1), threshold, dhat, stiffness)
 
 
@@ -240,7 +237,6 @@ def test_threshold_and_mollifier_equal_ipctk() -> None:
 
 
 def test_mollified_energy_equals_the_product_of_ipctk() -> None:
-    """P(d) m, its gradient and its Hessian by the product rule."""
     x, dhat, stiffness, threshold = mixed_edges(2, 600, (-2.5, -1.0)), 3.0, 2.0, 1e-2
     value, gradient, hessian = mollified_energy(PSD_NONE, x, threshold, dhat, stiffness)
     d, g, half = of_ipctk(EDGE_EDGE, x)

@@ -22,18 +22,14 @@ from tests.support.blocks import pose
 from tests.support.turns import random_turns
 
 HALF_M, DEEP_M = 1e-3, 2e-3
-"""Half the length of a ridge, and how far the rest of its tet lies behind it."""
 SLACKNESS = 0.1
-"""Part of the gap that is left, see ``limit_checks``."""
 TETS = np.array([[0, 1, 2, 3]])
 FACES = boundary_faces(TETS)
 NODES_M = np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 2], [0, -1, 2]]) * HALF_M
 RIDGES = [0, 1, 4, 5]
-"""Nodes of the upper ridge and of the lower one."""
 
 
 def limits(x: np.ndarray, dx: np.ndarray, thickness_m: float = 0.0) -> np.ndarray:
-    """Fraction of the displacements [env, 8, 3] of two tets, shape [env]."""
     bodies = [
         SoftBody(
             TetMesh(NODES_M, TETS, FACES, np.zeros(len(FACES), dtype=np.int64)),
@@ -88,8 +84,7 @@ class Ridges:
         """From the lower ridge to the upper one, and direction of that, [env, 3]."""
 
     def closing(self, closing_m: np.ndarray, slide_m: np.ndarray | float = 0.0) -> np.ndarray:
-        """Displacements: both bodies move, each by a part, and share a drift; they slide along the
-        upper ridge."""
+        """Both bodies move, each by a part, with a drift; they slide along the upper ridge."""
         count = len(closing_m)
         slide_m = np.broadcast_to(slide_m, count)
         relative = -closing_m[:, None] * self.normal + slide_m[:, None] * self.along
@@ -168,8 +163,7 @@ def test_edges_that_turn_and_stretch_are_free_of_contact_up_to_the_limit() -> No
     answers = [referee.edge_edge_ccd(*a, *b) for a, b in zip(starts, ends, strict=True)]
     expected = np.array([time if hit else np.inf for hit, time in answers])
     meets = np.isfinite(expected)
-    assert meets.sum() > 150
-    assert np.all(found[meets] < expected[meets])
+    assert meets.sum() > 150 and np.all(found[meets] < expected[meets])
     # A tenth of the gap is left; ridges may come as near before they meet.
     assert np.mean(found[meets] > 0.8 * expected[meets]) > 0.95
     assert np.mean(found[~meets] == 1.0) > 0.85

@@ -26,7 +26,6 @@ CPU = wp.get_device("cpu")
 def _append_kernel(
     asked: wp.array(dtype=wp.int32), room: ListRoom, pairs: wp.array(dtype=wp.vec2i)
 ):
-    """As many pairs (environment, number) as are asked for."""
     env = wp.tid()
     for number in range(asked[env]):
         at = claim_place(env, room)
@@ -87,7 +86,6 @@ def test_what_many_need_goes_to_all() -> None:
 @pytest.mark.thorough
 @given(bursts=st.lists(st.lists(st.integers(0, 30), min_size=4, max_size=4), max_size=6))
 def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
-    """Whatever is asked for, round after round; rooms follow one another without a gap."""
     pairs = PairList(4, CPU, 3, 1000)
     everyone = wp.full(4, 1, dtype=wp.int32, device=CPU)
     for burst in map(np.array, bursts):
@@ -109,7 +107,6 @@ def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
 
 
 def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However much memory there is."""
     monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
     monkeypatch.setattr(PairList, "most_entries", 1000)
     pairs = PairList(2, CPU, 10, 1 << 20)
@@ -117,6 +114,5 @@ def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
     # Environments whose list was too short are emptied, and ask for more.
     short = wp.zeros(2, dtype=wp.int32, device=CPU)
     wp.launch(_look_kernel, dim=2, inputs=[pairs.room, short], device=CPU)
-    assert short.numpy().all()
-    assert grow_all([pairs]).tolist() == [True, False]
+    assert short.numpy().all() and grow_all([pairs]).tolist() == [True, False]
     assert pairs.rooms.tolist() == [10, 750]

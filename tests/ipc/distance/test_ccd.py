@@ -68,8 +68,7 @@ def test_no_collision_is_missed_and_the_promised_gap_is_left(kind: int) -> None:
     after = np.sqrt(query_pairs(kind, moved).distance_sq)
     assert np.all(after >= 0.1 * before - 1e-15 * np.abs(x[hit]).max(axis=(1, 2)))
     toi, status, iterations = collide(kind, x[:5000], dx[:5000], max_iterations=2)
-    assert np.sum(status == CCD_CAPPED) > 50
-    assert iterations.max() == 2
+    assert np.sum(status == CCD_CAPPED) > 50 and iterations.max() == 2
     assert np.all(toi < time[:5000]), "not late where it gives up"
 
 
@@ -85,13 +84,11 @@ def test_close_to_tight_inclusion(kind: int) -> None:
     assert collides.sum() > 180
     for slackness, floor in ((0.1, 0.7), (0.01, 0.95)):
         toi, status, iterations = collide(kind, x, dx, slackness=slackness)
-        assert not np.any(status == CCD_CAPPED)
-        assert not np.any(status[collides] == CCD_NO_HIT)
+        assert not np.any(status == CCD_CAPPED) and not np.any(status[collides] == CCD_NO_HIT)
         assert np.all(toi[collides] <= expected[collides] * (1.0 + 1e-9))
         # A collision after a near miss is reported at the near miss when its gap is in the slack.
         assert np.mean(toi[collides] > floor * expected[collides]) > 0.97
-        assert np.mean(status[~collides] == CCD_NO_HIT) > 0.96
-        assert iterations.mean() < 5
+        assert np.mean(status[~collides] == CCD_NO_HIT) > 0.96 and iterations.mean() < 5
         assert iterations.max() < 300
 
 
@@ -200,13 +197,11 @@ def inside(rng: np.random.Generator, corners: Array) -> Array:
 
 
 def below(point: Array, corners: Array) -> tuple[Array, Array]:
-    """Stencils of points and triangles, and no motion yet."""
     x = np.concatenate([point[:, None], corners], axis=1)
     return x, np.zeros_like(x)
 
 
 def half(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """One for about every second query, else zero."""
     return rng.random(shape) < 0.5
 
 
@@ -346,8 +341,7 @@ def test_most_of_the_way_is_taken(family: Callable[[np.random.Generator], Querie
     toi, status, _ = collide(kind, x, dx)
     extent = np.abs(x).max(axis=(1, 2)) + np.abs(dx).max(axis=(1, 2))
     clear = np.sqrt(query_pairs(kind, x).distance_sq) > 1e-13 * extent
-    assert not np.any(status[clear] == CCD_START)
-    assert np.all(toi[clear] > 0)
+    assert not np.any(status[clear] == CCD_START) and np.all(toi[clear] > 0)
     assert np.mean(status == CCD_CAPPED) < 0.02
 
 

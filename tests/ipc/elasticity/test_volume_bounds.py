@@ -21,13 +21,11 @@ COUNT = 400
 
 
 def judge(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower bounds of J, and which tets [n, 4, 3, 3] are judged inside out."""
     f = corners.swapaxes(0, 1)
     return mapped(least_coefficient, *f), mapped(is_inside_out, *f) != 0
 
 
 def sampled(corners: np.ndarray, order: int = 24) -> np.ndarray:
-    """Smallest J at the points i / order in barycentric coordinates."""
     points = np.indices((order + 1,) * 3).reshape(3, -1).T
     points = points[points.sum(axis=1) <= order]
     lattice = np.column_stack([points, order - points.sum(axis=1)]) / order
@@ -42,8 +40,7 @@ def test_judged_and_bounded_as_a_fine_sampling_says(spread: float) -> None:
     samples = sampled(corners)
     assert (bounds <= samples + 1e-12).all()
     # A sample proves inversion; without one J may still dip a little between the samples.
-    assert judged[samples <= 0].all()
-    assert not judged[samples > 0.02].any()
+    assert judged[samples <= 0].all() and not judged[samples > 0.02].any()
     # The smallest ratio is not below what the samples leave room for, since J is smooth. Where J is
     # steep or negative, ``MAX_BISECTIONS`` leaves a little more than the slack.
     ratios = mapped(smallest_ratio, *corners.swapaxes(0, 1), np.inf)
@@ -65,13 +62,11 @@ def in_any_order(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("stretch", [1.0, 7.0, 0.2])
 @pytest.mark.parametrize("a", [0.1, 0.6, 0.9])
 def test_inside_out_between_the_ends_of_any_edge(a: float, stretch: float) -> None:
-    """J = a > 0 at both ends falls to -(1 - a)^2 / 4 between them when ``stretch`` is 1, nearer to
-    one end when it is not."""
+    """J = a > 0 at both ends falls to -(1 - a)^2 / 4 between them when ``stretch`` is 1."""
     corners = in_any_order(np.diag([-1.0, -a, 1.0]), stretch * np.diag([a, 1.0, 1.0]))
     assert (np.linalg.det(corners) > 0).all()
     bounds, judged = judge(corners)
-    assert judged.all()
-    assert (bounds < 0).all()
+    assert judged.all() and (bounds < 0).all()
 
 
 @pytest.mark.parametrize("e", [0.3, 0.1, 0.03, 1e-6])
@@ -79,5 +74,4 @@ def test_a_narrow_pass_is_let_through(e: float) -> None:
     """J = x^2 + y^2 > 0 although x changes its sign: nothing is called inside out that is not."""
     first = np.array([[1.0, -e, 0], [e, 1.0, 0], [0, 0, 1.0]])
     corners = in_any_order(first, np.array([[-1.0, -e, 0], [e, -1.0, 0], [0, 0, 1.0]]))
-    assert sampled(corners[:1], 40)[0] > 0
-    assert not judge(corners)[1].any()
+    assert sampled(corners[:1], 40)[0] > 0 and not judge(corners)[1].any()

@@ -73,7 +73,6 @@ class Rig(Dense):
         super().__init__(model, JointPotential(model), state.positions.numpy()[0])
         self.joints: JointPotential = self.potential
         self.start = self.base[self.free]
-        """Free nodes of the initial configuration, [8, 3]."""
         self.begin(self.start)
 
     def everywhere(self, free: np.ndarray) -> wp.array:
@@ -91,7 +90,6 @@ class Rig(Dense):
         return self.joints.violations.numpy()[0]
 
     def rows(self, free: np.ndarray) -> np.ndarray:
-        """Values of the rows, [count, ROW_COUNT]."""
         found = []
         for n, x in self.batches(free):
             self.joints._evaluate(self.active, x, derivatives=False)
@@ -151,7 +149,6 @@ def test_gradient_and_the_matrix_of_gauss_and_newton(
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
 @pytest.mark.parametrize("way", [-0.5, -0.05, 0.0, 0.05, 0.5])
 def test_gradient_with_drive_and_limits(kind: str, way: float) -> None:
-    """Also beyond the limits, on either side."""
     if kind == "revolute":
         limits, shift, turn = {"limits_deg": (-20, 5)}, NOWHERE, quaternion(AXIS, way)
     else:
@@ -181,17 +178,14 @@ def test_only_the_motion_of_the_joint_is_free(
     held, coordinates = np.linalg.norm(rows[:, :COORDINATE_ROW], axis=1), rows[:, COORDINATE_ROW]
     size = r.joints._table.sizes.numpy()[0]
     # From angles of a few degrees up to a turn: sine and half of it.
-    assert held[0] < 1e-15
-    assert held[3] == pytest.approx(tilt, rel=1e-9)
+    assert held[0] < 1e-15 and held[3] == pytest.approx(tilt, rel=1e-9)
     assert held[4] == pytest.approx(size * np.sin(tilt), rel=1e-9)
     if kind == "revolute":
-        assert held[1] < 1e-15
-        assert coordinates[1] == pytest.approx(angle, abs=1e-12)
+        assert held[1] < 1e-15 and coordinates[1] == pytest.approx(angle, abs=1e-12)
     else:
         assert held[1] == pytest.approx(size * abs(np.sin(angle)), rel=1e-9, abs=1e-15)
     if kind == "prismatic":
-        assert held[2] < 1e-15
-        assert coordinates[2] == pytest.approx(way, abs=1e-14)
+        assert held[2] < 1e-15 and coordinates[2] == pytest.approx(way, abs=1e-14)
     else:
         assert held[2] == pytest.approx(abs(way), rel=1e-9, abs=1e-15)
 
@@ -211,7 +205,6 @@ def test_targets_differ_by_environment_and_can_be_set() -> None:
 
 
 def test_multipliers_take_over_the_force() -> None:
-    """The same force with no violation left to cause it."""
     r = Rig("revolute", None, 1)
     off = r.placed(np.array([1e-6, 0, 0]), quaternion(np.array([0, 1.0, 0]), 1e-6))
 
@@ -242,14 +235,12 @@ def test_a_limit_pushes_and_never_pulls() -> None:
     held = force(3e-3)
     assert held > 0
     # Off the limit, the multiplier's force is gone, and not converged until it is forgotten.
-    assert abs(force(2.98e-3)) < 1e-20
-    assert r.violation(r.placed(2.98e-3 * AXIS)) > 9e-6
+    assert abs(force(2.98e-3)) < 1e-20 and r.violation(r.placed(2.98e-3 * AXIS)) > 9e-6
     assert force(3e-3) == pytest.approx(0, abs=1e-9 * held)
 
 
 @every_kind
 def test_motion_of_a_kinematic_frame_reaches_the_right_hand_side(kind: str) -> None:
-    """To first order, the change of the force that the motion causes."""
     r, step = Rig(kind, "k", 1), 1e-7
     goal = POSE_K + step * np.array([1, -2, 0.5, 0.3, 0.2, -0.4, 0.1])
     goal[3:] = unit(goal[3:])
@@ -277,7 +268,6 @@ def test_absent_bodies_have_no_joint() -> None:
 
 
 def test_each_environment_has_its_own_initial_configuration() -> None:
-    """Bodies placed elsewhere in environment 1, and the joint with them."""
     shift = np.array([0.3, -0.2, 0.1])
     turn = quaternion(np.array([1.0, 2.0, 3.0]), 1.2)
     poses = np.stack([POSE_A, np.concatenate([rotate(turn, POSE_A[:3]) + shift, turn])])

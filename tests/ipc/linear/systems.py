@@ -46,8 +46,7 @@ def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float
 
 
 def list_extra(extra: ExtraBlocks, places: Sequence[Sequence], blocks: Sequence[Sequence]) -> None:
-    """List (row, column) and blocks of each environment, with some room to spare, more of it in
-    some than in others: what lies there must not matter."""
+    """List (row, column) and blocks, with room to spare, in which nothing must matter."""
     counts = np.array([len(part) for part in places])
     extra.counts.zero_()
     extra._allocate(counts + 3 + 2 * np.arange(len(counts)))

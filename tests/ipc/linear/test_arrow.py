@@ -48,8 +48,7 @@ def test_a_gel_and_a_body_are_solved_exactly(
     system, dense = contact_system(2)
     system = system if listed else with_contact_in_pattern(system, dense)
     report = factorise(system, 1, 1, lanes=lanes, kib=kib)
-    assert report.iterations.tolist() == [1, 1]
-    assert not report.breakdown.any()
+    assert report.iterations.tolist() == [1, 1] and not report.breakdown.any()
     found = system.solution.numpy().reshape(2, -1)
     expected = np.linalg.solve(dense, system.rhs.numpy().reshape(2, -1, 1))[..., 0]
     assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
@@ -84,8 +83,7 @@ def test_environments_do_not_see_each_other(many_lanes: None) -> None:
     assert report.breakdown.tolist() == [False, False, True, True, False]
     assert report.relative_residual.tolist() == [0, 0, 1, 1, 0]
     solution = system.solution.numpy()
-    assert (solution[1:4] == 0).all()
-    assert (residuals(system, dense)[[0, 4]] <= TOLERANCE).all()
+    assert (solution[1:4] == 0).all() and (residuals(system, dense)[[0, 4]] <= TOLERANCE).all()
     # Alone they come out the same to the last bit.
     values[1:4] = values[0]
     system.values.assign(values)

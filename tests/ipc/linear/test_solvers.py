@@ -100,10 +100,8 @@ def test_resting_environments_and_empty_loads_give_zero(backend: str) -> None:
     rhs[1] = 0.0
     system = system_of(pattern, values, rhs, backend)
     report = solve(system, 1e-8, [0, 1, 1], 2000)
-    assert (system.solution.numpy()[:2] == 0).all()
-    assert (report.relative_residual[:2] == 0).all()
-    assert not report.breakdown.any()
-    assert report.iterations[0] == 0
+    assert (system.solution.numpy()[:2] == 0).all() and (report.relative_residual[:2] == 0).all()
+    assert not report.breakdown.any() and report.iterations[0] == 0
     with np.errstate(invalid="ignore"):
         assert residuals(system, dense)[2] <= 1e-8
 
@@ -125,8 +123,7 @@ def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> No
         rhs[0, 3] = np.nan if trouble == "nan load" else np.inf
     system = system_of(pattern, values, rhs, backend)
     report = solve(system, 1e-8, most=2000)
-    assert report.breakdown.tolist() == [True, False]
-    assert np.isfinite(system.solution.numpy()).all()
+    assert report.breakdown.tolist() == [True, False] and np.isfinite(system.solution.numpy()).all()
     assert report.relative_residual[1] <= 1e-8
 
 
@@ -138,8 +135,7 @@ def test_stops_at_the_iteration_limit_and_says_so(backend: str) -> None:
     rhs = rng.normal(size=(1, pattern.free_count, 3))
     system = system_of(pattern, values, rhs, backend)
     report = solve(system, 1e-12, most=8)
-    assert report.iterations[0] == 8
-    assert report.relative_residual[0] > 1e-12
+    assert report.iterations[0] == 8 and report.relative_residual[0] > 1e-12
     found, known = residuals(system, pattern.dense(values)), 1e-5 if backend in ROUNDED else 1e-9
     np.testing.assert_allclose(report.relative_residual, found, rtol=known)
 
@@ -171,8 +167,7 @@ def test_least_degree_takes_leaves_first() -> None:
         neighbours[i].add(j)
         neighbours[j].add(i)
     order, left = least_degree_order(neighbours)
-    assert sorted(order) == list(range(8))
-    assert sum(len(rows) for rows in left) == len(edges)
+    assert sorted(order) == list(range(8)) and sum(len(rows) for rows in left) == len(edges)
 
 
 @wp.kernel(enable_backward=False)

@@ -243,8 +243,7 @@ def test_forces_are_derivatives_and_in_balance(name: str) -> None:
 def test_energy_is_the_plain_sum(name: str) -> None:
     case = made(name)
     expected = KAPPA * plain_sum(case.model, case.x, DHAT)
-    assert expected > 0
-    assert case.energy(case.now)[0] == pytest.approx(expected, rel=1e-9)
+    assert expected > 0 and case.energy(case.now)[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_each_case_touches_as_it_should() -> None:

@@ -25,8 +25,7 @@ BALL = Case(Ball(2e-3), ON_BALL, 0.4, element=Element.QUADRATIC, config=WIDE)
 
 
 class LastStep:
-    """The collisions where the last step of a motion ended, and their forces elsewhere; pairs of
-    edges count as nearly parallel at 30 times the angle that they do."""
+    """Where the last step of a motion ended; more pairs of edges count as nearly parallel."""
 
     def __init__(self, case: Case) -> None:
         motion = GelMotion(case.model(), case.config)

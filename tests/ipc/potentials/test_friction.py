@@ -37,8 +37,7 @@ BODIES: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
 
 
 class Rubbing:
-    """A gel frozen against a body that has come from one pose to another; an environment for each
-    probe of a coordinate, or as many as there are to be."""
+    """A gel frozen against a body that came from another pose; an environment for each probe."""
 
     def __init__(
         self,
@@ -82,14 +81,12 @@ class Rubbing:
         return out.numpy()
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Gradient [node, 3] at positions [node, 3]."""
         return self.gradient(self.same(x))[0]
 
     def same(self, x: np.ndarray) -> np.ndarray:
         return np.repeat(x[None], self.count, axis=0)
 
     def slid(self, size: float) -> np.ndarray:
-        """Positions [node, 3] after random sliding of about ``size`` [m]."""
         x = self.start[0]
         return x + np.random.default_rng(2).uniform(-size, size, x.shape)
 
@@ -178,7 +175,6 @@ def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
 def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
     name: str, size: float
 ) -> None:
-    """Along six directions, each both ways."""
     case, rng = rubbing(name, 0.0, 12), np.random.default_rng(2)
     x = case.start[0] + rng.uniform(-size, size, case.start[0].shape)
     ways = np.repeat(rng.uniform(-1.0, 1.0, (6, *x.shape)), 2, axis=0)
@@ -206,8 +202,7 @@ def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
 
 
 def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
-    """Friction on a gel over mu times the normal force, after a body has come straight down from
-    60 um to 5 um above it and ``aside`` [um] along x; eps is 1 um."""
+    """Friction over mu times the normal force after a body came straight down, and aside [um]."""
     low = float(shape.vertices_m[:, 2].min())
     before, after = pose(0, 0, 60e-6 - low), pose(1e-6 * aside, 0, 5e-6 - low)
     flat = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
@@ -218,8 +213,7 @@ def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
 
 
 def test_a_body_that_comes_straight_down_has_slid_by_what_it_went_aside() -> None:
-    """A blade stands 0.3 um beside a row of nodes, 5 um away: against the tilted normals the 55 um
-    of its way down would be sliding of 3 um, far beyond static friction."""
+    """Against the tilted normals of a blade the 55 um of its way down would be sliding of 3 um."""
     blade, expected = parse_indenter("edge:90x4").shape, 0.3 * (2 - 0.3)
     assert isinstance(blade, TriangleMesh)
     for sign in (1, -1):

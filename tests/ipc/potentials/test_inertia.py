@@ -180,7 +180,6 @@ def test_a_wrench_does_the_work_of_force_and_torque() -> None:
     rest, firsts = model.rest_positions.numpy(), model.affine.control_starts.numpy()
 
     def turned(x: np.ndarray, first: int, vector: np.ndarray) -> np.ndarray:
-        """The axes of one body turned by a rotation vector."""
         x = x.copy()
         x[0, first + 1 : first + 4] @= Rotation.from_rotvec(vector).as_matrix().T
         return x
@@ -217,8 +216,7 @@ def test_gradient_is_minus_the_force_and_matches_the_energy() -> None:
     load.add_gradient(active, nodal(start), gradient)
     np.testing.assert_array_equal(gradient.numpy(), [1 - forces[0], 0 * forces[1] + 1])
     energy = load.energy(active, nodal(start + way))
-    assert energy[0] == pytest.approx(-(forces * way)[0].sum(), rel=1e-12)
-    assert energy[1] == 0
+    assert energy[0] == pytest.approx(-(forces * way)[0].sum(), rel=1e-12) and energy[1] == 0
 
 
 def test_traction_and_pressure() -> None:

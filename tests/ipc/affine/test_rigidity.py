@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free flight of rigid bodies: the Procrustes rotation, closed joints, and what it saves."""
+"""Rigidity of affine bodies: the energy that keeps it, and free flight with closed joints."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,11 +12,71 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.affine.rigidity import predict_affine
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
+from taccel_lab.ipc.potentials.affine import AffinePotential
 from taccel_lab.scene import FixedJoint, KinematicBody, PrismaticJoint, RevoluteJoint
 from taccel_lab.solvers import start_step
+from taccel_lab.state import initial_state
+from tests.ipc.derivatives import Dense, assert_derivatives
+from tests.support.turns import random_turns
 from tests.verification.affine_scenes import Run, affine_scene, box, turned
 
-SIZES = [(0.1, 0.02, 0.03), (0.04, 0.05, 0.06), (0.03, 0.03, 0.08)]
+SIZES = ((0.1, 0.02, 0.03), (0.04, 0.05, 0.06), (0.03, 0.03, 0.08))
+YOUNG = (1e6, 3e7)
+VOLUMES = np.prod(SIZES[:2], axis=1)
+
+
+@cache
+def assembly() -> Dense:
+    pairs = zip(SIZES, YOUNG, strict=False)
+    bodies = [box(str(young), size, young_modulus_pa=young) for size, young in pairs]
+    # As many environments as probes of the 24 coordinates need.
+    model = affine_scene(bodies, env_count=48).finalize()
+    return Dense(model, AffinePotential(model), initial_state(model).positions.numpy()[0])
+
+
+def strained(seed: int, amount: float) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    maps = random_turns(rng, 2) @ (np.eye(3) + amount * rng.uniform(-1, 1, size=(2, 3, 3)))
+    nodes = rng.normal(size=(2, 4, 3))
+    lengths = assembly().model.affine.lengths.numpy()
+    nodes[:, 1:] = lengths[:, None, None] * maps.transpose(0, 2, 1)
+    return maps, nodes.reshape(8, 3)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**31), amount=st.floats(1e-3, 1.5))
+def test_energy_gradient_hessian_and_its_projection(seed: int, amount: float) -> None:
+    found = assembly()
+    maps, nodes = strained(seed, amount)
+    gram = maps.transpose(0, 2, 1) @ maps - np.eye(3)
+    expected = (VOLUMES * YOUNG / 8 * (gram**2).sum(axis=(1, 2))).sum()
+    assert found.energy(nodes[None])[0] == pytest.approx(expected, rel=1e-10)
+    matrix = found.hessian(nodes, PSD_NONE)
+    least = (1e-3 * amount, 0.0)
+    assert_derivatives(nodes, 1e-6, found.energy, found.gradient, matrix, least=least)
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-14 * np.abs(matrix).max())
+    # Clamped eigenvalues, exactly those that numpy finds.
+    values, vectors = np.linalg.eigh(matrix)
+    projected = (vectors * np.maximum(values, 0)) @ vectors.T
+    off = 1e-9 * np.abs(matrix).max()
+    np.testing.assert_allclose(found.hessian(nodes, PSD_CLAMP), projected, atol=off)
+
+
+@given(seed=st.integers(0, 2**31))
+def test_rotations_cost_nothing(seed: int) -> None:
+    nodes, found = strained(seed, 0.0)[1], assembly()
+    size = YOUNG[1] * VOLUMES[1]
+    assert found.energy(nodes[None])[0] < 1e-28 * size
+    assert np.abs(found.gradient(nodes[None])).max() < 1e-14 * size / 0.02
+    # Turns and shifts of each body, 6 of 12, are free; all others are not.
+    values = np.linalg.eigvalsh(found.hessian(nodes, PSD_CLAMP))
+    assert (np.abs(values[:12]) < 1e-9 * values[-1]).all()
+    assert (values[12:] > 1e-4 * values[-1]).all()
+
+
+# Free flight and joints --------------------------------------------------------------------------
+
 CENTERS = [(0.05, 0, 0), (0.12, 0.01, 0.0), (0.16, 0, 0.05)]
 ACTIVE = wp.full(1, 1, dtype=wp.int32)
 
