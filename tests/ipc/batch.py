@@ -133,8 +133,7 @@ def nearly_parallel_edges(
 @st.composite
 def degenerate_stencils(draw: st.DrawFn) -> Array:
     """Nodes on a coarse grid, often coincident or coplanar, scaled, shifted, and nudged by ulps."""
-    grid = st.integers(-2, 2)
-    nodes = np.array(draw(st.lists(grid, min_size=12, max_size=12)), dtype=np.float64)
+    nodes = np.array(draw(st.lists(st.integers(-2, 2), min_size=12, max_size=12)), dtype=np.float64)
     stencil = nodes.reshape(4, 3) * 10.0 ** draw(st.integers(-7, 2))
     stencil = stencil + draw(st.sampled_from([0.0, 0.0, 0.5, 1024.0]))
     if draw(st.booleans()):

@@ -71,8 +71,7 @@ def _trim(p: Polynomial) -> Polynomial:
 
 
 def _add(p: Polynomial, q: Polynomial, factor: int = 1) -> Polynomial:
-    pairs = zip_longest(p, q, fillvalue=Fraction(0))
-    return _trim([x + factor * y for x, y in pairs])
+    return _trim([x + factor * y for x, y in zip_longest(p, q, fillvalue=Fraction(0))])
 
 
 def _times(p: Polynomial, q: Polynomial) -> Polynomial:
@@ -109,8 +108,8 @@ def _sturm(p: Polynomial) -> list[Polynomial]:
 
 
 def _changes(chain: list[Polynomial], t: Fraction) -> int:
-    signs = [s for p in chain if (s := _at(p, t)) != 0]
-    return sum((a > 0) != (b > 0) for a, b in pairwise(signs))
+    values = (_at(p, t) for p in chain)
+    return sum((a > 0) != (b > 0) for a, b in pairwise(v for v in values if v != 0))
 
 
 def _isolated(p: Polynomial, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction]]:
@@ -209,5 +208,4 @@ def earliest_contact(kind: int, x: Array, dx: Array) -> tuple[float, float] | No
     if _at(area, zero) > 0 and all(_at(g, zero) >= 0 for g in conditions):
         return 0.0, 0.0
     events = [(at, g) for g in conditions for at in _isolated(g, zero, one)]
-    times = [(float(at[0]), float(at[1])) for at, g in events if touching(g, *at)]
-    return min(times, default=None)
+    return min([(float(at[0]), float(at[1])) for at, g in events if touching(g, *at)], default=None)

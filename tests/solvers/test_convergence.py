@@ -102,8 +102,7 @@ def test_a_body_that_is_not_a_number_is_not_lost_among_others(bad: int) -> None:
 
 def moving(soft: SoftBody, *bodies: AffineBody) -> tuple[SolverIPC, float]:
     """The solver of a step, without halves, in which a soft body begins to shear; residual [N]."""
-    time = TimeStepping(quasi_static=False, dt_s=1e-3)
-    made = Scene(soft, affine_bodies=bodies, time=time)
+    made = Scene(soft, affine_bodies=bodies, time=TimeStepping(quasi_static=False, dt_s=1e-3))
     solver, state = begun(made, max_substep_halvings=0, max_newton_iterations=12)
     x, v = state.positions.numpy(), state.velocities.numpy()
     v[0, :, 0] = 0.1 * (x[0, :, 2] - x[0, :, 2].mean())
@@ -167,8 +166,7 @@ def test_it_converges_quadratically_under_prestress(model: MaterialModel, elemen
     def iterations(tolerance: float) -> int:
         """Of the second of two steps of a ball into a nearly incompressible gel."""
         cells = (6, 6, 3) if element is Element.LINEAR else (4, 4, 2)
-        material = Material(1e5, 0.46, model=model)
-        gel = soft_block(cells, (6e-3, 6e-3, 2.5e-3), material, element)
+        gel = soft_block(cells, (6e-3, 6e-3, 2.5e-3), Material(1e5, 0.46, model=model), element)
         made = Scene(gel, KinematicBody(Ball(3e-3)))
         options = {"relative_tolerance": tolerance, "absolute_tolerance_n": 1e-12}
         solver, state = begun(made, everywhere(1, pose(0, 0, 3.05e-3)), **options)

@@ -47,8 +47,7 @@ def pads() -> Scene:
         soft_block((3, 3, 1), size, name="lower", mount="lower mount", **rubs),
         soft_block((2, 2, 1), size, name="upper", mount="upper mount", **rubs),
     ]
-    mounts = [KinematicBody(None, name=f"{gel.name} mount") for gel in gels]
-    return Scene(gels, mounts, ENVS)
+    return Scene(gels, [KinematicBody(None, name=f"{gel.name} mount") for gel in gels], ENVS)
 
 
 def pad_poses(step: int) -> np.ndarray:
@@ -68,8 +67,7 @@ SCENES: dict[str, tuple[Callable[[], Scene], Callable[[int], np.ndarray]]] = {
 def run(name: str, deterministic: bool) -> list[np.ndarray]:
     make, poses = SCENES[name]
     options = {"dhat_m": 1e-4, "capture": False, "relative_tolerance": 1e-8}
-    model = make().finalize("cpu")
-    solver, state = begun(model, poses(0), deterministic=deterministic, **options)
+    solver, state = begun(make().finalize("cpu"), poses(0), deterministic=deterministic, **options)
     for step in range(1, 7):
         stepped(solver, state, poses(step))
     assert solver.friction is not None
@@ -148,8 +146,7 @@ def test_bits_depend_on_the_order_of_contacts_unless_asked_not_to(
 ) -> None:
     ordered = in_turn(name, deterministic)
     disorder(monkeypatch, 1)
-    shuffled = run(name, deterministic)
-    same = [np.array_equal(a, b) for a, b in zip(ordered, shuffled, strict=True)]
+    same = [np.array_equal(a, b) for a, b in zip(ordered, run(name, deterministic), strict=True)]
     assert same == [deterministic] * 4
     if deterministic:
         # The result is that of any order within the tolerance.

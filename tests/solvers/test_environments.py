@@ -60,8 +60,7 @@ def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static:
     hasty, target = SolverIPC(solver.model, few), first.copy()
     target[:2, 0, 2] -= [1e-6, 4e-4]
     good = EnvStatus.CONVERGED
-    status = hasty.step(state, target).status.tolist()
-    assert status == [good, EnvStatus.NO_CONVERGENCE, good]
+    assert hasty.step(state, target).status.tolist() == [good, EnvStatus.NO_CONVERGENCE, good]
     assert_same((array.numpy()[1] for array in arrays), (array[1] for array in before))
     assert np.abs(arrays[0].numpy()[0] - before[0][0]).max() > 1e-7
     np.testing.assert_allclose(state.poses.numpy().reshape(3, 7)[0], target[0, 0], atol=1e-15)
@@ -79,10 +78,7 @@ def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static:
 
 @pytest.mark.parametrize(
     ("law", "ends"),
-    [
-        ("stable_neo_hookean", EnvStatus.BLOCKED),
-        ("st_venant_kirchhoff", EnvStatus.INVERSION),
-    ],
+    [("stable_neo_hookean", EnvStatus.BLOCKED), ("st_venant_kirchhoff", EnvStatus.INVERSION)],
 )
 def test_a_body_does_not_leave_through_the_glued_back(law: str, ends: EnvStatus) -> None:
     """These energies bear inversion; one pushes back until the box is at the glued face."""

@@ -54,8 +54,7 @@ def pad(mount: str, at: np.ndarray, material: Material | None = None) -> SoftBod
 
 class Grasp:
     def __init__(self, scene: Scene, **options: object) -> None:
-        bodies = len(scene.kinematic_bodies)
-        self.poses = np.repeat(base_poses(scene.env_count), bodies, axis=1)
+        self.poses = np.repeat(base_poses(scene.env_count), len(scene.kinematic_bodies), axis=1)
         self.solver, self.state = begun(scene, self.poses, dhat_m=DHAT, **options)
         self.model = self.solver.model
 
@@ -145,8 +144,7 @@ def test_newton_takes_as_many_iterations_as_without_gels() -> None:
         hinge = RevoluteJoint("arm", axis=(1, 0, 0), drive=VelocityDrive(1.0, 5.0))
         time = TimeStepping(quasi_static=False, dt_s=0.01)
         solver, state = begun(Scene(soft, affine_bodies=body, joints=hinge, time=time))
-        taken = [int(stepped(solver, state).newton_iterations[0]) for _ in range(12)]
-        return sum(taken[4:])
+        return sum([int(stepped(solver, state).newton_iterations[0]) for _ in range(12)][4:])
 
     assert iterations([pad("arm", pose(0, 0, 8e-3))]) <= iterations([]) + 8
 
@@ -211,8 +209,7 @@ def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None
     usual, other = Material(1e5, 0.45), Material(6e4, 0.45, density_kg_m3=3000.0)
     model = hanging(usual, 2).finalize()
     together = begun(model)
-    second = np.array([False, True])
-    model.set_body("pad", young_modulus_pa=6e4, density_kg_m3=3000.0, mask=second)
+    model.set_body("pad", young_modulus_pa=6e4, density_kg_m3=3000.0, mask=np.array([False, True]))
     alone = [begun(hanging(material, 1)) for material in (usual, other)]
     for _ in range(6):
         for solver, state in (together, *alone):
@@ -227,8 +224,7 @@ def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None
 def test_a_glued_face_collides_and_rubs_as_its_body_does() -> None:
     """The floor bears the weight of block and gel, and Coulomb's friction stops both alike."""
     friction, dt = 0.4, 1e-3
-    shape = box_mesh((8e-3, 8e-3, 4e-3))
-    block = AffineBody(shape, name="block", initial_velocity_m_s=(0.2, 0, 0))
+    block = AffineBody(box_mesh((8e-3, 8e-3, 4e-3)), name="block", initial_velocity_m_s=(0.2, 0, 0))
     # Its glued face is the lowest one, 3 mm below its frame.
     gel = pad("block", pose(0, 0, -3e-3), Material(3e5, 0.4))
     floor = Plane((0, 0, -6e-3 - 2e-5), friction_coefficient=friction, name="floor")

@@ -63,8 +63,6 @@ def test_a_module_has_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
     for target in targets:
         stepped(solver, state, target)
     assert solver.friction_gradient.numpy().any() and len(sizes) > 20
-    several = {name: dict(found) for name, found in sizes.items() if len(found) > 1}
-    assert not several
+    assert not {name: dict(found) for name, found in sizes.items() if len(found) > 1}
     # What a module is compiled for ahead of its first launch, and what its shared memory is for.
-    others = {name: found for name, found in sizes.items() if stated[name] not in (256, *found)}
-    assert not others
+    assert not {name: found for name, found in sizes.items() if stated[name] not in (256, *found)}

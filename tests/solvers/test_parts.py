@@ -95,8 +95,7 @@ def motion(scene: Scene, targets: np.ndarray, part: slice) -> list[tuple[StepRep
     found = []
     for step in range(1, len(targets)):
         if step == 3:
-            again = np.array([False, True, False, True, False])[part]
-            solver.reset(state, again, targets[0][part])
+            solver.reset(state, np.array([False, True, False, True, False])[part], targets[0][part])
         report = solver.step(state, targets[step][part])
         found.append((report, [*left(solver, state), state.poses.numpy().copy()]))
     return found

@@ -48,8 +48,7 @@ def touch(
     solver, state = begun(made, start, dhat_m=DHAT, **options)
     for part in solver.lists:
         part._allocate(ROOM)
-    reports = [solver.step(state, target) for target in targets]
-    return solver, state, reports[-1]
+    return solver, state, [solver.step(state, target) for target in targets][-1]
 
 
 def assert_as_alone(

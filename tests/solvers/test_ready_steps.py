@@ -150,8 +150,7 @@ def test_joints_and_controls_know_no_pace(scheme: TimeScheme, iterations: int, s
         step = taken[free].min(initial=STEPS) + 1
         begins = free & (taken + 1 == step)
         # What is said of the others is not for them.
-        steps = np.where(begins, step, 9)
-        control = asked(solver, steps, DT_S[step]) if begins.any() else None
+        control = asked(solver, np.where(begins, step, 9), DT_S[step]) if begins.any() else None
         report = ready.step_ready(control, begins)
         assert (report.converged | np.isin(report.status, UNFINISHED)).all(), report.describe()
         taken += report.converged

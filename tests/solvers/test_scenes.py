@@ -55,11 +55,9 @@ class Fall:
 def test_one_description_may_stand_for_two_bodies_that_meet() -> None:
     ball = AffineBody(sphere_mesh(SIDE, SIDE), name="ball")
     made = replace(ball, initial_pose=np.stack([pose(0, 0, 1.1e-3), pose(0, 0, 1.2e-3)]))
-    upper = replace(ball, name="upper", initial_pose=pose(0, 0, 3.3e-3))
-    fall = Fall(made, upper, env_count=2)
+    fall = Fall(made, replace(ball, name="upper", initial_pose=pose(0, 0, 3.3e-3)), env_count=2)
     assert ((fall.middle("upper") - fall.middle("ball"))[:, 2] > 1.9 * SIDE).all()
-    same = Scene(affine_bodies=[ball, ball], time=dynamic())
-    assert (0, 1) in same.finalize().contact_plan.pairs
+    assert (0, 1) in Scene(affine_bodies=[ball, ball], time=dynamic()).finalize().contact_plan.pairs
 
 
 def test_layers_decide_who_meets() -> None:
@@ -92,8 +90,7 @@ def test_coefficients_combine_by_the_harmonic_mean() -> None:
     for first, second, expected in (
         (None, None, 0.0), (None, 0.4, 0.4), (1.0, 0.2, 1 / 3), (0.0, 0.7, 0.0), (0.0, 0.0, 0.0),
     ):  # fmt: skip
-        gel = replace(GEL, friction_coefficient=first)
-        scene = Scene(gel, KinematicBody(Ball(1e-3), second))
+        scene = Scene(replace(GEL, friction_coefficient=first), KinematicBody(Ball(1e-3), second))
         for bodies in (scene.bodies, scene.bodies[::-1]):
             assert scene.friction_between(*bodies) == pytest.approx(expected)
 
@@ -160,8 +157,7 @@ ALWAYS = {"unknowns", "linear solver", "captured graph"}
     ],
 )
 def test_only_what_the_scene_needs_is_on(scene: Scene, expected: set[str]) -> None:
-    plan = begun(scene)[0].plan
-    assert {entry.part for entry in plan.entries if entry.on} - ALWAYS == expected
+    assert {entry.part for entry in begun(scene)[0].plan.entries if entry.on} - ALWAYS == expected
 
 
 def test_the_plan_reads_like_a_table_which_loads_join_when_they_are_set() -> None:

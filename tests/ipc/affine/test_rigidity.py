@@ -39,8 +39,7 @@ def strained(seed: int, amount: float) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     maps = random_turns(rng, 2) @ (np.eye(3) + amount * rng.uniform(-1, 1, size=(2, 3, 3)))
     nodes = rng.normal(size=(2, 4, 3))
-    lengths = assembly().model.affine.lengths.numpy()
-    nodes[:, 1:] = lengths[:, None, None] * maps.transpose(0, 2, 1)
+    nodes[:, 1:] = assembly().model.affine.lengths.numpy()[:, None, None] * maps.transpose(0, 2, 1)
     return maps, nodes.reshape(8, 3)
 
 
@@ -162,8 +161,7 @@ def test_joints_to_a_moving_frame_are_closed_there() -> None:
 def test_it_saves_newton_iterations_and_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def spin() -> tuple[np.ndarray, int]:
         run = Run(affine_scene([box("b", SIZES[0], initial_spin_rad_s=(1.0, 2.0, 3.0))]))
-        iterations = sum(int(run.step().newton_iterations[0]) for _ in range(5))
-        return run.y, iterations
+        return run.y, sum(int(run.step().newton_iterations[0]) for _ in range(5))
 
     y, few = spin()
     monkeypatch.setattr(start_step, "plan_start", lambda run: None)

@@ -85,11 +85,7 @@ def nearby(model: Model, x: np.ndarray, margin: float) -> tuple[Pairs, Pairs]:
 @pytest.mark.thorough
 @settings(max_examples=25)
 @example(
-    seed=5753,
-    margin=0.00012563245055716122,
-    turn=28.0,
-    reach=0.000788563487232224,
-    behind=False,
+    seed=5753, margin=0.00012563245055716122, turn=28.0, reach=0.000788563487232224, behind=False
 )
 @example(seed=3, margin=5e-5, turn=20.0, reach=3e-4, behind=True)
 @given(
@@ -168,8 +164,7 @@ def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
     def turned(*angles: float) -> list[list[np.ndarray]]:
         model, place = Scene(gels, tool(), len(angles)).finalize(), (1.5e-3, 1.5e-3, 1.9e-3)
         end = np.stack([pose(*place, (1, 2, 3), np.degrees(angle))[None] for angle in angles])
-        start = everywhere(len(angles), pose(*place))
-        lists = search(model, start, 1e-4, end, room=16).lists
+        lists = search(model, everywhere(len(angles), pose(*place)), 1e-4, end, room=16).lists
         return [[np.array(part.of(e, part.pairs)) for part in lists] for e in range(len(angles))]
 
     together = turned(0.1, 2.0, 0.1, 0.0)

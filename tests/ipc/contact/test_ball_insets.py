@@ -64,8 +64,7 @@ class Dent:
 
     def to_faces(self, state: State) -> np.ndarray:
         x = state.positions.numpy()[0]
-        found = [ipctk.point_triangle_distance(self.centre, *x[f]) for f in self.faces]
-        return np.sqrt(found)
+        return np.sqrt([ipctk.point_triangle_distance(self.centre, *x[f]) for f in self.faces])
 
     def least_gap(self, state: State) -> float:
         pairs, both = SurfacePairs(self.model), np.ones(2, dtype=bool)
@@ -94,8 +93,7 @@ def test_the_guard_begins_beyond_the_inset(dent: Dent) -> None:
     gaps, guard = dent.to_faces(state) - (RADIUS - inset), GUARD_FRACTION * DHAT
     assert 0 < gaps.min() < guard
     expected = face_areas(rest[0], dent.faces) @ [log_barrier(g, guard) for g in gaps]
-    areas = dent.model.surface.node_areas.numpy()[0, dent.top]
-    expected += areas.sum() * log_barrier(GAP, DHAT)
+    expected += dent.model.surface.node_areas.numpy()[0, dent.top].sum() * log_barrier(GAP, DHAT)
     found = dent.assembly().contact_energy(state.positions.numpy())[0]
     assert found == pytest.approx(KAPPA * expected, rel=1e-6)
 
@@ -134,8 +132,7 @@ def test_no_step_takes_a_node_into_the_ball(dent: Dent, way_m: tuple[float, ...]
 
 def test_circles_around_faces_and_none_around_flat_ones() -> None:
     corners = np.array([[0, 0, 0], [2, 0, 0], [1, 3**0.5, 0], [0, 2, 0], [4, 0.5, 0]])
-    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 4, 1]])
-    found = face_reaches_sq(corners[None], faces)[0]
+    found = face_reaches_sq(corners[None], np.array([[0, 1, 2], [0, 1, 3], [0, 4, 1]]))[0]
     # Equilateral, right-angled, obtuse: the longest side is a diameter of the last two.
     assert found == pytest.approx([4 / 3, 2, 16.25 / 4])
     assert ball_insets(1.0, np.array([1e-4, 0.0])) == pytest.approx([1e-4, 0], rel=3e-3)

@@ -101,8 +101,7 @@ def test_a_gel_is_held_where_it_was_put() -> None:
 
 
 def test_a_scene_without_held_gels_has_nothing_to_look_at() -> None:
-    nothing = np.zeros(0, dtype=np.int64)
-    free = soft_block(CELLS, SIZE_M, bonded_nodes=nothing)
+    free = soft_block(CELLS, SIZE_M, bonded_nodes=np.zeros(0, dtype=np.int64))
     falling, tool = TimeStepping(quasi_static=False), KinematicBody(Ball(1e-3))
     for scene in (Scene(free, tool, time=falling), Scene(soft_block(CELLS, SIZE_M))):
         assert not BlockedWays(scene.finalize("cpu"))

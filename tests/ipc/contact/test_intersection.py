@@ -62,8 +62,7 @@ def seen(model: Model, state: State, mask: np.ndarray | None = None) -> list[lis
     found = find_intersections(model, state)
     wanted = np.ones(model.env_count, dtype=bool) if mask is None else mask
     search = OverlapSearch(model)
-    chosen = wp.array(wanted.astype(np.int32), dtype=wp.int32)
-    overlapping = search.find(state, chosen).numpy() != 0
+    overlapping = search.find(state, wp.array(wanted.astype(np.int32), dtype=wp.int32)).numpy() != 0
     for env, told in enumerate(search.describe(state)):
         expected = named(found[env]) if wanted[env] else set()
         assert named(told) == expected and overlapping[env] == bool(expected)
@@ -99,11 +98,7 @@ def test_any_place_of_a_body_in_or_around_a_gel(
 
 @pytest.mark.parametrize(
     ("shape", "reach"),
-    [
-        (SHAPES["ball"], 1e-3),
-        (SHAPES["box"], 0.5e-3),
-        (box_mesh((9e-3, 9e-3, 1e-3)), 0.5e-3),
-    ],
+    [(SHAPES["ball"], 1e-3), (SHAPES["box"], 0.5e-3), (box_mesh((9e-3, 9e-3, 1e-3)), 0.5e-3)],
 )
 def test_a_body_just_above_and_just_below_the_surface(
     shape: TriangleMesh | Ball, reach: float
@@ -152,8 +147,7 @@ def test_crossings_agree_with_ipctk(seed: int, x: float, z: float, angle: float)
     (found,) = seen(model, state)
     both, nodes = np.concatenate([MESH.faces, body.faces + model.soft_count]), state.positions
     collision_mesh = ipctk.CollisionMesh(nodes.numpy()[0], ipctk.edges(both), both)
-    expected = ipctk.has_intersections(collision_mesh, nodes.numpy()[0])
-    assert (CROSSING in kinds(found)) == expected
+    assert (CROSSING in kinds(found)) == ipctk.has_intersections(collision_mesh, nodes.numpy()[0])
 
 
 @pytest.mark.parametrize("shape", [SHAPES["ball"], box_mesh((2e-3, 2e-3, 2e-3))])

@@ -37,8 +37,7 @@ def snippets() -> Iterator[str]:
 
 
 def test_no_other_names_are_used() -> None:
-    found = {name for text in snippets() for name in _NAMES.findall(text)}
-    assert found == INTERFACE
+    assert {name for text in snippets() for name in _NAMES.findall(text)} == INTERFACE
 
 
 @wp.func_native("""

@@ -55,10 +55,7 @@ def _kernel(model: MaterialModel) -> Any:
 
 
 def evaluate(
-    model: MaterialModel,
-    f: np.ndarray,
-    mode: int = PSD_NONE,
-    **changed: float,
+    model: MaterialModel, f: np.ndarray, mode: int = PSD_NONE, **changed: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Energies, stresses and 9x9 Hessians; index 3 a + i belongs to F[a, i]."""
     n = len(f)

@@ -97,8 +97,7 @@ class Rig(Dense):
         return np.concatenate(found)
 
     def perturbed(self, seed: int, amount: float) -> np.ndarray:
-        noise = np.random.default_rng(seed).uniform(-0.05, 0.05, size=(8, 3))
-        return self.start + amount * noise
+        return self.start + amount * np.random.default_rng(seed).uniform(-0.05, 0.05, size=(8, 3))
 
     def placed(self, shift: np.ndarray, turn: np.ndarray = STILL) -> np.ndarray:
         """Body a moved relative to its initial pose: turned about the anchor, then shifted."""
@@ -155,8 +154,7 @@ def test_gradient_with_drive_and_limits(kind: str, way: float) -> None:
         limits, shift, turn = {"limits_mm": (-4, 1)}, way * 0.02 * AXIS, STILL
     r = Rig(kind, "b", drive=PositionDrive(50.0, 2.0, target=0.3), **limits)
     r.set_multipliers(np.array([1, -2, 3, 0.5, 0.3, 2, 1.0]))
-    noise = np.random.default_rng(1).uniform(-1, 1, size=(8, 3))
-    nodes = r.placed(shift, turn) + 1e-4 * noise
+    nodes = r.placed(shift, turn) + 1e-4 * np.random.default_rng(1).uniform(-1, 1, size=(8, 3))
     # Rates count from the start of the step.
     r.begin(nodes + 1e-5)
     r.assert_gradient(nodes, 1e-8, 3e-6)
@@ -191,8 +189,7 @@ def test_only_the_motion_of_the_joint_is_free(
 
 
 def test_targets_differ_by_environment_and_can_be_set() -> None:
-    drive = PositionDrive(10.0, target=np.array([0.0, 0.2]))
-    r = Rig("revolute", None, 2, drive=drive)
+    r = Rig("revolute", None, 2, drive=PositionDrive(10.0, target=np.array([0.0, 0.2])))
 
     def efforts() -> np.ndarray:
         r.joints.end_step(r.active, r.everywhere(r.start))

@@ -149,10 +149,8 @@ def with_contact_in_pattern(system: LinearSystem, dense: Array) -> LinearSystem:
     rows, columns = np.nonzero(held)
     starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
     pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
-    clusters = system.clusters
-    other = LinearSystem(pattern, len(dense), system.device, clusters=clusters, method="cg")
-    blocks = dense.reshape(-1, n, 3, n, 3)[:, rows, :, columns]
-    other.values.assign(blocks.swapaxes(0, 1))
+    other = LinearSystem(pattern, len(dense), system.device, clusters=system.clusters, method="cg")
+    other.values.assign(dense.reshape(-1, n, 3, n, 3)[:, rows, :, columns].swapaxes(0, 1))
     other.rhs.assign(system.rhs)
     return other
 
@@ -174,8 +172,7 @@ def solve(
     for array in (system.iterations, system.breakdown):
         array.fill_(7)
     system.residuals.fill_(np.nan)
-    flags = mask(*([1] * count if active is None else active), on=str(system.device))
-    system.solve(flags, most)
+    system.solve(mask(*([1] * count if active is None else active), on=str(system.device)), most)
     return system.report()
 
 

@@ -145,8 +145,7 @@ def test_blocks_own_whole_clusters(seed: int, rows: int, clustered: int, blocks:
     for group, found in zip(groups, plan.groups(), strict=True):
         np.testing.assert_array_equal(found, group)
         assert len(set(owner[group])) == 1
-    largest = max([1, *map(len, groups)])
-    assert np.diff(plan.block_starts).max() <= rows / blocks + largest
+    assert np.diff(plan.block_starts).max() <= rows / blocks + max([1, *map(len, groups)])
 
 
 @pytest.mark.parametrize("blocks", [1, 4])

@@ -36,8 +36,7 @@ def bar(length: int, envs: int = 1) -> tuple[LinearSystem, np.ndarray]:
     values = forces.system(rest, PSD_NONE)[0][0]
     system = LinearSystem(pattern, envs, CPU, method="cg", positions_m=rest[0, forces.free])
     system.values.assign(np.broadcast_to(values, (envs, *values.shape)))
-    rng = np.random.default_rng(1)
-    system.rhs.assign(1e-3 * rng.normal(size=(envs, pattern.free_count, 3)))
+    system.rhs.assign(1e-3 * np.random.default_rng(1).normal(size=(envs, pattern.free_count, 3)))
     return system, pattern.dense(values[None])[0]
 
 
@@ -91,8 +90,7 @@ def test_a_long_bar_takes_few_iterations(many_lanes: None, method: type) -> None
 def test_bodies_and_extra_blocks_stand_beside_it(many_lanes: None, method: type) -> None:
     system, dense = contact_system(1)
     touch_elsewhere(system, dense, 1)
-    rng = np.random.default_rng(0)
-    system.positions_m = rng.random((system.pattern.free_count, 3))
+    system.positions_m = np.random.default_rng(0).random((system.pattern.free_count, 3))
     system._solver = method(system, system.clusters, LANES, part_rows=20)
     assert "1 of bodies" in system.describe() and "parts" in system.describe()
     solve(system, 1e-9)
@@ -127,8 +125,7 @@ def test_parts_are_few(rows: int, parts: int) -> None:
 
 
 def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
-    lengths = [90, 300, 200, 120]
-    starts = np.cumsum([0, *lengths])
+    starts = np.cumsum([0, *[90, 300, 200, 120]])
     links = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], 1) for a, b in pairwise(starts)]
     rows = int(starts[-1])
     pattern = block_pattern([np.concatenate(links)], np.arange(rows))

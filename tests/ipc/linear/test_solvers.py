@@ -115,8 +115,7 @@ def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> No
     rhs = rng.normal(size=(2, pattern.free_count, 3))
     if trouble == "indefinite":
         # Blocks on the diagonal stay positive definite, the matrix does not.
-        off = np.setdiff1d(np.arange(pattern.block_count), pattern.diagonal)
-        values[0, off] *= 20.0
+        values[0, np.setdiff1d(np.arange(pattern.block_count), pattern.diagonal)] *= 20.0
     elif trouble == "nan matrix":
         values[0, 7] = np.nan
     else:
@@ -132,8 +131,7 @@ def test_stops_at_the_iteration_limit_and_says_so(backend: str) -> None:
     rng = np.random.default_rng(6)
     pattern = delaunay_pattern(rng, 60, bonded=10)
     values = random_spd(rng, pattern, 1e6)[None]
-    rhs = rng.normal(size=(1, pattern.free_count, 3))
-    system = system_of(pattern, values, rhs, backend)
+    system = system_of(pattern, values, rng.normal(size=(1, pattern.free_count, 3)), backend)
     report = solve(system, 1e-12, most=8)
     assert report.iterations[0] == 8 and report.relative_residual[0] > 1e-12
     found, known = residuals(system, pattern.dense(values)), 1e-5 if backend in ROUNDED else 1e-9

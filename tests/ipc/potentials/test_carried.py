@@ -165,8 +165,7 @@ def test_rims_of_gels_on_two_bodies_that_touch() -> None:
         SoftBody(mesh, gel, name=f"gel {i}", mount=f"box {i}", element=Element.LINEAR)
         for i in range(2)
     ]
-    time = TimeStepping(quasi_static=False)
-    model = Scene(gels, affine_bodies=bodies, time=time).finalize("cpu")
+    model = Scene(gels, affine_bodies=bodies, time=TimeStepping(quasi_static=False)).finalize("cpu")
     solver = SolverIPC(model, SolverConfig(dhat_m=dhat))
     state = initial_state(model)
 
@@ -183,8 +182,7 @@ def test_rims_of_gels_on_two_bodies_that_touch() -> None:
             return placed
 
         def add_gradient(self, part: Any, x: wp.array, nodal: wp.array) -> None:
-            nearest = wp.full(1, np.inf, dtype=wp.float64)
-            part.add_gradient(self.everyone, x, nodal, nearest)
+            part.add_gradient(self.everyone, x, nodal, wp.full(1, np.inf, dtype=wp.float64))
 
     reduced = Touching(solver, [solver.contact], state.positions.numpy())
     noise = np.random.default_rng(3).normal(size=(len(reduced.free), 3))

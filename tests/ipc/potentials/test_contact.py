@@ -100,7 +100,7 @@ SCENES: dict[str, Scene] = {
             AffineBody(
                 CUBE, name="above", initial_pose=pose(1e-4, 2e-4, 0.62e-3, (0.01, 0.02, 1), 40)
             ),
-        ],
+        ]
     ),
     "affine on plane": scene(
         affine_bodies=AffineBody(CUBE, initial_pose=pose(0, 0, 0.37e-3, (1, 1, 0.2), 5)),
@@ -144,8 +144,7 @@ class Contact:
 
     def _collide(self, active: wp.array, x: wp.array) -> None:
         embed_vertices(self.model, x)
-        still = wp.zeros_like(x)
-        self.candidates.update(active, x, still, self.poses, self.poses, DHAT)
+        self.candidates.update(active, x, wp.zeros_like(x), self.poses, self.poses, DHAT)
         self.collisions.update(active, x, self.candidates)
 
     def energy(self, active: wp.array, x: wp.array) -> np.ndarray:
@@ -265,8 +264,7 @@ def test_each_case_touches_as_it_should() -> None:
     assert lowest < 0, "no subtracted duplicate of a concave surface among the cases"
     # The soft and then the finer surface measures.
     names = ("gel on gel", "affine on gel", "affine on affine")
-    ranks = [body_ranks(made(name).model).tolist() for name in names]
-    assert ranks == [[1, 2], [1, 0], [0, 0]]
+    assert [body_ranks(made(name).model).tolist() for name in names] == [[1, 2], [1, 0], [0, 0]]
 
 
 def test_a_plane_weighs_nodes_by_their_whole_area() -> None:
@@ -320,5 +318,4 @@ def test_prescribed_motion_reaches_the_right_hand_side(name: str) -> None:
 
     expected = -(forces(1) - forces(-1)) / (2 * STEP)
     assert np.abs(expected).max() > 1
-    found = system.rhs.numpy()[0]
-    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(system.rhs.numpy()[0], expected, atol=1e-5 * np.abs(expected).max())

@@ -108,8 +108,7 @@ def test_environments_use_their_own_rest_shape(element: Element) -> None:
     assert np.abs(together.energy(shapes)).max() < 1e-12 * energies.min()
     alone = Forces(gel(ROUGH, element, rest_m=rests[2:]))
     assert alone.energy(shapes[:1])[0] == energies[2]
-    found = together.gradient(shuffled)[2]
-    np.testing.assert_array_equal(alone.gradient(shapes[:1])[0], found)
+    np.testing.assert_array_equal(alone.gradient(shapes[:1])[0], together.gradient(shuffled)[2])
 
 
 @every_law
@@ -157,8 +156,7 @@ def test_bodies_of_one_law_and_element_share_a_group() -> None:
     x = strained(made.rest, 4, 2e-5)
     parts = [Forces(body) for body in bodies]
     ends = np.cumsum([0] + [len(part.rest) for part in parts])
-    pieces = [x[None, low:high] for low, high in pairwise(ends)]
-    pairs = list(zip(parts, pieces, strict=True))
+    pairs = list(zip(parts, [x[None, low:high] for low, high in pairwise(ends)], strict=True))
     energy = sum(part.energy(piece)[0] for part, piece in pairs)
     assert made.energy(x[None])[0] == pytest.approx(energy, rel=1e-14)
     gradient = np.concatenate([part.gradient(piece)[0] for part, piece in pairs])

@@ -144,8 +144,7 @@ def test_a_step_taken_again_is_the_step_to_the_other_end(element: Element) -> No
         made.hold(made.moved(1), 0.3)
         for number, seed in enumerate(seeds):
             # A step that is taken again may be halved.
-            start = made.moved(seeds[0] if number else 1)
-            made.begin(start, 0.4 / (number + 1), again=number > 0)
+            made.begin(made.moved(seeds[0] if number else 1), 0.4 / (number + 1), again=number > 0)
             made.end(made.moved(seed))
         found.append((made.kept.numpy().copy(), made.gradient(made.moved(3)[None])))
     for again, at_once in zip(*found, strict=True):
