@@ -125,7 +125,7 @@ def test_parts_are_few(rows: int, parts: int) -> None:
 
 
 def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
-    starts = np.cumsum([0, *[90, 300, 200, 120]])
+    starts = np.cumsum([0, 90, 300, 200, 120])
     links = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], 1) for a, b in pairwise(starts)]
     rows = int(starts[-1])
     pattern = block_pattern([np.concatenate(links)], np.arange(rows))
