@@ -14,6 +14,8 @@ import ipctk
 import numpy as np
 
 from taccel_lab.bodies.primitives import unique_edges
+from taccel_lab.ipc.contact.collisions import GUARD_FRACTION, body_ranks, self_ranges
+from taccel_lab.model import Model
 
 
 def log_barrier(distance: float, reach: float) -> float:
@@ -23,19 +25,14 @@ def log_barrier(distance: float, reach: float) -> float:
 
 
 def face_areas(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Areas of faces [m^2]."""
-    return 0.5 * np.linalg.norm(
-        np.cross(*(x[faces[:, k]] - x[faces[:, 0]] for k in (1, 2))), axis=1
-    )
+    sides = (x[faces[:, k]] - x[faces[:, 0]] for k in (1, 2))
+    return 0.5 * np.linalg.norm(np.cross(*sides), axis=1)
 
 
-def node_face_sum(
-    x: np.ndarray,
-    faces: np.ndarray,
-    others: np.ndarray,
-    weights: np.ndarray,
-    reaches: np.ndarray,
-) -> float:
+Array = np.ndarray
+
+
+def node_face_sum(x: Array, faces: Array, others: Array, weights: Array, reaches: Array) -> float:
     """Energy over kappa of nodes ``others`` with ``weights`` [m^2] against a surface.
 
     ``reaches`` [m] per node. Faces that hold the node do not exist for it.
@@ -48,15 +45,12 @@ def node_face_sum(
         )
         inner = [e for e, count in uses.items() if count == 2]
         rim = {v for e, count in uses.items() if count == 1 for v in e}
-        terms = 0.0
-        for f in mine:
-            terms += log_barrier(ipctk.point_triangle_distance(x[p], *x[f]) ** 0.5, reach)
-        for e in inner:
-            terms -= log_barrier(ipctk.point_edge_distance(x[p], *x[list(e)]) ** 0.5, reach)
-        for v in np.unique(mine):
-            if v not in rim:
-                terms += log_barrier(float(np.linalg.norm(x[p] - x[v])), reach)
-        total += weight * terms
+        vertices = [v for v in np.unique(mine) if v not in rim]
+        terms = [ipctk.point_triangle_distance(x[p], *x[f]) for f in mine]
+        terms += [ipctk.point_point_distance(x[p], x[v]) for v in vertices]
+        subtracted = [ipctk.point_edge_distance(x[p], *x[list(e)]) for e in inner]
+        total += weight * sum(log_barrier(d_sq**0.5, reach) for d_sq in terms)
+        total -= weight * sum(log_barrier(d_sq**0.5, reach) for d_sq in subtracted)
     return total
 
 
@@ -73,7 +67,6 @@ def edge_areas(rest: np.ndarray, faces: np.ndarray) -> dict[tuple[int, ...], flo
 def edge_pair_sum(
     x: np.ndarray, rest: np.ndarray, first: np.ndarray, second: np.ndarray, reach: float
 ) -> float:
-    """Energy over kappa of the edge pairs of two surfaces, or of one with itself."""
     itself = first is second
     area = edge_areas(rest, first) | edge_areas(rest, second)
     total = 0.0
@@ -89,4 +82,24 @@ def edge_pair_sum(
                 threshold = ipctk.edge_edge_mollifier_threshold(*apart)
                 mollifier = ipctk.edge_edge_mollifier(*ends, threshold)
                 total += 0.5 * min(area[a], area[b]) * mollifier * value
+    return total
+
+
+def plain_sum(model: Model, x: np.ndarray, dhat: float) -> float:
+    """Energy over kappa of one body with itself or of two with each other, without thickness."""
+    faces, guard = model.surface.faces.numpy(), GUARD_FRACTION * dhat
+    rest, area = model.rest_positions.numpy()[0], model.surface.node_areas.numpy()[0]
+    parts = [faces[slice(*body.faces)] for body in model.bodies]
+    if len(parts) == 1:
+        own = np.unique(parts[0])
+        reach = self_ranges(model, dhat).numpy()[0, own]
+        total = node_face_sum(x, parts[0], own, 0.5 * area[own], reach)
+        return total + edge_pair_sum(x, rest, parts[0], parts[0], guard)
+    ranks = body_ranks(model)
+    total = edge_pair_sum(x, rest, parts[0], parts[1], guard)
+    for mine, other in ((0, 1), (1, 0)):
+        nodes, difference = np.unique(parts[mine]), ranks[mine] - ranks[other]
+        share = 0.5 if difference == 0 else 1.0
+        reach = np.full(len(nodes), guard if difference < 0 else dhat)
+        total += node_face_sum(x, parts[other], nodes, share * area[nodes], reach)
     return total

@@ -12,7 +12,6 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Element,
-    Joint,
     KinematicBody,
     Material,
     Plane,
@@ -24,6 +23,7 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
+from tests.support.blocks import cube, everywhere, pose
 
 SIDES = ("left", "right")
 HALF = float(np.sqrt(0.5))
@@ -35,7 +35,8 @@ GAP_M = 5e-5
 PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
 FINGER_M = 8e-3
 START_M = HALF_BOX_M + GAP_M
-"""Where the contact faces are at the start."""
+BACK_M = 3e-3 + FINGER_M / 2
+"""From the contact face to the centre of the finger."""
 
 
 def toward(side: str) -> float:
@@ -49,18 +50,14 @@ def face_pose(side: str, face_m: float, z_m: float = 0.0) -> np.ndarray:
 
 
 def gels(elements: tuple[Element, Element], friction: float, driven: bool) -> list[SoftBody]:
-    """On the fingers, or each on a frame of its own."""
-    # The finger's frame is that of the world; its centre lies behind the gel's back.
-    depth = 3e-3 + FINGER_M / 2
+    """On the fingers, whose frames are that of the world, or each on a frame of its own."""
     return [
         SoftBody(
             PAD,
             Material(1e5, 0.45),
             name=side,
             mount=f"{side} finger" if driven else f"{side} frame",
-            mount_pose=np.array([toward(side) * depth, 0, 0, 0, toward(side) * HALF, 0, HALF])
-            if driven
-            else None,
+            mount_pose=face_pose(side, -BACK_M) if driven else None,
             element=element,
             friction_coefficient=friction,
         )
@@ -73,14 +70,7 @@ def time_of(gravity: bool, scheme: TimeScheme = TimeScheme.EULER) -> TimeSteppin
     return TimeStepping(quasi_static=False, dt_s=5e-3, gravity_m_s2=down, scheme=scheme)
 
 
-def free_box() -> AffineBody:
-    """Stands on the table of ``driven_grasp``."""
-    side = 2 * HALF_BOX_M
-    return AffineBody(box_mesh((side, side, side)), name="box", friction_coefficient=1.0)
-
-
 def held_box() -> KinematicBody:
-    """Does not move."""
     side = 2 * HALF_BOX_M
     return KinematicBody(box_mesh((side, 2 * side, 2 * side)), name="box")
 
@@ -91,52 +81,42 @@ def driven_grasp(
     scheme: TimeScheme = TimeScheme.EULER,
 ) -> Scene:
     """The box is free, under gravity, on a table."""
-    return _driven([free_box()], None, env_count, elements, 1.0, time_of(True, scheme))
+    box = cube(2 * HALF_BOX_M, name="box", friction_coefficient=1.0)
+    return _driven([box], [], env_count, elements, 1.0, time_of(True, scheme))
 
 
 def driven_squeeze(elements: tuple[Element, Element], young_pa: float) -> Scene:
     """The box is held; neither friction nor gravity. ``young_pa``: of the fingers."""
-    return _driven([], held_box(), 1, elements, 0.0, time_of(False), young_pa)
+    return _driven([], [held_box()], 1, elements, 0.0, time_of(False), young_pa)
 
 
 def _driven(
     boxes: list[AffineBody],
-    held: KinematicBody | None,
+    held: list[KinematicBody],
     env_count: int,
     elements: tuple[Element, Element],
     friction: float,
     time: TimeStepping,
     young_pa: float = 1e9,
 ) -> Scene:
-    depth = START_M + 3e-3 + FINGER_M / 2
-    fingers = [
-        AffineBody(
-            box_mesh((FINGER_M, 7e-3, 7e-3)),
-            young_modulus_pa=young_pa,
-            name=f"{side} finger",
-            initial_pose=np.array([-toward(side) * depth, 0, 0, 0, 0, 0, 1]),
+    fingers, slides = [], []
+    for side in SIDES:
+        place, name = (-toward(side) * (START_M + BACK_M), 0, 0), f"{side} finger"
+        shape = box_mesh((FINGER_M, 7e-3, 7e-3))
+        fingers.append(
+            AffineBody(shape, young_modulus_pa=young_pa, name=name, initial_pose=pose(*place))
         )
-        for side in SIDES
-    ]
-    slides: list[Joint] = [
-        PrismaticJoint(
-            f"{side} finger",
-            "base",
-            (-toward(side) * depth, 0, 0),
-            (toward(side), 0, 0),
-            name=side,
-            drive=PositionDrive(1e4, damping=100.0, target=HALF_BOX_M, max_effort=FORCE_N),
-        )
-        for side in SIDES
-    ]
+        drive = PositionDrive(1e4, damping=100.0, target=HALF_BOX_M, max_effort=FORCE_N)
+        axis = (toward(side), 0, 0)
+        slides.append(PrismaticJoint(name, "base", place, axis, name=side, drive=drive))
     table = Plane((0, 0, -HALF_BOX_M - GAP_M), friction_coefficient=0.5, name="table")
     return Scene(
         gels(elements, friction, driven=True),
-        [KinematicBody(None, name="base"), *([] if held is None else [held])],
+        [KinematicBody(None, name="base"), *held],
         env_count,
         time,
         affine_bodies=[*fingers, *boxes],
-        planes=[] if held is not None else [table],
+        planes=[] if held else [table],
         joints=slides,
     )
 
@@ -148,5 +128,4 @@ def prescribed_squeeze(elements: tuple[Element, Element]) -> Scene:
 
 
 def base_poses(env_count: int, z_m: float = 0.0) -> np.ndarray:
-    """Of the base, [env_count, 1, 7]."""
-    return np.tile([[0.0, 0, z_m, 0, 0, 0, 1]], (env_count, 1, 1))
+    return everywhere(env_count, pose(0, 0, z_m))

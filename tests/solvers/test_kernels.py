@@ -6,15 +6,13 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
-import numpy as np
 import pytest
 import warp as wp
 
 from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.scene import AffineBody, Element, Material, Plane, RevoluteJoint, Scene, box_mesh
-from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.env_progress import Progress
-from taccel_lab.state import initial_state
+from tests.solvers.steps import begun, stepped
 from tests.support.blocks import pose
 from tests.support.grasps import FALLING, mount_poses, mounted_gels
 
@@ -30,20 +28,14 @@ def grasp() -> Scene:
     """Two gels of either element on mounts, damped, a jointed pair between them, above a plane."""
     material = Material(1e5, 0.4, branches=(MaxwellBranch(0.5, 1e-2),))
     gels, mounts = mounted_gels((2, 2, 1), (Element.LINEAR, Element.QUADRATIC), material)
+    shape, rubs = box_mesh((8e-3, 8e-3, 4e-3)), {"friction_coefficient": 1.0}
     halves = [
-        AffineBody(
-            box_mesh((8e-3, 8e-3, 4e-3)), name=name, friction_coefficient=1.0,
-            initial_pose=pose(0, 0, z),
-        )
+        AffineBody(shape, name=name, initial_pose=pose(0, 0, z), **rubs)
         for name, z in (("lower", -2.2e-3), ("upper", 2.2e-3))
-    ]  # fmt: skip
+    ]
     planes = [Plane((0, 0, -5e-3), (0, 0, 1))]
     hinge = RevoluteJoint("lower", "upper", (0, 0, 0), (0, 1, 0))
     return Scene(gels, mounts, 1, FALLING, affine_bodies=halves, planes=planes, joints=[hinge])
-
-
-def grasp_poses(step: int) -> np.ndarray:
-    return mount_poses([4.05e-3 - 5e-5 * step])
 
 
 @pytest.mark.thorough
@@ -66,15 +58,11 @@ def test_a_module_has_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name in ("launch", "launch_tiled"):
         monkeypatch.setattr(wp, name, noting(getattr(wp, name)))
-    config = SolverConfig(dhat_m=1e-4, capture=False)
-    solver = SolverIPC(grasp().finalize(), config)
-    state = initial_state(solver.model, grasp_poses(0))
-    for step in range(1, 4):
-        assert solver.step(state, grasp_poses(step)).converged.all()
-    assert solver.friction_gradient.numpy().any()
-    assert len(sizes) > 20
-    several = {name: dict(found) for name, found in sizes.items() if len(found) > 1}
-    assert not several
+    start, *targets = (mount_poses([4.05e-3 - 5e-5 * step]) for step in range(4))
+    solver, state = begun(grasp(), start, dhat_m=1e-4, capture=False)
+    for target in targets:
+        stepped(solver, state, target)
+    assert solver.friction_gradient.numpy().any() and len(sizes) > 20
+    assert not {name: dict(found) for name, found in sizes.items() if len(found) > 1}
     # What a module is compiled for ahead of its first launch, and what its shared memory is for.
-    others = {name: found for name, found in sizes.items() if stated[name] not in (256, *found)}
-    assert not others
+    assert not {name: found for name, found in sizes.items() if stated[name] not in (256, *found)}

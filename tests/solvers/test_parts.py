@@ -12,9 +12,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
     Ball,
-    Element,
     KinematicBody,
-    Material,
     Plane,
     PositionDrive,
     RevoluteJoint,
@@ -25,67 +23,55 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.scene.shards import shard_of, shard_slice
-from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import initial_state
-from tests.support.blocks import pose
+from taccel_lab.solvers import StepReport
+from tests.solvers.steps import assert_same, begun, left
+from tests.support.blocks import cube, pose, soft_block
 
 ENVS = 5
 CELLS, SIZE = (3, 3, 2), (3e-3, 3e-3, 2e-3)
-MESH = block_mesh(CELLS, SIZE, jitter=0.1)
 RESTS = np.stack([block_mesh(CELLS, SIZE, jitter=0.1, seed=s).nodes_m for s in range(ENVS)])
-GEL = Material(1e5, 0.4)
 YOUNG = np.array([0.8e5, 0.9e5, 1e5, 1.1e5, 1.2e5])
 SIDE = 1.2e-3
-CONFIG = SolverConfig(relative_tolerance=1e-6, max_newton_iterations=60, max_substep_halvings=1)
+CONFIG = {"relative_tolerance": 1e-6, "max_newton_iterations": 60, "max_substep_halvings": 1}
 FAILS = 3
 
 
+def pad(friction: float, rests: np.ndarray = RESTS, **options: str) -> SoftBody:
+    rubs = {"friction_coefficient": friction}
+    return soft_block(CELLS, SIZE, name="pad", rest_positions_m=rests, **rubs, **options)
+
+
 def pressed() -> Scene:
-    """A ball or a block is pressed into a gel of other shape in each environment, beside a cube
-    that falls and a flap that a drive turns."""
-    falling = np.stack(
-        [pose(4e-3, 0, SIDE / 2 - 2.48e-3 + 2e-6 * e, (0, 0, 1), 9.0 * e) for e in range(ENVS)]
-    )
-    where = np.stack([pose(-5e-3, 1e-4 * e, 0.0) for e in range(ENVS)])
-    hinge = RevoluteJoint(
-        "flap",
-        anchor_m=where[:, :3] + [1e-3, 0, 0],
-        axis=np.stack([[0.1 * e, 1, 0.2] for e in range(ENVS)]),
-        drive=PositionDrive(1e-5, 1e-8, target=0.02 * np.arange(ENVS)),
-    )
-    here = Surface(environments=(0, 1, 2, 4))
+    """A ball or a block presses a gel, beside a cube that falls and a flap that a drive turns."""
+    envs = np.arange(ENVS)
+    falling = [pose(4e-3, 0, SIDE / 2 - 2.48e-3 + 2e-6 * e, (0, 0, 1), 9.0 * e) for e in envs]
+    where = np.stack([pose(-5e-3, 1e-4 * e, 0.0) for e in envs])
+    axes = np.stack([[0.1 * e, 1, 0.2] for e in envs])
+    drive = PositionDrive(1e-5, 1e-8, target=0.02 * envs)
+    options = {"density_kg_m3": 8000, "friction_coefficient": 0.4}
+    here, there, elsewhere = (Surface(environments=e) for e in ((0, 1, 2, 4), (0, 1, 3), (2, 4)))
     return Scene(
-        SoftBody(
-            MESH, GEL, name="pad", rest_positions_m=RESTS, friction_coefficient=0.4,
-            element=Element.LINEAR,
-        ),
+        pad(0.4),
         [
-            KinematicBody(Ball(1e-3), 0.5, "ball", Surface(environments=(0, 1, 3))),
-            KinematicBody(box_mesh((2e-3, 2e-3, 2e-3)), 0.5, "block", Surface(environments=(2, 4))),
+            KinematicBody(Ball(1e-3), 0.5, "ball", there),
+            KinematicBody(box_mesh((2e-3, 2e-3, 2e-3)), 0.5, "block", elsewhere),
         ],
         ENVS,
         TimeStepping(False, 2e-3, (0, 0, -9.81)),
         affine_bodies=[
-            AffineBody(
-                box_mesh((SIDE, SIDE, SIDE)), 8000, friction_coefficient=0.4, name="cube",
-                initial_pose=falling, surface=here,
-            ),
+            cube(SIDE, np.stack(falling), surface=here, **options),
             AffineBody(box_mesh((2e-3, 3e-4, 1e-3)), 2000, name="flap", initial_pose=where),
         ],
         planes=Plane((0, 0, -2.5e-3), name="floor"),
-        joints=[hinge],
-    )  # fmt: skip
+        joints=RevoluteJoint("flap", anchor_m=where[:, :3] + [1e-3, 0, 0], axis=axes, drive=drive),
+    )
 
 
 def mounted() -> Scene:
     """How far a mount may turn at once depends on the size of its gel, which differs."""
-    sizes = (1.0, 1.4, 1.0, 1.2, 1.0)
-    rests = np.stack([size * rest for size, rest in zip(sizes, RESTS, strict=True)])
-    gel = SoftBody(
-        MESH, GEL, name="pad", rest_positions_m=rests, mount="mount", friction_coefficient=0.5,
-        element=Element.LINEAR,
-    )  # fmt: skip
-    return Scene(gel, [KinematicBody(None, name="mount"), KinematicBody(Ball(1e-3), 0.5)], ENVS)
+    rests = RESTS * np.array([1.0, 1.4, 1.0, 1.2, 1.0])[:, None, None]
+    tools = [KinematicBody(None, name="mount"), KinematicBody(Ball(1e-3), 0.5)]
+    return Scene(pad(0.5, rests, mount="mount"), tools, ENVS)
 
 
 def press_at(step: int) -> np.ndarray:
@@ -104,20 +90,14 @@ def mount_at(step: int) -> np.ndarray:
 
 
 def motion(scene: Scene, targets: np.ndarray, part: slice) -> list[tuple[StepReport, list]]:
-    """Reports and arrays after each step; two environments are reset before the last one."""
-    model = scene.finalize("cpu")
-    model.set_body("pad", young_modulus_pa=YOUNG[part])
-    solver = SolverIPC(model, CONFIG)
-    state = initial_state(model, targets[0][part])
+    solver, state = begun(scene.finalize("cpu"), targets[0][part], **CONFIG)
+    solver.model.set_body("pad", young_modulus_pa=YOUNG[part])
     found = []
     for step in range(1, len(targets)):
         if step == 3:
-            again = np.array([False, True, False, True, False])[part]
-            solver.reset(state, again, targets[0][part])
+            solver.reset(state, np.array([False, True, False, True, False])[part], targets[0][part])
         report = solver.step(state, targets[step][part])
-        forces = solver.contact_gradient, solver.friction_gradient
-        arrays = (state.positions, state.velocities, state.poses, *forces)
-        found.append((report, [array.numpy().copy() for array in arrays]))
+        found.append((report, [*left(solver, state), state.poses.numpy().copy()]))
     return found
 
 
@@ -134,8 +114,7 @@ def test_parts_give_the_bits_of_the_whole(make, at) -> None:
                 if field.name != "seconds":
                     mine, theirs = (getattr(r, field.name) for r in (report, expected))
                     np.testing.assert_array_equal(mine, theirs[part], err_msg=field.name)
-            for mine, theirs in zip(arrays, values, strict=True):
-                np.testing.assert_array_equal(mine, theirs[part])
+            assert_same(arrays, [value[part] for value in values])
     if make is pressed:
         # Contact, environments that differ, one failure, and a reset that goes back.
         assert list(whole[1][0].failures().values()) == [[FAILS]]

@@ -9,10 +9,10 @@ import pytest
 from taccel_lab.ipc.device import ragged_lists
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import KinematicBody, box_mesh
-from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
-from taccel_lab.solvers.step_report import StepReport
-from taccel_lab.state import State, initial_state
-from tests.support.blocks import block_mesh, pose, scene
+from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
+from taccel_lab.state import State
+from tests.solvers.steps import assert_same, begun, left, stepped
+from tests.support.blocks import block_mesh, everywhere, pose, scene
 
 MESH = block_mesh((12, 12, 1), (6e-3, 6e-3, 1e-3))
 PLATE = box_mesh((8e-3, 8e-3, 2e-3))
@@ -20,6 +20,7 @@ DHAT = 1e-4
 CROWDED = 5
 ROOM = 160
 ENVS = 8
+OTHERS = np.arange(ENVS) != CROWDED
 CORNER = np.linalg.norm([4e-3, 4e-3, 1e-3])
 
 
@@ -41,57 +42,46 @@ GAPS = (1.2e-4, 0.6e-4, 0.2e-4)
 def touch(
     envs: list[int], gaps: tuple[float, ...] = GAPS, **options: int
 ) -> tuple[SolverIPC, State, StepReport]:
-    """Steps down from gap to gap in the given environments, whose lists have room for ``ROOM``
-    at first."""
-    model = scene(MESH, KinematicBody(PLATE, 0.5), env_count=len(envs)).finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, **options))  # type: ignore[arg-type]
+    """Steps down from gap to gap, with room for ``ROOM`` at first."""
+    made = scene(MESH, KinematicBody(PLATE, 0.5), env_count=len(envs))
+    start, *targets = (np.stack([plate(env, gap)[None] for env in envs]) for gap in gaps)
+    solver, state = begun(made, start, dhat_m=DHAT, **options)
     for part in solver.lists:
         part._allocate(ROOM)
-
-    def at(gap: float) -> np.ndarray:
-        return np.stack([plate(env, gap)[None] for env in envs])
-
-    state = initial_state(model, at(gaps[0]))
-    reports = [solver.step(state, at(gap)) for gap in gaps[1:]]
-    return solver, state, reports[-1]
+    return solver, state, [solver.step(state, target) for target in targets][-1]
 
 
 def assert_as_alone(
     solver: SolverIPC, state: State, env: int, gaps: tuple[float, ...] = GAPS
 ) -> None:
-    """Same bits, same rooms, and the same forces read out."""
     alone, own, report = touch([env], gaps)
     assert report.converged.all()
-    np.testing.assert_array_equal(state.positions.numpy()[env], own.positions.numpy()[0])
-    for name in ("contact_gradient", "friction_gradient"):
-        together = getattr(solver, name).numpy()[env]
-        np.testing.assert_array_equal(together, getattr(alone, name).numpy()[0])
+    assert_same(left(solver, state, env), left(alone, own, 0))
     for part, its in zip(solver.lists, alone.lists, strict=True):
         assert part.rooms[env] == its.rooms[0]
     for wrenches in ("contact_wrenches", "friction_wrenches"):
         found = getattr(Outputs(solver).update(state), wrenches)()
         expected = getattr(Outputs(alone).update(own), wrenches)()
-        np.testing.assert_array_equal(found.wrenches.numpy()[env], expected.wrenches.numpy()[0])
-        np.testing.assert_array_equal(found.gaps.numpy()[env], expected.gaps.numpy()[0])
+        for name in ("wrenches", "gaps"):
+            mine, its = (getattr(part, name).numpy() for part in (found, expected))
+            np.testing.assert_array_equal(mine[env], its[0])
 
 
 @pytest.mark.thorough
 def test_many_contacts_cost_the_memory_of_their_environment() -> None:
     solver, state, report = touch(list(range(ENVS)))
     assert report.converged.all(), report.summary()
-    others = np.arange(ENVS) != CROWDED
     counts = solver.collisions.counts.numpy()
-    assert counts[others].min() > 0 and counts[CROWDED] >= 50 * counts[others].max()
+    assert counts[OTHERS].min() > 0 and counts[CROWDED] >= 50 * counts[OTHERS].max()
     collisions = solver.collisions
     assert collisions.rooms[CROWDED] >= counts[CROWDED] > ROOM
     for part in solver.lists:
-        assert (part.rooms[others] == ROOM).all(), "as at first"
+        assert (part.rooms[OTHERS] == ROOM).all(), "as at first"
     # kind, stencil, stiffness, threshold, range, inset.
     entry = 4 + 16 + 8 + 8 + 8 + 8
     held = sum(getattr(collisions, name).capacity for name in collisions.columns)
     assert held == entry * (collisions.rooms[CROWDED] + 7 * ROOM)
-    assert len(solver.contact.energies) == collisions.capacity
-    assert solver.friction is not None
+    assert len(solver.contact.energies) == collisions.capacity and solver.friction is not None
     assert len(solver.friction.frozen.stencils) == collisions.capacity
     for env in (0, CROWDED, ENVS - 1):
         assert_as_alone(solver, state, env)
@@ -106,37 +96,27 @@ def test_what_the_others_list_stays_while_one_grows() -> None:
         assert_as_alone(solver, state, env, gaps)
 
 
-@pytest.mark.thorough
-def test_beyond_the_limit_one_environment_is_given_up() -> None:
-    solver, state, report = touch(list(range(ENVS)), max_collisions=165)
-    others = np.arange(ENVS) != CROWDED
-    assert report.status[CROWDED] == EnvStatus.CONTACT_OVERFLOW
-    assert (report.status[others] == EnvStatus.CONVERGED).all()
-    for part in solver.lists:
-        assert part.rooms[CROWDED] == ROOM
-    for env in (0, ENVS - 1):
-        assert_as_alone(solver, state, env)
-
-
 def test_a_way_that_meets_too_much_is_taken_in_parts() -> None:
     knife = box_mesh((4e-4, 8e-3, 2e-3))
-    model = scene(MESH, KinematicBody(knife)).finalize()
-
-    def at(x: float) -> np.ndarray:
-        return pose(x, 0, 1e-3 + 1.05e-4)[None, None]
-
+    start, end = (everywhere(1, pose(x, 0, 1e-3 + 1.05e-4)) for x in (-2.5e-3, 2.5e-3))
     for most, parts in ((1 << 20, 1), (1500, 2)):
-        solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, max_collisions=most))
-        report = solver.step(initial_state(model, at(-2.5e-3)), at(2.5e-3))
-        assert report.converged.all(), report.summary()
-        assert report.substeps.tolist() == [parts]
+        made = begun(scene(MESH, KinematicBody(knife)), start, dhat_m=DHAT, max_collisions=most)
+        assert stepped(*made, end).substeps.tolist() == [parts]
 
 
-def test_without_memory_one_environment_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: 20_000)
-    solver, state, report = touch(list(range(ENVS)))
-    others = np.arange(ENVS) != CROWDED
+@pytest.mark.thorough(cases=("limit",))
+@pytest.mark.parametrize("short", ["limit", "memory"])
+def test_beyond_the_limit_or_without_memory_one_environment_is_given_up(
+    short: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = {"max_collisions": 165} if short == "limit" else {}
+    with monkeypatch.context() as patch:
+        if short == "memory":
+            patch.setattr(ragged_lists, "free_memory", lambda device: 20_000)
+        solver, state, report = touch(list(range(ENVS)), **options)
     assert report.status[CROWDED] == EnvStatus.CONTACT_OVERFLOW
-    assert (report.status[others] == EnvStatus.CONVERGED).all()
-    monkeypatch.undo()
+    assert (report.status[OTHERS] == EnvStatus.CONVERGED).all()
+    if short == "limit":
+        assert all(part.rooms[CROWDED] == ROOM for part in solver.lists)
+        assert_as_alone(solver, state, ENVS - 1)
     assert_as_alone(solver, state, 0)

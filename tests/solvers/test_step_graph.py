@@ -1,125 +1,202 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captured steps: the same bits as launches one by one, whatever becomes of the arrays."""
+"""The same bits, or nearly: captured steps and launches one by one, whatever becomes of the arrays;
+scratch memory that holds anything; blocks of contact in the matrix or in a list."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from itertools import product
+
 import numpy as np
 import pytest
+import warp as wp
 
-from taccel_lab.scene import KinematicBody, Material, Scene, TimeStepping
-from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.state import State, initial_state
+from taccel_lab.model.build import build_model
+from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, TimeStepping
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.state import State
+from tests.solvers.driven_grasp import base_poses, driven_grasp
+from tests.solvers.steps import Begun, begun, left, stepped
 from tests.support.blocks import cube, pose, soft_block
+from tests.support.variants import variants
 
-STEPS = 6
-
-
-def cube_on_a_gel(env_count: int = 2) -> Scene:
-    """A gel on a mount under a free cube."""
-    gel = soft_block((4, 4, 2), (6e-3, 6e-3, 3e-3), mount="hand", friction_coefficient=0.5)
-    box = cube(3e-3, pose(0.2e-3, 0, 1.58e-3), friction_coefficient=0.5)
-    time = TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81))
-    hand = KinematicBody(None, name="hand")
-    return Scene([gel], [hand], env_count, time, affine_bodies=[box])
+STEPS = range(1, 6)
+FALLING = TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81))
+HAND = KinematicBody(None, name="hand")
+RUBS = {"friction_coefficient": 0.5}
 
 
-def poses(step: int, env_count: int = 2) -> np.ndarray:
+def carried(step: int) -> np.ndarray:
     """The mount goes sideways and turns, each environment at its own pace."""
-    pace = 1 + np.arange(env_count)
-    angle = 4e-3 * step * pace
-    zero = np.zeros(env_count)
-    columns = [1e-4 * step * pace, zero, zero, zero, zero, np.sin(angle / 2), np.cos(angle / 2)]
-    return np.stack(columns, axis=1)[:, None]
-
-
-def make(**options: object) -> tuple[SolverIPC, State]:
-    model = cube_on_a_gel().finalize()
-    config = SolverConfig(dhat_m=1e-4, **options)  # type: ignore[arg-type]
-    return SolverIPC(model, config), initial_state(model, poses(0))
-
-
-def run(solver: SolverIPC, state: State) -> np.ndarray:
-    for step in range(1, STEPS):
-        report = solver.step(state, poses(step))
-        assert report.converged.all(), report.summary()
-    return np.concatenate(
-        [a.numpy().ravel() for a in (state.positions, state.velocities, solver.contact_gradient)]
+    paces = 1 + np.arange(2)
+    turns = np.degrees(4e-3 * step * paces)
+    return np.stack(
+        [pose(1e-4 * step * p, 0, 0, deg=d)[None] for p, d in zip(paces, turns, strict=True)]
     )
+
+
+def make(**options: object) -> Begun:
+    gel = soft_block((4, 4, 2), (6e-3, 6e-3, 3e-3), mount="hand", **RUBS)
+    box = cube(3e-3, pose(0.2e-3, 0, 1.58e-3), **RUBS)
+    scene = Scene([gel], [HAND], 2, FALLING, affine_bodies=[box])
+    return begun(scene, carried(0), dhat_m=1e-4, **options)
+
+
+def bits(solver: SolverIPC, state: State) -> np.ndarray:
+    return np.concatenate([array.ravel() for array in left(solver, state)])
 
 
 @pytest.fixture(scope="module")
 def eager() -> np.ndarray:
     solver, state = make(capture=False)
-    result = run(solver, state)
+    for step in STEPS:
+        stepped(solver, state, carried(step))
     assert solver.graph.launches == 0
-    return result
+    return bits(solver, state)
 
 
 @pytest.mark.thorough
-def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray) -> None:
+@pytest.mark.parametrize("lists", ["long enough", "too short", "grown by others"])
+def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray, lists: str) -> None:
+    """Also where lists grow and the step is taken again, and where old graphs know old lists."""
     solver, state = make()
-    np.testing.assert_array_equal(run(solver, state), eager)
+    for step in STEPS:
+        for part in solver.lists:
+            if lists == "too short" and step == 1:
+                part._allocate(2)
+            elif lists == "grown by others" and step > 1:
+                part._allocate(part.rooms + 7)
+        stepped(solver, state, carried(step))
+    np.testing.assert_array_equal(bits(solver, state), eager)
+    assert all((part.rooms > 2).any() for part in solver.lists)
     # The first step comes as it is.
-    assert solver.graph.launches == STEPS - 2
-
-
-def gel_on_gel() -> Scene:
-    """A gel on a mount above another one, out of reach."""
-    cells, size = (3, 3, 2), (5e-3, 5e-3, 3e-3)
-    lower = soft_block(cells, size, name="lower", friction_coefficient=0.5)
-    upper = soft_block(
-        cells, size, Material(5e4, 0.4), name="upper", mount="hand", friction_coefficient=0.5
-    )
-    return Scene([lower, upper], [KinematicBody(None, name="hand")])
+    assert lists != "long enough" or solver.graph.launches == len(STEPS) - 1
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("first_contact", [1, 5])
 def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> None:
     """Also where the graph is recorded while they are out of reach, and searches no tree."""
+    shape = ((3, 3, 2), (5e-3, 5e-3, 3e-3))
+    gels = [
+        soft_block(*shape, name="lower", **RUBS),
+        soft_block(*shape, Material(5e4, 0.4), name="upper", mount="hand", **RUBS),
+    ]
     heights = np.concatenate([np.linspace(1e-3, 2e-4, first_contact), -1e-4 * np.arange(1, 7)])
+    targets = [
+        np.array([[[3e-4 + 1e-4 * k, 2e-4, z, 1.0, 0, 0, 0]]]) for k, z in enumerate(heights)
+    ]
     ends = []
     for capture in (False, True):
-        model = gel_on_gel().finalize()
-        solver = SolverIPC(model, SolverConfig(dhat_m=5e-5, capture=capture))
-        targets = [
-            np.array([[[3e-4 + 1e-4 * k, 2e-4, z, 1.0, 0, 0, 0]]]) for k, z in enumerate(heights)
-        ]
-        state = initial_state(model, targets[0])
-        forces = []
-        for target in targets[1:]:
-            report = solver.step(state, target)
-            assert report.converged.all(), report.summary()
-            forces.append(report.contact_force_n[0])
+        solver, state = begun(Scene(gels, [HAND]), targets[0], dhat_m=5e-5, capture=capture)
+        forces = [stepped(solver, state, target).contact_force_n[0] for target in targets[1:]]
         assert (np.array(forces[: first_contact - 1]) == 0).all() and min(forces[-6:]) > 0
         assert solver.graph.launches == (len(targets) - 2 if capture else 0)
         ends.append(state.positions.numpy())
     np.testing.assert_array_equal(*ends)
 
 
-@pytest.mark.thorough
-def test_lists_that_were_too_short_grow_and_the_step_is_taken_again(eager: np.ndarray) -> None:
-    solver, state = make()
-    for part in solver.lists:
-        part._allocate(2)
-    np.testing.assert_array_equal(run(solver, state), eager)
-    assert all((part.rooms > 2).any() for part in solver.lists)
-
-
-@pytest.mark.thorough
-def test_lists_that_others_grew_are_not_written_through_old_graphs(eager: np.ndarray) -> None:
-    solver, state = make()
-    for step in range(1, STEPS):
-        assert solver.step(state, poses(step)).converged.all()
-        for part in solver.lists:
-            part._allocate(part.rooms + 7)
-    np.testing.assert_array_equal(
-        state.positions.numpy().ravel(), eager[: state.positions.size * 3]
-    )
-
-
 def test_the_plan_says_why_steps_are_not_captured() -> None:
     assert make()[0].plan.is_on("captured graph")
-    solver, _ = make(capture=False)
-    assert not solver.plan.is_on("captured graph")
-    assert "SolverConfig.capture" in solver.plan.describe()
+    plan = make(capture=False)[0].plan
+    assert not plan.is_on("captured graph") and "SolverConfig.capture" in plan.describe()
+
+
+# Scratch memory -----------------------------------------------------------------------------------
+
+
+def scratch(solver: SolverIPC) -> Iterator[wp.array]:
+    for name in ("trial", "path", "displacements", "reduced", "gradient", "pivots"):
+        yield getattr(solver, name)
+    linear, p = solver.linear, solver.progress
+    yield from (linear.values, linear.rhs, linear.solution)
+    yield from (part._blocks for part in solver.elastic)
+    yield from (term.energies for term in solver.potentials.values())
+    yield from (p.clearance.limit, p.clearance.bend, p.clearance.flight_turn_sq, p.clearance.reach)
+    search = p.search
+    yield from (search.derivative, search.before, search.after, search.base, search.base_after)
+
+
+NEEDS_GPU = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
+]
+KINDS = [(Element.LINEAR, True), (Element.QUADRATIC, False)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("element", "deterministic", "device"),
+    [
+        *variants([(*kind, "cpu") for kind in KINDS], Element, [False, True], ["cpu"]),
+        # On a GPU, where two runs give the same bits.
+        *(pytest.param(element, True, "cuda:0", marks=NEEDS_GPU) for element in Element),
+    ],
+)
+def test_what_scratch_memory_held_before_does_not_matter(
+    element: Element, deterministic: bool, device: str
+) -> None:
+    """A gel on a hand lowers itself on a box that lies on the floor, and rubs."""
+    options = {"element": element, "mount": "hand", "friction_coefficient": 0.4}
+    gel = soft_block((2, 2, 2), (4e-3, 4e-3, 3e-3), **options)
+    box = cube(2e-3, friction_coefficient=0.4, name="box")
+    floor = Plane((0, 0, -1.05e-3), friction_coefficient=0.4)
+    time = TimeStepping(quasi_static=False, dt_s=5e-3)
+    scene = Scene([gel], [HAND], 3, time, affine_bodies=[box], planes=[floor])
+
+    def poses(step: int) -> np.ndarray:
+        heights = [1.05e-3 - (4e-5 + 1e-5 * env) * step for env in range(3)]
+        return np.array([[[1e-5 * e * step, 0, z, 1, 0, 0, 0]] for e, z in enumerate(heights)])
+
+    clean, poisoned = (
+        begun(scene.finalize(device), poses(0), dhat_m=1e-4, deterministic=deterministic)
+        for _ in range(2)
+    )
+    for step in STEPS:
+        for array in scratch(poisoned[0]):
+            array.fill_(np.nan)
+        for made in (clean, poisoned):
+            stepped(*made, poses(step))
+    assert clean[0].contact_gradient.numpy().any(), "they touch"
+    for found, expected in zip(left(*poisoned)[:2], left(*clean)[:2], strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+# Blocks of contact of gels with affine bodies: in the matrix (GPUs) or in a list (the CPU) --------
+
+METHODS = ["ssor", "arrow", "cg"]
+
+
+def cube_on_a_gel() -> Scene:
+    gel = soft_block((3, 3, 2), (6e-3, 6e-3, 3e-3), **RUBS)
+    box = cube(3e-3, pose(0.2e-3, 0, 1.6e-3), initial_velocity_m_s=(0.05, 0.0, -0.1), **RUBS)
+    return Scene([gel], [], 1, FALLING, affine_bodies=[box])
+
+
+def fingers() -> Scene:
+    return driven_grasp(1, (Element.LINEAR, Element.LINEAR))
+
+
+@pytest.mark.thorough(cases=("fingers-ssor",))
+@pytest.mark.parametrize(
+    ("make", "method"),
+    variants(
+        [*product([cube_on_a_gel], METHODS), (fingers, "ssor")], [cube_on_a_gel, fingers], METHODS
+    ),
+)
+def test_contact_in_the_pattern_changes_no_result(make: Callable[[], Scene], method: str) -> None:
+    ends, extras, counts = [], [], []
+    for in_pattern in (False, True):
+        model = build_model(make(), "cpu", contact_in_pattern=in_pattern)
+        poses = base_poses(1) if len(model.kinematic) else None
+        options = {"relative_tolerance": 1e-8, "linear_method": method}
+        solver, state = begun(model, poses, dhat_m=1e-4, **options)
+        most = 0
+        for _ in range(6):
+            stepped(solver, state, poses)
+            most = max(most, int(solver.linear.extra.counts.numpy()[0]))
+        ends.append(state.positions.numpy())
+        extras.append(most)
+        counts.append(model.pattern.block_count)
+    np.testing.assert_allclose(*ends, atol=1e-10 if make is cube_on_a_gel else 1e-9)
+    assert extras[0] > 0 == extras[1] and counts[1] > counts[0]

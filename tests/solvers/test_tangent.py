@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.contact_derivatives import ContactDerivatives
-from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
-from taccel_lab.solvers import SolverIPC
+from taccel_lab.scene import Ball, KinematicBody, Material, Scene, TimeStepping
 from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix
-from taccel_lab.state import initial_state
+from tests.solvers.steps import begun
+from tests.support.blocks import everywhere, pose, soft_block
 
-BAR = block_mesh((2, 1, 8), (1.6e-3, 1e-3, 9e-3))
-AWAY = np.array([[[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]]])
+BAR = soft_block((2, 1, 8), (1.6e-3, 1e-3, 9e-3), Material(1e5, 0.3))
 
 NO_CONTACT = {
     0: ContactDerivatives(
@@ -32,19 +30,16 @@ NO_CONTACT = {
 
 
 def squeezed(by: float) -> tuple[Tangent, np.ndarray]:
-    """The tangent of a bar on its foot, shortened by a part, and its dense matrix."""
-    gel = SoftBody(BAR, Material(1e5, 0.3), element=Element.LINEAR)
-    model = Scene(gel, KinematicBody(Ball(1e-3))).finalize("cpu")
-    state = initial_state(model, AWAY)
-    x = state.positions.numpy().copy()
-    foot = BAR.nodes_m[:, 2].min()
-    x[0, : BAR.node_count, 2] = foot + (1 - by) * (BAR.nodes_m[:, 2] - foot)
+    made = Scene(BAR, KinematicBody(Ball(1e-3))).finalize("cpu")
+    solver, state = begun(made, everywhere(1, pose(0, 0, 0.1)))
+    x, height = state.positions.numpy().copy(), BAR.mesh.nodes_m[:, 2]
+    x[0, : len(height), 2] = height.min() + (1 - by) * (height - height.min())
     state.positions.assign(x)
-    tangent = Tangent(SolverIPC(model), state)
+    tangent = Tangent(solver, state)
     tangent.add_elements()
-    values = tangent.solver.linear.values.numpy()
-    dense = model.pattern.dense(values)[0]
-    both = sparse_matrix(model.pattern, values[0]).toarray()
+    values, pattern = solver.linear.values.numpy(), solver.model.pattern
+    dense = pattern.dense(values)[0]
+    both = sparse_matrix(pattern, values[0]).toarray()
     np.testing.assert_allclose(both, dense, rtol=0, atol=1e-15 * np.abs(dense).max())
     return tangent, dense
 
@@ -60,23 +55,17 @@ def test_both_ways_of_solving_give_the_solution() -> None:
         assert error < 1e-8
 
 
-def test_a_bar_about_to_buckle_is_named() -> None:
+def test_a_bar_about_to_buckle_and_a_singular_matrix_are_named() -> None:
     tangent, dense = squeezed(0.02)
     assert np.linalg.eigvalsh(dense).min() < 0
     rhs = np.random.default_rng(0).normal(size=(1, len(dense) // 3, 3))
     assert tangent.solve(rhs).causes == [INDEFINITE]
-
-
-def test_a_singular_matrix_is_named() -> None:
-    tangent, dense = squeezed(0.0)
-    values = tangent.solver.linear.values.numpy()
-    tangent.solver.linear.values.assign(np.zeros_like(values))
-    (cause,) = tangent.solve_transposed(np.ones((1, len(dense) // 3, 3)), NO_CONTACT).causes
+    tangent.solver.linear.values.zero_()
+    (cause,) = tangent.solve_transposed(rhs, NO_CONTACT).causes
     assert cause is not None and "singular" in cause
 
 
 def test_scenes_with_inertia_are_refused() -> None:
-    gel = SoftBody(BAR, Material(1e5, 0.3))
-    model = Scene(gel, time=TimeStepping(quasi_static=False)).finalize("cpu")
+    made = begun(Scene(BAR, time=TimeStepping(quasi_static=False)).finalize("cpu"))
     with pytest.raises(InputError, match="quasi-static steps of elastic gels"):
-        Tangent(SolverIPC(model), initial_state(model))
+        Tangent(*made)

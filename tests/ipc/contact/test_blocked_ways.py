@@ -3,81 +3,59 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.contact.blocked_ways import BlockedWays
 from taccel_lab.model import Model
-from taccel_lab.scene import (
-    Ball,
-    Element,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    TriangleMesh,
-    box_mesh,
-    cylinder_mesh,
-)
+from taccel_lab.scene import Ball, KinematicBody, Scene, TimeStepping, box_mesh, cylinder_mesh
 from taccel_lab.solvers import EnvStatus, ReadySteps, SolverIPC
 from taccel_lab.state import initial_state
+from tests.support import blocks
+from tests.support.blocks import soft_block
 
-THICKNESS_M = 4e-3
-MESH = block_mesh((4, 4, 2), (8e-3, 8e-3, THICKNESS_M))
-"""Contact face at z = 0, bonded face 4 mm below."""
+CELLS, SIZE_M = (4, 4, 2), (8e-3, 8e-3, 4e-3)
+BALL = Ball(2e-3)
 PIN = cylinder_mesh(0.5e-3, 6e-3)
+BAR = box_mesh((12e-3, 2e-3, 1e-3))
 
 
 def pose(x: float, y: float, z: float, tilt_deg: float = 0.0) -> np.ndarray:
     """Of one environment and body, lengths in mm, tilted about y; [1, 1, 7]."""
-    half = np.radians(tilt_deg) / 2
-    found = np.array([1e-3 * x, 1e-3 * y, 1e-3 * z, 0, np.sin(half), 0, np.cos(half)])
-    return found[None, None]
+    return blocks.pose(1e-3 * x, 1e-3 * y, 1e-3 * z, (0, 1, 0), tilt_deg)[None, None]
 
 
-def model(
-    shape: Ball | TriangleMesh,
-    envs: int = 1,
-    mount: str | None = None,
-    initial_pose: np.ndarray | None = None,
-) -> Model:
+def model(shape: Any = BALL, envs: int = 1, mount: str | None = None, **options: Any) -> Model:
     bodies = [KinematicBody(shape, name="tool"), KinematicBody(None, name="mount")]
-    gel = SoftBody(
-        MESH,
-        Material(1e5, 0.45),
-        element=Element.LINEAR,
-        name="gel",
-        mount=mount,
-        initial_pose=initial_pose,
-    )
+    gel = soft_block(CELLS, SIZE_M, name="gel", mount=mount, **options)
     return Scene(gel, bodies[: 1 if mount is None else 2], envs).finalize("cpu")
 
 
 @pytest.mark.parametrize(
     ("shape", "start", "end", "blocked"),
     [
-        (Ball(2e-3), pose(0, 0, 100), pose(0, 0, 1), False),
-        (Ball(2e-3), pose(100, 0, 1), pose(0, 0, 1), False),
-        (Ball(2e-3), pose(0, 0, 1), pose(500, 0, 1), False),
-        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -1.5), False),
-        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -2.5), True),
-        (Ball(2e-3), pose(0, 0, 2.1), pose(0, 0, -500), True),
-        (Ball(2e-3), pose(7, 0, -3), pose(0, 0, -3), True),
-        (Ball(2e-3), pose(9, 0, 50), pose(9, 0, -50), False),
+        (BALL, pose(0, 0, 100), pose(0, 0, 1), False),
+        (BALL, pose(100, 0, 1), pose(0, 0, 1), False),
+        (BALL, pose(0, 0, 1), pose(500, 0, 1), False),
+        (BALL, pose(0, 0, 2.1), pose(0, 0, -1.5), False),
+        (BALL, pose(0, 0, 2.1), pose(0, 0, -2.5), True),
+        (BALL, pose(0, 0, 2.1), pose(0, 0, -500), True),
+        (BALL, pose(7, 0, -3), pose(0, 0, -3), True),
+        (BALL, pose(9, 0, 50), pose(9, 0, -50), False),
         (PIN, pose(0, 0, 3.1), pose(0, 0, -0.9), False),
         (PIN, pose(0, 0, 3.1), pose(0, 0, -1.2), True),
         (PIN, pose(0, 0, 3.1), pose(0, 0, -500), True),
         # The middle of a wide tool is far above, its rim is not; and the whole gel in a box.
-        (box_mesh((12e-3, 2e-3, 1e-3)), pose(0, 0, 2), pose(0, 0, 0, 30), False),
-        (box_mesh((12e-3, 2e-3, 1e-3)), pose(0, 0, 2), pose(0, 0, -1.5, 30), True),
+        (BAR, pose(0, 0, 2), pose(0, 0, 0, 30), False),
+        (BAR, pose(0, 0, 2), pose(0, 0, -1.5, 30), True),
         (box_mesh((20e-3, 20e-3, 20e-3)), pose(0, 0, 11), pose(0, 0, 1), True),
     ],
 )
 def test_only_ways_through_what_is_held_are_blocked(
-    shape: Ball | TriangleMesh, start: np.ndarray, end: np.ndarray, blocked: bool
+    shape: Any, start: np.ndarray, end: np.ndarray, blocked: bool
 ) -> None:
     found = BlockedWays(model(shape)).find(start, end, np.ones(1, dtype=bool))
     assert list(found) == ([0] if blocked else [])
@@ -85,9 +63,8 @@ def test_only_ways_through_what_is_held_are_blocked(
 
 def test_a_step_is_refused_and_the_others_go_on() -> None:
     """Took 102 iterations a part and up to 2,000 in all, and ended at 6e9 N."""
-    made = model(Ball(2e-3), 3)
-    solver, start = SolverIPC(made), np.tile(pose(0, 0, 2.1), (3, 1, 1))
-    state = initial_state(made, start)
+    solver, start = SolverIPC(model(envs=3)), np.tile(pose(0, 0, 2.1), (3, 1, 1))
+    state = initial_state(solver.model, start)
     target = np.concatenate([pose(0, 0, 1.8), pose(0, 0, -500), pose(0, 0, 1.9)])
     before = state.positions.numpy().copy()
     report = solver.step(state, target)
@@ -104,19 +81,8 @@ def test_a_step_is_refused_and_the_others_go_on() -> None:
     assert solver.step(state, start).converged.all()
 
 
-def test_steps_at_their_own_pace_refuse_it_too() -> None:
-    made = model(Ball(2e-3), 2)
-    solver = SolverIPC(made)
-    state = initial_state(made, np.tile(pose(0, 0, 2.1), (2, 1, 1)))
-    steps = ReadySteps(solver, state, iterations=500)
-    report = steps.step_ready(np.concatenate([pose(0, 0, -9), pose(0, 0, 1.9)]))
-    assert report.status.tolist() == [EnvStatus.BLOCKED, EnvStatus.CONVERGED]
-    assert not steps.underway.any()
-
-
 def test_what_is_held_moves_with_its_mount() -> None:
-    """A tool that goes along is not in the way of anything; one that stays is."""
-    ways = BlockedWays(model(Ball(2e-3), mount="mount"))
+    ways = BlockedWays(model(mount="mount"))
     one = np.ones(1, dtype=bool)
     start = np.concatenate([pose(0, 0, 2.1), pose(0, 0, 0)], axis=1)
     along = np.concatenate([pose(0, 0, -497.9), pose(0, 0, -500)], axis=1)
@@ -127,7 +93,7 @@ def test_what_is_held_moves_with_its_mount() -> None:
 
 def test_a_gel_is_held_where_it_was_put() -> None:
     aside = np.stack([pose(0, 0, 50)[0, 0], pose(0, 0, 0, 180)[0, 0]])
-    ways = BlockedWays(model(Ball(2e-3), 2, initial_pose=aside))
+    ways = BlockedWays(model(envs=2, initial_pose=aside))
     two = np.ones(2, dtype=bool)
     for start, end, blocked in ((52.1, 43, 0), (-2.1, 3, 1)):
         poses = [np.tile(pose(0, 0, z), (2, 1, 1)) for z in (start, end)]
@@ -135,23 +101,23 @@ def test_a_gel_is_held_where_it_was_put() -> None:
 
 
 def test_a_scene_without_held_gels_has_nothing_to_look_at() -> None:
-    free = SoftBody(MESH, Material(1e5, 0.45), bonded_nodes=np.zeros(0, dtype=int))
-    falling = TimeStepping(quasi_static=False)
-    scene = Scene(free, KinematicBody(Ball(1e-3)), time=falling)
-    assert not BlockedWays(scene.finalize("cpu"))
-    assert not BlockedWays(Scene(SoftBody(MESH, Material(1e5, 0.45))).finalize("cpu"))
+    free = soft_block(CELLS, SIZE_M, bonded_nodes=np.zeros(0, dtype=np.int64))
+    falling, tool = TimeStepping(quasi_static=False), KinematicBody(Ball(1e-3))
+    for scene in (Scene(free, tool, time=falling), Scene(soft_block(CELLS, SIZE_M))):
+        assert not BlockedWays(scene.finalize("cpu"))
 
 
 def test_steps_that_converge_look_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looking took 1.1 ms of a step of 2.1 on a GPU, which was read and waited for."""
-    made = model(Ball(2e-3))
-    solver = SolverIPC(made)
-    state = initial_state(made, pose(0, 0, 2.1))
+    solver = SolverIPC(model())
+    state = initial_state(solver.model, pose(0, 0, 2.1))
+    steps = ReadySteps(solver, state, iterations=500)
     with monkeypatch.context() as patch:
         patch.setattr(BlockedWays, "find", None)
         assert solver.step(state, pose(0, 0, 1.9)).converged.all()
-        steps = ReadySteps(solver, state, iterations=50)
         assert steps.step_ready(pose(0, 0, 1.8)).converged.all()
-    # Targets on a device count as those of the host.
+    # Targets on a device count as those of the host, and steps at their own pace as the others.
     there = wp.array(pose(0, 0, -9).reshape(1, 1, 7), dtype=wp.transformd, device="cpu")
     assert solver.step(state, there).status.tolist() == [EnvStatus.BLOCKED]
+    assert steps.step_ready(pose(0, 0, -9)).status.tolist() == [EnvStatus.BLOCKED]
+    assert not steps.underway.any()

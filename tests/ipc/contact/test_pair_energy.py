@@ -6,65 +6,90 @@ from __future__ import annotations
 import ipctk
 import numpy as np
 import pytest
+import warp as wp
 
-from taccel_lab.ipc.contact.pair_energy import GAUSS_NEWTON
+from taccel_lab.ipc.contact import barrier
+from taccel_lab.ipc.contact import pair_energy as pairs
+from taccel_lab.ipc.device.matrices import mat1212d
+from taccel_lab.ipc.distance import edge_edge_mollifier as mollifiers
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from tests.ipc import batch
-from tests.ipc.batch import Array
-from tests.ipc.stencils import nearly_parallel_edges, random_stencils
+from tests.ipc.batch import (
+    EDGE_EDGE,
+    NODE_COUNTS,
+    POINT_EDGE,
+    POINT_POINT,
+    Array,
+    closest,
+    filled,
+    mapped,
+    nearly_parallel_edges,
+    query_pairs,
+    random_stencils,
+)
 
-KINDS = {
-    "point_triangle": (batch.POINT_TRIANGLE, 4),
-    "edge_edge": (batch.EDGE_EDGE, 4),
-    "point_edge": (batch.POINT_EDGE, 3),
-    "point_point": (batch.POINT_POINT, 2),
-}
-
-
-# The barrier ---------------------------------------------------------------------------------
+BARRIERS = (ipctk.barrier, ipctk.barrier_first_derivative, ipctk.barrier_second_derivative)
+every_kind = pytest.mark.parametrize("kind", range(4), ids=NODE_COUNTS)
 
 
 def test_the_barrier_equals_ipctk() -> None:
-    rng = np.random.default_rng(0)
+    rng, stiffness = np.random.default_rng(0), 3.7
     dhat = 10.0 ** rng.uniform(-6, 0, 2000)
     d = dhat * 10.0 ** rng.uniform(-8, 0.2, 2000)
-    ipc_form, _ = batch.barrier(d, dhat)
-    pairs = list(zip(d, dhat, strict=True))
-    functions = (ipctk.barrier, ipctk.barrier_first_derivative, ipctk.barrier_second_derivative)
     active = d < dhat
     assert 0 < active.sum() < len(d)
-    assert np.all(ipc_form[~active] == 0.0)
-    for column, function in enumerate(functions):
-        expected = np.array([function(*pair) for pair in pairs])
-        scale = dhat ** (2 - column)
-        np.testing.assert_allclose(
-            ipc_form[:, column] / scale, expected / scale, rtol=1e-11, atol=1e-14
-        )
-    assert np.all(ipc_form[active, 1] < 0.0) and np.all(ipc_form[active, 2] > 0.0)
-
-
-def test_contact_potential_is_the_scaled_barrier() -> None:
-    dhat, stiffness = 2e-4, 3.7
-    d = dhat * np.linspace(0.01, 1.1, 50)
-    ipc_form, potential = batch.barrier(d, dhat, stiffness)
-    np.testing.assert_allclose(potential, ipc_form * stiffness / dhat, rtol=1e-13)
-    # Pressure depends on d / dhat alone: force at half the distance of half the dhat is equal.
-    _, halved = batch.barrier(d / 2, dhat / 2, stiffness)
-    np.testing.assert_allclose(halved[:, 1], potential[:, 1], rtol=1e-13)
+    for order, function in enumerate(BARRIERS):
+        suffix, scale = ("", "_d1", "_d2")[order], dhat ** (2 - order)
+        expected = np.array([function(*pair) for pair in zip(d, dhat, strict=True)]) / scale
+        unit = mapped(getattr(barrier, f"unit_barrier{suffix}"), d / dhat)
+        np.testing.assert_allclose(unit, expected, rtol=1e-11, atol=1e-14)
+        assert not unit[~active].any() and ((-1) ** order * unit[active] > 0).all()
+        potential = mapped(getattr(barrier, f"contact_potential{suffix}"), d, dhat, stiffness)
+        np.testing.assert_allclose(potential, unit * scale * stiffness / dhat, rtol=1e-13)
 
 
 # Derivatives of an energy of the distance ------------------------------------------------------
 
 
-def of_ipctk(name: str, x: Array) -> tuple[Array, Array, Array]:
+@wp.func
+def hessian_matrix(h: pairs.PairHessian) -> mat1212d:
+    """All 16 blocks [N/m], which the solver never forms as a whole."""
+    matrix = mat1212d()
+    block_count = int(16)  # a variable, so that Warp does not unroll the loop
+    for k in range(block_count):
+        block = pairs.pair_hessian_block(h, k // 4, k % 4)
+        for a in range(3):
+            for b in range(3):
+                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
+    return matrix
+
+
+@wp.func
+def pair_terms(
+    kind: wp.int32, mode: wp.int32, x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d,
+    e1: wp.float64, e2: wp.float64,
+):  # fmt: skip
+    pair = closest(kind, x0, x1, x2, x3)
+    h = pairs.pair_hessian(pair, x0, x1, x2, x3, e1, e2, mode)
+    return pairs.pair_gradient(pair, e1), hessian_matrix(h)
+
+
+def pair_energy(kind: int, mode: int, x: Array, e1: Array | float, e2: Array | float) -> list:
+    slopes = (filled(e1, len(x)), filled(e2, len(x)))
+    return mapped(pair_terms, kind, mode, *x.swapaxes(0, 1), *slopes)
+
+
+def of_ipctk(kind: int, x: Array) -> tuple[Array, Array, Array]:
     """Distances, gradients [n, 12], and half the Hessians of the squares [n, 12, 12]."""
-    count = KINDS[name][1]
+    name, count = [*NODE_COUNTS.items()][kind]
+    square, gradient, hessian = (
+        getattr(ipctk, f"{name}_distance{suffix}") for suffix in ("", "_gradient", "_hessian")
+    )
     d, gradients, halves = np.zeros(len(x)), np.zeros((len(x), 12)), np.zeros((len(x), 12, 12))
     size = 3 * count
     for i, nodes in enumerate(x[:, :count]):
-        d[i] = getattr(ipctk, f"{name}_distance")(*nodes) ** 0.5
-        gradients[i, :size] = getattr(ipctk, f"{name}_distance_gradient")(*nodes) / (2 * d[i])
-        halves[i, :size, :size] = getattr(ipctk, f"{name}_distance_hessian")(*nodes) / 2
+        d[i] = square(*nodes) ** 0.5
+        gradients[i, :size] = gradient(*nodes) / (2 * d[i])
+        halves[i, :size, :size] = hessian(*nodes) / 2
     return d, gradients, halves
 
 
@@ -72,9 +97,8 @@ def outer(a: Array, b: Array) -> Array:
     return a[:, :, None] * b[:, None, :]
 
 
-def chain_rule(name: str, x: Array, e1: Array, e2: Array) -> Array:
-    """12x12 Hessian of E(d)."""
-    d, g, half = of_ipctk(name, x)
+def chain_rule(kind: int, x: Array, e1: Array, e2: Array) -> Array:
+    d, g, half = of_ipctk(kind, x)
     normal = outer(g, g)
     return e2[:, None, None] * normal + (e1 / d)[:, None, None] * (half - normal)
 
@@ -84,87 +108,110 @@ def projected(hessian: Array) -> Array:
     return (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
 
 
-def relative_error(ours: Array, expected: Array) -> Array:
-    return np.abs(ours - expected).max(axis=(1, 2)) / np.abs(expected).max(axis=(1, 2))
+def largest(rows: Array) -> Array:
+    return np.abs(rows).reshape(len(rows), -1).max(axis=1)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@every_kind
 @pytest.mark.parametrize("signs", [(-1, 1), (1, -1), (1, 1), (-1, -1)])
-def test_exact_and_projected(name: str, signs: tuple[int, int]) -> None:
-    kind, _ = KINDS[name]
+def test_exact_and_projected(kind: int, signs: tuple[int, int]) -> None:
     x = random_stencils(10 + kind, 500)
-    rng = np.random.default_rng(0)
-    e1 = signs[0] * 10.0 ** rng.uniform(-2, 2, len(x))
-    e2 = signs[1] * 10.0 ** rng.uniform(-2, 2, len(x))
-    expected = chain_rule(name, x, e1, e2)
-    gradient, exact = batch.pair_energy(kind, PSD_NONE, x, e1, e2)
-    assert relative_error(exact, expected).max() < 1e-9
-    unit = of_ipctk(name, x)[1].reshape(-1, 4, 3)
+    e1, e2 = 10.0 ** np.random.default_rng(0).uniform(-2, 2, (2, len(x))) * np.array([signs]).T
+    expected = chain_rule(kind, x, e1, e2)
+    scale = largest(expected)
+    gradient, exact = pair_energy(kind, PSD_NONE, x, e1, e2)
+    assert (largest(exact - expected) / scale).max() < 1e-9
+    unit = of_ipctk(kind, x)[1].reshape(-1, 4, 3)
     np.testing.assert_allclose(gradient / e1[:, None, None], unit, atol=1e-11)
-    if name != "point_point" or min(signs) < 0:
+    if kind != POINT_POINT or min(signs) < 0:
         assert np.linalg.eigvalsh(expected).min() < -1e-3, "nothing to project"
-
-    _, psd = batch.pair_energy(kind, PSD_CLAMP, x, e1, e2)
+    _, psd = pair_energy(kind, PSD_CLAMP, x, e1, e2)
     np.testing.assert_allclose(psd, psd.transpose(0, 2, 1), atol=1e-12 * np.abs(psd).max())
-    scale = np.abs(expected).max(axis=(1, 2))
     assert (np.linalg.eigvalsh(psd)[:, 0] > -1e-12 * scale).all()
     assert (np.linalg.eigvalsh(psd - expected)[:, 0] > -1e-9 * scale).all(), "not above the whole"
 
 
-@pytest.mark.parametrize("name", ["point_edge", "point_point"])
+@pytest.mark.parametrize("kind", [POINT_EDGE, POINT_POINT])
 @pytest.mark.parametrize("e1", [-3.0, 2.0])
-def test_terms_that_are_orthogonal_are_projected_as_the_whole(name: str, e1: float) -> None:
+def test_terms_that_are_orthogonal_are_projected_as_the_whole(kind: int, e1: float) -> None:
     """Along an edge and across it; only what a third term shares with them is counted twice."""
-    kind, _ = KINDS[name]
     x = random_stencils(50 + kind, 500)
-    slopes, none = np.full(len(x), e1), np.zeros(len(x))
-    expected = chain_rule(name, x, slopes, none)
-    _, psd = batch.pair_energy(kind, PSD_CLAMP, x, slopes, none)
-    off = np.abs(psd - projected(expected)).max(axis=(1, 2)) / np.abs(expected).max(axis=(1, 2))
-    assert off.max() < 1e-9
-    if name == "point_edge" or e1 > 0:
+    expected = chain_rule(kind, x, filled(e1, 500), np.zeros(500))
+    _, psd = pair_energy(kind, PSD_CLAMP, x, e1, 0.0)
+    assert (largest(psd - projected(expected)) / largest(expected)).max() < 1e-9
+    if kind == POINT_EDGE or e1 > 0:
         assert np.median(np.linalg.eigvalsh(psd)[:, -1]) > 1e-3, "nothing is left"
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_near_contact_the_sum_of_projections_is_that_of_the_whole(name: str) -> None:
+@every_kind
+def test_near_contact_the_sum_of_projections_is_that_of_the_whole(kind: int) -> None:
     """A barrier at a hundredth of the features' size: off by a few parts in a thousand."""
-    kind, _ = KINDS[name]
     x = random_stencils(60 + kind, 1000)
-    d, unit, _ = of_ipctk(name, x)
-    first = 2 if name == "edge_edge" else 1
+    d, unit, _ = of_ipctk(kind, x)
+    first = 2 if kind == EDGE_EDGE else 1
     normal = unit.reshape(-1, 4, 3)[:, :first].sum(axis=1)
     x[:, :first] -= (0.99 * d)[:, None, None] * normal[:, None]
-    d = np.sqrt(batch.query_pairs(kind, x).distance_sq)
+    d = np.sqrt(query_pairs(kind, x).distance_sq)
     assert d.max() < 0.1
-    _, psd = batch.pair_energy(kind, PSD_CLAMP, x, -1 / d, 1 / d**2)
-    best = projected(chain_rule(name, x, -1 / d, 1 / d**2))
+    _, psd = pair_energy(kind, PSD_CLAMP, x, -1 / d, 1 / d**2)
+    best = projected(chain_rule(kind, x, -1 / d, 1 / d**2))
     off = np.linalg.norm(psd - best, axis=(1, 2)) / np.linalg.norm(best, axis=(1, 2))
     assert np.percentile(off, 90) < 5e-3
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_gauss_newton_is_the_normal_term(name: str) -> None:
-    kind, _ = KINDS[name]
+@every_kind
+def test_gauss_newton_is_the_normal_term(kind: int) -> None:
     x = random_stencils(20 + kind, 300)
-    g = of_ipctk(name, x)[1]
-    _, hessian = batch.pair_energy(kind, GAUSS_NEWTON, x, -3.0, 5.0)
+    g = of_ipctk(kind, x)[1]
+    _, hessian = pair_energy(kind, pairs.GAUSS_NEWTON, x, -3.0, 5.0)
     np.testing.assert_allclose(hessian, 5.0 * outer(g, g), atol=1e-10)
-    _, hessian = batch.pair_energy(kind, GAUSS_NEWTON, x, -3.0, -5.0)
-    assert np.all(hessian == 0.0)
-    touching = batch.pair_energy(kind, GAUSS_NEWTON, np.zeros((1, 4, 3)), -1.0, 1.0)
+    assert not pair_energy(kind, pairs.GAUSS_NEWTON, x, -3.0, -5.0)[1].any()
+    touching = pair_energy(kind, pairs.GAUSS_NEWTON, 0 * x, -1.0, 1.0)
     assert all(np.isfinite(part).all() for part in touching)
 
 
 def test_nearly_parallel_edges_stay_finite_and_semidefinite() -> None:
-    x = nearly_parallel_edges(30, 1000)
-    _, hessian = batch.pair_energy(batch.EDGE_EDGE, PSD_CLAMP, x, -1.0, 1.0)
-    assert np.all(np.isfinite(hessian))
+    _, hessian = pair_energy(EDGE_EDGE, PSD_CLAMP, nearly_parallel_edges(30, 1000), -1.0, 1.0)
     values = np.linalg.eigvalsh(hessian)
-    assert np.all(values[:, 0] >= -1e-12 * values[:, -1])
+    assert np.all(np.isfinite(hessian)) and np.all(values[:, 0] >= -1e-12 * values[:, -1])
 
 
 # The mollifier of edges --------------------------------------------------------------------------
+
+
+@wp.func
+def mollifier(
+    x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d, threshold: wp.float64
+) -> wp.float64:
+    cross_sq = mollifiers.edge_edge_cross_sq(x0, x1, x2, x3)
+    return mollifiers.edge_edge_mollifier(cross_sq, threshold)
+
+
+@wp.func
+def mollified_terms(
+    mode: wp.int32, x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, x3: wp.vec3d, threshold: wp.float64,
+    dhat: wp.float64, stiffness: wp.float64,
+):  # fmt: skip
+    pair = closest(1, x0, x1, x2, x3)
+    d, m = wp.sqrt(pair.distance_sq), mollifier(x0, x1, x2, x3, threshold)
+    e0 = barrier.contact_potential(d, dhat, stiffness)
+    e1 = barrier.contact_potential_d1(d, dhat, stiffness)
+    e2 = barrier.contact_potential_d2(d, dhat, stiffness)
+    gradient = pairs.mollified_gradient(pair, x0, x1, x2, x3, threshold, e0, e1)
+    terms = pairs.mollifier_terms(pair, x0, x1, x2, x3, threshold, e0, e1, mode)
+    h = pairs.pair_hessian(pair, x0, x1, x2, x3, m * e1, m * e2, mode)
+    matrix = hessian_matrix(h)
+    block_count = int(16)
+    for k in range(block_count):
+        block = pairs.mollifier_block(terms, k // 4, k % 4)
+        for a in range(3):
+            for b in range(3):
+                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] += block[a, b]
+    return e0 * m, gradient, matrix
+
+
+def mollified_energy(mode: int, x: Array, threshold: float, dhat: float, stiffness: float) -> list:
+    return mapped(mollified_terms, mode, *x.swapaxes(0, 1), threshold, dhat, stiffness)
 
 
 def mixed_edges(
@@ -179,9 +226,10 @@ def mixed_edges(
 def test_threshold_and_mollifier_equal_ipctk() -> None:
     x = mixed_edges(0, 1000)
     rest = x + 0.01 * random_stencils(1, len(x))
-    threshold, value = batch.mollifier(x, rest)
+    threshold = mapped(mollifiers.edge_edge_mollifier_threshold, *rest.swapaxes(0, 1))
     expected = np.array([ipctk.edge_edge_mollifier_threshold(*nodes) for nodes in rest])
     np.testing.assert_allclose(threshold, expected, rtol=1e-13)
+    value = mapped(mollifier, *x.swapaxes(0, 1), threshold)
     # ipctk takes the cross product from the Gram determinant, 1e-16 off in absolute terms.
     values = [ipctk.edge_edge_mollifier(*nodes, e) for nodes, e in zip(x, expected, strict=True)]
     np.testing.assert_allclose(value, values, rtol=1e-9, atol=1e-11)
@@ -189,43 +237,35 @@ def test_threshold_and_mollifier_equal_ipctk() -> None:
 
 
 def test_mollified_energy_equals_the_product_of_ipctk() -> None:
-    """P(d) m, its gradient and its Hessian by the product rule."""
     x, dhat, stiffness, threshold = mixed_edges(2, 600, (-2.5, -1.0)), 3.0, 2.0, 1e-2
-    value, gradient, hessian = batch.mollified_energy(PSD_NONE, dhat, stiffness, x, threshold)
-    d, g, half = of_ipctk("edge_edge", x)
-    functions = (ipctk.barrier, ipctk.barrier_first_derivative, ipctk.barrier_second_derivative)
-    p, p1, p2 = (stiffness / dhat * np.array([f(one, dhat) for one in d]) for f in functions)
-    m = np.array([ipctk.edge_edge_mollifier(*nodes, threshold) for nodes in x])
-    gm = np.array([ipctk.edge_edge_mollifier_gradient(*nodes, threshold) for nodes in x])
-    hm = np.array([ipctk.edge_edge_mollifier_hessian(*nodes, threshold) for nodes in x])
+    value, gradient, hessian = mollified_energy(PSD_NONE, x, threshold, dhat, stiffness)
+    d, g, half = of_ipctk(EDGE_EDGE, x)
+    p, p1, p2 = (stiffness / dhat * np.array([f(one, dhat) for one in d]) for f in BARRIERS)
+    m, gm, hm = (
+        np.array([getattr(ipctk, f"edge_edge_mollifier{suffix}")(*n, threshold) for n in x])
+        for suffix in ("", "_gradient", "_hessian")
+    )
     np.testing.assert_allclose(value, p * m, rtol=1e-8, atol=1e-11)
     slope = p[:, None] * gm + (m * p1)[:, None] * g
-    scale = np.abs(slope).max(axis=1) + 1e-3
-    assert (np.abs(gradient.reshape(-1, 12) - slope).max(axis=1) / scale).max() < 1e-8
-    mixed = outer(gm, g) * p1[:, None, None]
-    normal = outer(g, g)
+    assert (largest(gradient.reshape(-1, 12) - slope) / (largest(slope) + 1e-3)).max() < 1e-8
+    mixed, normal = outer(gm, g) * p1[:, None, None], outer(g, g)
     expected = p[:, None, None] * hm + mixed + mixed.transpose(0, 2, 1)
     expected += (m * p2)[:, None, None] * normal + (m * p1 / d)[:, None, None] * (half - normal)
-    scale = np.abs(expected).max(axis=(1, 2)) + 1e-3
-    assert (np.abs(hessian - expected).max(axis=(1, 2)) / scale).max() < 1e-7
+    assert (largest(hessian - expected) / (largest(expected) + 1e-3)).max() < 1e-7
     assert np.sum(m < 1) > 50 and np.sum((m == 1) & (d < dhat)) > 200
     assert np.abs(expected[m < 1]).max() > 1.0
 
 
 def test_parallel_edges_have_no_energy_and_no_gradient() -> None:
-    x = np.array([[[0, 0, 0], [1, 0, 0], [0.25, 0, 0.1], [0.75, 0, 0.1]]], dtype=float)
-    value, gradient, hessian = batch.mollified_energy(PSD_CLAMP, 1.0, 1.0, x, 1e-3)
-    assert value[0] == 0.0
-    assert np.all(gradient == 0.0)
-    assert np.all(np.isfinite(hessian))
+    x = np.array([[[0, 0, 0], [1, 0, 0], [0.25, 0, 0.1], [0.75, 0, 0.1]]] * 2, dtype=float)
+    value, gradient, hessian = mollified_energy(PSD_CLAMP, x, 1e-3, 1.0, 1.0)
+    assert not value.any() and not gradient.any() and np.all(np.isfinite(hessian))
     assert np.linalg.eigvalsh(hessian[0]).max() > 1.0, "turning out of parallel costs energy"
 
 
 def test_projected_mollified_hessian_is_semidefinite_and_close() -> None:
-    x = mixed_edges(3, 2000)
-    dhat, threshold = 1.0, 1e-3
-    exact = batch.mollified_energy(PSD_NONE, dhat, 1.0, x, threshold)[2]
-    psd = batch.mollified_energy(PSD_CLAMP, dhat, 1.0, x, threshold)[2]
+    x, threshold = mixed_edges(3, 2000), 1e-3
+    exact, psd = (mollified_energy(m, x, threshold, 1.0, 1.0)[2] for m in (PSD_NONE, PSD_CLAMP))
     assert np.all(np.isfinite(psd))
     values = np.linalg.eigvalsh(psd)
     assert np.all(values[:, 0] >= -1e-10 * np.maximum(values[:, -1], 1e-300))

@@ -7,8 +7,6 @@ Where the ridges cross inside of both, they touch when the gap along their commo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import ipctk
 import numpy as np
 import pytest
@@ -18,111 +16,82 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.contact.step_limit import limit_checks
-from taccel_lab.model import Model
 from taccel_lab.scene import Element, Material, Scene, SoftBody, Surface, TimeStepping
+from tests.ipc.batch import unit
+from tests.support.blocks import pose
 from tests.support.turns import random_turns
 
 HALF_M, DEEP_M = 1e-3, 2e-3
-"""Half the length of a ridge, and how far the rest of its tet lies behind it."""
 SLACKNESS = 0.1
-"""Part of the gap that is left, see ``limit_checks``."""
+TETS = np.array([[0, 1, 2, 3]])
+FACES = boundary_faces(TETS)
+NODES_M = np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 2], [0, -1, 2]]) * HALF_M
+RIDGES = [0, 1, 4, 5]
 
 
-def tet() -> TetMesh:
-    nodes = np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 2], [0, -1, 2]]) * HALF_M
-    tets = np.array([[0, 1, 2, 3]])
-    faces = boundary_faces(tets)
-    return TetMesh(nodes, tets, faces, np.zeros(len(faces), dtype=np.int64))
-
-
-def model(env_count: int, thickness_m: float = 0.0) -> Model:
-    """Two tets: nodes 0 and 1 are the ridge of one, 4 and 5 that of the other."""
-    nothing = np.zeros(0, dtype=np.int64)
+def limits(x: np.ndarray, dx: np.ndarray, thickness_m: float = 0.0) -> np.ndarray:
     bodies = [
         SoftBody(
-            tet(),
+            TetMesh(NODES_M, TETS, FACES, np.zeros(len(FACES), dtype=np.int64)),
             Material(1e5, 0.4),
-            bonded_nodes=nothing,
+            bonded_nodes=np.zeros(0, dtype=np.int64),
             name=name,
             element=Element.LINEAR,
             surface=Surface(thickness_m=thickness_m),
-            initial_pose=np.array([0, 0, z, 0, 0, 0, 1.0]),
+            initial_pose=pose(0, 0, z),
         )
         for name, z in (("upper", 1.0), ("lower", -1.0))
     ]
-    return Scene(bodies, env_count=env_count, time=TimeStepping(quasi_static=False)).finalize()
-
-
-def limits(
-    made: Model, x: np.ndarray, dx: np.ndarray, active: np.ndarray | None = None
-) -> np.ndarray:
-    """Fraction of the displacements, shape [env]; that of inactive environments stays -1."""
-    chosen = np.ones(len(x), dtype=np.int32) if active is None else active
-    flags = wp.array(chosen, dtype=wp.int32)
+    time, count = TimeStepping(quasi_static=False), len(x)
+    model = Scene(bodies, env_count=count, time=time).finalize()
+    flags, found = wp.full(count, 1, dtype=wp.int32), wp.full(count, 1.0, dtype=wp.float64)
     positions, way = wp.array(x, dtype=wp.vec3d), wp.array(dx, dtype=wp.vec3d)
-    poses = wp.zeros((len(x), 0), dtype=wp.transformd)
-    candidates = Candidates(made)
+    poses = wp.zeros((count, 0), dtype=wp.transformd)
+    candidates = Candidates(model)
     candidates.update(flags, positions, way, poses, poses, 1e-6)
-    found = wp.array(np.where(chosen != 0, 1.0, -1.0), dtype=wp.float64)
-    for check in limit_checks(made, flags, candidates, positions, way, found, SLACKNESS):
+    for check in limit_checks(model, flags, candidates, positions, way, found, SLACKNESS):
         check()
     return found.numpy()
 
 
-def unit(rng: np.random.Generator, count: int) -> np.ndarray:
-    vectors = rng.normal(size=(count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-@dataclass(frozen=True)
 class Ridges:
-    """Ridges above one another, before they move."""
-
-    x: np.ndarray
-    """[env, 8, 3] [m]."""
-    normal: np.ndarray
-    """From the lower ridge to the upper one, [env, 3]."""
-    along: np.ndarray
-    """Direction of the upper ridge, [env, 3]."""
-
-
-def crossing(
-    rng: np.random.Generator,
-    angle_rad: np.ndarray,
-    gap_m: np.ndarray,
-    halves_m: tuple[float, float] = (HALF_M, HALF_M),
-) -> Ridges:
     """Ridges that cross anywhere in their inner four fifths, in any direction of space."""
-    count = len(angle_rad)
-    zero = np.zeros(count)
-    first = np.stack([np.ones(count), zero, zero], axis=1)
-    second = np.stack([np.cos(angle_rad), np.sin(angle_rad), zero], axis=1)
-    up = np.array([0.0, 0.0, 1.0])
-    x = np.zeros((count, 8, 3))
-    for start, ridge, half, side in ((0, first, halves_m[0], 1.0), (4, second, halves_m[1], -1.0)):
-        middle = rng.uniform(-0.8, 0.8, (count, 1)) * half * ridge
-        x[:, start] = middle - half * ridge
-        x[:, start + 1] = middle + half * ridge
-        across = np.cross(up, ridge)
-        for node, way in ((start + 2, side), (start + 3, -side)):
-            x[:, node] = middle + way * HALF_M * across + side * DEEP_M * up
-    x[:, :4] += gap_m[:, None, None] * up
-    turned = random_turns(rng, count)
-    x = np.einsum("eij,enj->eni", turned, x)
-    return Ridges(x, turned[:, :, 2], turned[:, :, 0])
 
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        angle_rad: np.ndarray,
+        gap_m: np.ndarray,
+        halves_m: tuple[float, float] = (HALF_M, HALF_M),
+    ) -> None:
+        count, zero = len(angle_rad), 0 * angle_rad
+        first = np.stack([zero + 1, zero, zero], axis=1)
+        second = np.stack([np.cos(angle_rad), np.sin(angle_rad), zero], axis=1)
+        up, x = np.array([0.0, 0.0, 1.0]), np.zeros((count, 8, 3))
+        for start, ridge, half, side in ((0, first, halves_m[0], 1), (4, second, halves_m[1], -1)):
+            middle = rng.uniform(-0.8, 0.8, (count, 1)) * half * ridge
+            across = side * HALF_M * np.cross(up, ridge)
+            ends = (-half * ridge, half * ridge)
+            behind = (across + side * DEEP_M * up, -across + side * DEEP_M * up)
+            for k, way in enumerate((*ends, *behind)):
+                x[:, start + k] = middle + way
+        x[:, :4] += gap_m[:, None, None] * up
+        turned = random_turns(rng, count)
+        self.rng = rng
+        self.x = np.einsum("eij,enj->eni", turned, x)
+        """[env, 8, 3] [m]."""
+        self.normal, self.along = turned[:, :, 2], turned[:, :, 0]
+        """From the lower ridge to the upper one, and direction of that, [env, 3]."""
 
-def translated(
-    rng: np.random.Generator, ridges: Ridges, closing_m: np.ndarray, slide_m: np.ndarray
-) -> np.ndarray:
-    """Both bodies move, each by a part, and share a drift; they slide along the upper ridge."""
-    relative = -closing_m[:, None] * ridges.normal + slide_m[:, None] * ridges.along
-    part = rng.uniform(0, 1, (len(closing_m), 1))
-    drift = 1e-3 * unit(rng, len(closing_m))
-    dx = np.zeros_like(ridges.x)
-    dx[:, :4] = (drift + part * relative)[:, None]
-    dx[:, 4:] = (drift - (1 - part) * relative)[:, None]
-    return dx
+    def closing(self, closing_m: np.ndarray, slide_m: np.ndarray | float = 0.0) -> np.ndarray:
+        """Both bodies move, each by a part, with a drift; they slide along the upper ridge."""
+        count = len(closing_m)
+        slide_m = np.broadcast_to(slide_m, count)
+        relative = -closing_m[:, None] * self.normal + slide_m[:, None] * self.along
+        part = self.rng.uniform(0, 1, (count, 1))
+        drift = 1e-3 * unit(self.rng.normal(size=(count, 3)))
+        both = (drift + part * relative, drift - (1 - part) * relative)
+        return np.repeat(np.stack(both, axis=1), 4, axis=1)
 
 
 @pytest.mark.parametrize(
@@ -142,10 +111,10 @@ def test_ridges_that_cross_stop_at_a_tenth_of_their_gap(
     count, rng = 200, np.random.default_rng(1)
     angle = rng.uniform(*angles_rad, count)
     gap = 10.0 ** rng.uniform(-7, -4, count)
-    ridges = crossing(rng, angle, gap)
+    ridges = Ridges(rng, angle, gap)
     closing = gap * 10.0 ** rng.uniform(-0.5, 2, count)
     slide_m = rng.uniform(-slide, slide, count) * HALF_M
-    found = limits(model(count), ridges.x, translated(rng, ridges, closing, slide_m))
+    found = limits(ridges.x, ridges.closing(closing, slide_m))
     free = (1 - SLACKNESS) * gap / closing
     stopped = free < 1
     assert 100 < stopped.sum() < count
@@ -157,59 +126,48 @@ def test_ridges_that_cross_stop_at_a_tenth_of_their_gap(
 @pytest.mark.parametrize("short", [1e-3, 1e-6, 1e-9, 0.0])
 def test_a_ridge_that_is_hardly_a_line_stops_there_too(short: float) -> None:
     """One ridge, or both, so short that they have no direction to speak of."""
-    count, rng = 100, np.random.default_rng(2)
-    gap = 10.0 ** rng.uniform(-6, -4, count)
+    rng = np.random.default_rng(2)
+    gap = 10.0 ** rng.uniform(-6, -4, 100)
     for halves in ((short * HALF_M, HALF_M), (HALF_M, short * HALF_M), (short * HALF_M,) * 2):
-        ridges = crossing(rng, rng.uniform(0.5, 2.5, count), gap, halves)
-        found = limits(model(count), ridges.x, translated(rng, ridges, 2 * gap, 0 * gap))
+        ridges = Ridges(rng, rng.uniform(0.5, 2.5, 100), gap, halves)
+        found = limits(ridges.x, ridges.closing(2 * gap))
         assert found == pytest.approx((1 - SLACKNESS) / 2, rel=0.02)
 
 
 def test_ridges_that_pass_or_part_do_not_stop() -> None:
-    count, rng = 100, np.random.default_rng(3)
-    gap = 10.0 ** rng.uniform(-6, -4, count)
-    ridges = crossing(rng, rng.uniform(0.5, 2.5, count), gap)
-    made = model(count)
-    for closing, slide in ((-3 * gap, 0 * gap), (0 * gap, 0.1 * HALF_M + 0 * gap)):
-        found = limits(made, ridges.x, translated(rng, ridges, closing, slide))
-        assert np.all(found == 1.0)
+    rng = np.random.default_rng(3)
+    gap = 10.0 ** rng.uniform(-6, -4, 100)
+    ridges = Ridges(rng, rng.uniform(0.5, 2.5, 100), gap)
+    assert np.all(limits(ridges.x, ridges.closing(-3 * gap)) == 1.0)
+    assert np.all(limits(ridges.x, ridges.closing(0 * gap, 0.1 * HALF_M)) == 1.0)
 
 
 def test_the_thickness_of_both_is_kept() -> None:
-    count, rng, thickness = 50, np.random.default_rng(4), 2e-6
-    gap = rng.uniform(5e-6, 1e-4, count)
-    ridges = crossing(rng, rng.uniform(0.5, 2.5, count), gap)
-    dx = translated(rng, ridges, 2 * gap, 0 * gap)
-    found = limits(model(count, thickness), ridges.x, dx)
-    spare = gap - 2 * thickness
-    assert found == pytest.approx((1 - SLACKNESS) * spare / (2 * gap), rel=1e-8)
+    rng, thickness = np.random.default_rng(4), 2e-6
+    gap = rng.uniform(5e-6, 1e-4, 50)
+    ridges = Ridges(rng, rng.uniform(0.5, 2.5, 50), gap)
+    found = limits(ridges.x, ridges.closing(2 * gap), thickness)
+    assert found == pytest.approx((1 - SLACKNESS) * (gap - 2 * thickness) / (2 * gap), rel=1e-8)
 
 
 def test_edges_that_turn_and_stretch_are_free_of_contact_up_to_the_limit() -> None:
     """Every node of the ridges goes its own way: the referee is ipctk's Tight-Inclusion."""
     count, rng = 300, np.random.default_rng(6)
     gap = 10.0 ** rng.uniform(-5.5, -3.5, count)
-    ridges = crossing(rng, rng.uniform(0.4, 2.7, count), gap)
-    dx = translated(rng, ridges, gap * rng.uniform(0.5, 5, count), 0 * gap)
-    own = np.zeros_like(dx)
-    own[:, [0, 1, 4, 5]] = rng.normal(size=(count, 4, 3)) * gap[:, None, None]
-    dx += own
-    found = limits(model(count), ridges.x, dx)
+    ridges = Ridges(rng, rng.uniform(0.4, 2.7, count), gap)
+    dx = ridges.closing(gap * rng.uniform(0.5, 5, count))
+    dx[:, RIDGES] += rng.normal(size=(count, 4, 3)) * gap[:, None, None]
+    found = limits(ridges.x, dx)
     referee = ipctk.TightInclusionCCD(tolerance=1e-10, conservative_rescaling=1 - 1e-6)
-    pair = [0, 1, 4, 5]
-    expected = np.full(count, np.inf)
-    for env in range(count):
-        start, end = ridges.x[env, pair], (ridges.x + dx)[env, pair]
-        hit, time = referee.edge_edge_ccd(*start, *end)
-        if hit:
-            expected[env] = time
+    starts, ends = ridges.x[:, RIDGES], (ridges.x + dx)[:, RIDGES]
+    answers = [referee.edge_edge_ccd(*a, *b) for a, b in zip(starts, ends, strict=True)]
+    expected = np.array([time if hit else np.inf for hit, time in answers])
     meets = np.isfinite(expected)
-    assert meets.sum() > 150
-    assert np.all(found[meets] < expected[meets])
+    assert meets.sum() > 150 and np.all(found[meets] < expected[meets])
     # A tenth of the gap is left; ridges may come as near before they meet.
     assert np.mean(found[meets] > 0.8 * expected[meets]) > 0.95
     assert np.mean(found[~meets] == 1.0) > 0.85
     for env in range(count):
         for part in np.linspace(0, found[env], 20):
-            nodes = (ridges.x + part * dx)[env, pair]
+            nodes = (ridges.x + part * dx)[env, RIDGES]
             assert ipctk.edge_edge_distance(*nodes) ** 0.5 > 0.099 * gap[env]

@@ -20,8 +20,6 @@ INTERFACE = {
     "wp::address", "wp::cross", "wp::dot", "wp::float32", "wp::float64", "wp::int32", "wp::mat_t",
     "wp::sqrt", "wp::uint64", "wp::vec_t", ".data", ".shape",
 }  # fmt: skip
-"""Block size and barrier; the address of an array's element, products and types; of arrays the
-first element and the shape, of matrices the rows (``data``)."""
 _NAMES = re.compile(r"\bwp::\w+|\bWP_\w+|(?<=\w)\.(?:data|shape|strides|ndim|grad)\b")
 
 
@@ -39,8 +37,7 @@ def snippets() -> Iterator[str]:
 
 
 def test_no_other_names_are_used() -> None:
-    found = {name for text in snippets() for name in _NAMES.findall(text)}
-    assert found == INTERFACE
+    assert {name for text in snippets() for name in _NAMES.findall(text)} == INTERFACE
 
 
 @wp.func_native("""

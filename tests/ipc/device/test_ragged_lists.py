@@ -26,7 +26,6 @@ CPU = wp.get_device("cpu")
 def _append_kernel(
     asked: wp.array(dtype=wp.int32), room: ListRoom, pairs: wp.array(dtype=wp.vec2i)
 ):
-    """As many pairs (environment, number) as are asked for."""
     env = wp.tid()
     for number in range(asked[env]):
         at = claim_place(env, room)
@@ -43,20 +42,6 @@ def _look_kernel(room: ListRoom, missed: wp.array(dtype=wp.int32)):
 def append(pairs: PairList, asked: np.ndarray) -> None:
     counts = wp.array(asked, dtype=wp.int32, device=CPU)
     wp.launch(_append_kernel, dim=len(asked), inputs=[counts, pairs.room, pairs.pairs], device=CPU)
-
-
-def too_short(pairs: PairList) -> np.ndarray:
-    """Environments whose list was too short; those are emptied, and ask for more."""
-    short = wp.zeros(len(pairs.counts), dtype=wp.int32, device=CPU)
-    wp.launch(_look_kernel, dim=len(short), inputs=[pairs.room, short], device=CPU)
-    return short.numpy() != 0
-
-
-def assert_holds(pairs: PairList, asked: np.ndarray) -> None:
-    """Each environment has its own pairs, in the order in which they came."""
-    for env, count in enumerate(asked):
-        expected = np.column_stack([np.full(count, env), np.arange(count)])
-        np.testing.assert_array_equal(pairs.of(env, pairs.pairs), expected)
 
 
 SIZES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 400)), min_size=1, max_size=12)
@@ -101,7 +86,6 @@ def test_what_many_need_goes_to_all() -> None:
 @pytest.mark.thorough
 @given(bursts=st.lists(st.lists(st.integers(0, 30), min_size=4, max_size=4), max_size=6))
 def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
-    """Whatever is asked for, round after round; rooms follow one another without a gap."""
     pairs = PairList(4, CPU, 3, 1000)
     everyone = wp.full(4, 1, dtype=wp.int32, device=CPU)
     for burst in map(np.array, bursts):
@@ -116,15 +100,19 @@ def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
         starts = pairs.starts.numpy()
         assert starts[0] == 0 and starts[-1] == pairs.capacity == len(pairs.pairs)
         np.testing.assert_array_equal(np.diff(starts), pairs.rooms)
-        assert_holds(pairs, burst)
+        # Each environment has its own pairs, in the order in which they came.
+        for env, count in enumerate(burst):
+            expected = np.column_stack([np.full(count, env), np.arange(count)])
+            np.testing.assert_array_equal(pairs.of(env, pairs.pairs), expected)
 
 
 def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However much memory there is."""
     monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
     monkeypatch.setattr(PairList, "most_entries", 1000)
     pairs = PairList(2, CPU, 10, 1 << 20)
     append(pairs, np.array([700, 500]))
-    assert too_short(pairs).all()
-    assert grow_all([pairs]).tolist() == [True, False]
+    # Environments whose list was too short are emptied, and ask for more.
+    short = wp.zeros(2, dtype=wp.int32, device=CPU)
+    wp.launch(_look_kernel, dim=2, inputs=[pairs.room, short], device=CPU)
+    assert short.numpy().all() and grow_all([pairs]).tolist() == [True, False]
     assert pairs.rooms.tolist() == [10, 750]

@@ -13,16 +13,10 @@ from hypothesis import strategies as st
 
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector, lower_to
 
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda:0",
-        marks=[
-            pytest.mark.gpu,
-            pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
-        ],
-    ),
-]
+needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+every_device = pytest.mark.parametrize(
+    "device", ["cpu", pytest.param("cuda:0", marks=[pytest.mark.gpu, needs_gpu])]
+)
 
 
 @wp.kernel(enable_backward=False)
@@ -33,30 +27,22 @@ def _lower_kernel(values: wp.array2d(dtype=wp.float64), least: wp.array(dtype=wp
 
 def lowest(values: np.ndarray, device: str) -> np.ndarray:
     least = wp.full(len(values), wp.inf, dtype=wp.float64, device=device)
-    wp.launch(
-        _lower_kernel,
-        dim=values.shape,
-        inputs=[wp.array(values, dtype=wp.float64, device=device), least],
-        device=device,
-    )
+    given = wp.array(values, dtype=wp.float64, device=device)
+    wp.launch(_lower_kernel, dim=values.shape, inputs=[given, least], device=device)
     return least.numpy()
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@every_device
 @given(st.lists(st.floats(0, 1e300) | st.floats(0, 1e-300), min_size=1, max_size=40))
 def test_the_least_of_many_is_found(device: str, values: list[float]) -> None:
     rows = np.array([values, values[::-1]])
     np.testing.assert_array_equal(lowest(rows, device), rows.min(axis=1))
 
 
-@pytest.mark.parametrize("device", DEVICES)
+@every_device
 def test_what_is_negative_stays_negative_and_what_is_no_number_is_passed_over(device: str) -> None:
     found = lowest(np.array([[3.0, -2.0, -5.0, 1.0], [np.nan, 3.0, np.inf, 0.0]]), device)
-    assert found[0] < 0
-    assert found[1] == 0
-
-
-CPU = wp.get_device("cpu")
+    assert found[0] < 0 and found[1] == 0
 
 
 @wp.kernel(enable_backward=False)
@@ -74,16 +60,14 @@ def add_up(
     places: np.ndarray, values: np.ndarray, in_any_order: bool = True, runs: int = 1
 ) -> np.ndarray:
     """Sums of the values [n, 3] of each of three places, added in the order given."""
-    sums = ReproducibleSums((1, 3), CPU, in_any_order)
-    totals = wp.zeros((1, 3), dtype=wp.vec3d, device=CPU)
-    inputs = [
-        wp.array(places.astype(np.int32), dtype=wp.int32, device=CPU),
-        wp.array(values, dtype=wp.vec3d, device=CPU),
-    ]
+    sums = ReproducibleSums((1, 3), wp.get_device("cpu"), in_any_order)
+    totals = wp.zeros((1, 3), dtype=wp.vec3d, device="cpu")
+    where = wp.array(places.astype(np.int32), dtype=wp.int32, device="cpu")
+    inputs = [where, wp.array(values, dtype=wp.vec3d, device="cpu")]
     for _ in range(runs):
         totals.zero_()
         for stage in sums.stages():
-            wp.launch(_add_kernel, dim=len(values), inputs=[*inputs, stage, totals], device=CPU)
+            wp.launch(_add_kernel, len(values), inputs=[*inputs, stage, totals], device="cpu")
     return totals.numpy()[0]
 
 
@@ -91,8 +75,7 @@ def addends(seed: int, count: int, decades: float) -> tuple[np.ndarray, np.ndarr
     """Of either sign, their sizes spread over so many decades; those of place 2 nearly cancel."""
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(count, 3)) * 10 ** rng.uniform(-decades, 0, (count, 1))
-    places = rng.integers(0, 2, count)
-    half = count // 4
+    places, half = rng.integers(0, 2, count), count // 4
     values[half : 2 * half] = -values[:half] * (1 + 1e-9)
     places[: 2 * half] = 2
     return places, values
@@ -123,10 +106,7 @@ def test_added_as_they_come_the_order_does_matter() -> None:
     order = np.random.default_rng(1).permutation(3000)
     first = add_up(places, values, False)
     assert not np.array_equal(add_up(places[order], values[order], False), first)
-
-
-def test_what_was_added_before_is_forgotten() -> None:
-    places, values = addends(2, 50, 3)
+    # What was added before is forgotten where it does not.
     np.testing.assert_array_equal(add_up(places, values, runs=3), add_up(places, values))
 
 

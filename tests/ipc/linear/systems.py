@@ -12,6 +12,7 @@ from taccel_lab.ipc.linear.problem.arrays import ExtraBlocks, LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
+Array = np.ndarray
 BACKENDS = ("ssor", "cg", "pipelined", "arrow")
 
 
@@ -24,7 +25,7 @@ def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> 
     return block_pattern([tets], np.maximum(free_index, -1))
 
 
-def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float) -> np.ndarray:
+def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float) -> Array:
     """Blocks of a network of springs, a few of them stiff as contacts, with a soft foundation.
 
     Shape [block_count, 3, 3]. Larger ``stiffness`` makes the matrix worse conditioned.
@@ -44,19 +45,16 @@ def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float
     return values
 
 
-def list_extra(
-    extra: ExtraBlocks, places: Sequence[np.ndarray], blocks: Sequence[np.ndarray]
-) -> None:
-    """List (row, column) and blocks of each environment, with some room to spare, more of it in
-    some than in others: what lies there must not matter."""
+def list_extra(extra: ExtraBlocks, places: Sequence[Sequence], blocks: Sequence[Sequence]) -> None:
+    """List (row, column) and blocks, with room to spare, in which nothing must matter."""
     counts = np.array([len(part) for part in places])
     extra.counts.zero_()
     extra._allocate(counts + 3 + 2 * np.arange(len(counts)))
     all_places = np.zeros((extra.capacity, 2), dtype=np.int32)
     all_blocks = np.full((extra.capacity, 3, 3), np.nan)
     for start, where, what in zip(extra.starts.numpy()[:-1], places, blocks, strict=True):
-        all_places[start : start + len(where)] = where
-        all_blocks[start : start + len(where)] = what
+        all_places[start : start + len(where)] = np.reshape(where, (-1, 2))
+        all_blocks[start : start + len(where)] = np.reshape(what, (-1, 3, 3))
     extra.places.assign(all_places)
     extra.values.assign(all_blocks)
     extra.counts.assign(counts.astype(np.int32))
@@ -64,13 +62,12 @@ def list_extra(
 
 def contact_system(
     envs: int, contacts: int = 40, bodies: int = 1, on: str = "cpu"
-) -> tuple[LinearSystem, np.ndarray]:
+) -> tuple[LinearSystem, Array]:
     """A gel and stiff bodies of four rows each, which come last, and the dense matrices.
 
     ``contacts`` faces of the gel touch the last body: a list of extra blocks, places repeated.
     """
     rng = np.random.default_rng(0)
-    device = wp.get_device(on)
     gel = delaunay_pattern(rng, 60, bonded=5)
     n = gel.free_count + 4 * bodies
     firsts = np.arange(gel.free_count, n, 4)
@@ -79,13 +76,11 @@ def contact_system(
     columns = np.concatenate([gel.columns, *(first + j for first in firsts)])
     starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
     pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
-    capacity = 16 * contacts
     clusters = [(int(first), int(first) + 4) for first in firsts]
-    system = LinearSystem(pattern, envs, device, clusters=clusters, method="cg")
+    system = LinearSystem(pattern, envs, wp.get_device(on), clusters=clusters, method="cg")
     values = np.zeros((envs, pattern.block_count, 3, 3))
-    places = np.zeros((envs, capacity, 2), dtype=np.int32)
-    extras = np.zeros((envs, capacity, 3, 3))
-    counts = np.zeros(envs, dtype=np.int32)
+    places: list[list] = [[] for _ in range(envs)]
+    extras: list[list] = [[] for _ in range(envs)]
     for env in range(envs):
         values[env, : gel.block_count] = random_spd(rng, gel, 30.0)
         for b in range(bodies):
@@ -100,55 +95,29 @@ def contact_system(
             for node, share in zip(face, shares, strict=True):
                 # What the two nodes share is left out, to keep to the pattern: stays definite.
                 values[env, pattern.diagonal[node]] += share * block
-                for k in range(4):
-                    places[env, counts[env]] = n - 4 + k, node
-                    extras[env, counts[env]] = share * weights[k] * block
-                    counts[env] += 1
+                places[env] += [(n - 4 + k, node) for k in range(4)]
+                extras[env] += [share * weight * block for weight in weights]
             values[env, -10:] += (weights[i] * weights[j])[:, None, None] * block
     system.values.assign(values)
-    list_extra(
-        system.extra,
-        [rows[:count] for rows, count in zip(places, counts, strict=True)],
-        [blocks[:count] for blocks, count in zip(extras, counts, strict=True)],
-    )
+    list_extra(system.extra, places, extras)
     system.rhs.assign(rng.normal(size=(envs, n, 3)))
-    dense = pattern.dense(values).reshape(envs, n, 3, n, 3)
-    for env, count in enumerate(counts):
-        for (row, column), block in zip(places[env, :count], extras[env, :count], strict=True):
-            dense[env, row, :, column] += block
-            dense[env, column, :, row] += block.T
-    dense = dense.reshape(envs, 3 * n, 3 * n)
+    dense = pattern.dense(values)
+    for env in range(envs):
+        add_extra(dense[env], places[env], extras[env])
     assert np.linalg.eigvalsh(dense).min() > 0
     return system, dense
 
 
-def solve_batch(
-    pattern: BlockPattern,
-    values: np.ndarray,
-    rhs: np.ndarray,
-    active: np.ndarray,
-    tolerance: float | np.ndarray,
-    max_iterations: int = 2000,
-    backend: str = "ssor",
-    clusters: list[tuple[int, int]] | None = None,
-) -> tuple[np.ndarray, LinearReport]:
-    """Solutions [env_count, free_count, 3] and the report."""
-    device = wp.get_device("cpu")
-    system = LinearSystem(pattern, len(values), device, clusters=clusters, method=backend)
-    system.values.assign(values)
-    system.rhs.assign(rhs)
-    system.tolerances.assign(np.broadcast_to(np.asarray(tolerance, float), len(values)).copy())
-    # What an earlier solve left behind must not matter.
-    system.solution.fill_(wp.vec3d(7.0))
-    for array in (system.iterations, system.breakdown):
-        array.fill_(7)
-    system.residuals.fill_(np.nan)
-    flags = wp.array(active.astype(np.int32), dtype=wp.int32, device=device)
-    system.solve(flags, max_iterations)
-    return system.solution.numpy(), system.report()
+def add_extra(dense: Array, places: Sequence, blocks: Sequence) -> None:
+    """Add blocks below the diagonal, and above it, to a matrix [3 n, 3 n]."""
+    n = len(dense) // 3
+    whole = dense.reshape(n, 3, n, 3)
+    for (row, column), block in zip(places, blocks, strict=True):
+        whole[row, :, column] += block
+        whole[column, :, row] += np.transpose(block)
 
 
-def touch_elsewhere(system: LinearSystem, dense: np.ndarray, bodies: int) -> None:
+def touch_elsewhere(system: LinearSystem, dense: Array, bodies: int) -> None:
     """Add contacts that a ``contact_system`` of one environment lacks, to it and to ``dense``.
 
     They join two bodies where there are two, else nodes of the gel whose block the pattern lacks.
@@ -165,7 +134,60 @@ def touch_elsewhere(system: LinearSystem, dense: np.ndarray, bodies: int) -> Non
         places.append(np.array([i, j]))
         values.append(-block)
         matrix[0, system.pattern.diagonal[[i, j]]] += block
-        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-            dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+        add_extra(dense[0], [(i, i), (j, j), (i, j)], [block / 2, block / 2, -block])
     system.values.assign(matrix)
-    list_extra(extra, [np.array(places)], [np.array(values)])
+    list_extra(extra, [places], [values])
+
+
+def with_contact_in_pattern(system: LinearSystem, dense: Array) -> LinearSystem:
+    """The same matrices with all blocks of the bodies' rows in the pattern, as scenes on a GPU have
+    it, and no list."""
+    n, gels = system.pattern.free_count, system.clusters[0][0]
+    held = np.tril(np.ones((n, n), dtype=bool))
+    held[:gels, :gels] = False
+    held[system.pattern.rows, system.pattern.columns] = True
+    rows, columns = np.nonzero(held)
+    starts = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
+    pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
+    other = LinearSystem(pattern, len(dense), system.device, clusters=system.clusters, method="cg")
+    other.values.assign(dense.reshape(-1, n, 3, n, 3)[:, rows, :, columns].swapaxes(0, 1))
+    other.rhs.assign(system.rhs)
+    return other
+
+
+def mask(*active: int, on: str = "cpu") -> wp.array:
+    return wp.array(active, dtype=wp.int32, device=on)
+
+
+def solve(
+    system: LinearSystem,
+    tolerance: float | Array,
+    active: Sequence[int] | None = None,
+    most: int = 1000,
+) -> LinearReport:
+    """The report of a solve of (active) environments; what was there before must not matter."""
+    count = len(system.tolerances)
+    system.tolerances.assign(np.full(count, tolerance))
+    system.solution.fill_(wp.vec3d(np.nan))
+    for array in (system.iterations, system.breakdown):
+        array.fill_(7)
+    system.residuals.fill_(np.nan)
+    system.solve(mask(*([1] * count if active is None else active), on=str(system.device)), most)
+    return system.report()
+
+
+def residuals(system: LinearSystem, dense: Array, rhs: Array | None = None) -> Array:
+    """Of each environment over its load, the right-hand side of the system when None."""
+    rhs = system.rhs.numpy() if rhs is None else rhs
+    load, x = (array.reshape(len(dense), -1) for array in (rhs, system.solution.numpy()))
+    left = load - np.einsum("eij,ej->ei", dense, x)
+    return np.linalg.norm(left, axis=1) / np.linalg.norm(load, axis=1)
+
+
+def system_of(
+    pattern: BlockPattern, values: Array, rhs: Array, backend: str = "ssor"
+) -> LinearSystem:
+    system = LinearSystem(pattern, len(values), wp.get_device("cpu"), method=backend)
+    system.values.assign(values)
+    system.rhs.assign(rhs)
+    return system

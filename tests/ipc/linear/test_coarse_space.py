@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.linear.cg.block_cg import BlockCG
 from taccel_lab.ipc.linear.cg.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.coarse.matrix import CoarseCorrection, coarse_parts
@@ -16,23 +17,27 @@ from taccel_lab.ipc.linear.coarse.space import MODES
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
-from tests.ipc.linear.peg_system import assemble, box_tets, elastic_blocks
-from tests.ipc.linear.systems import contact_system, touch_elsewhere
+from taccel_lab.scene import Material, Scene
+from tests.ipc.linear.systems import contact_system, mask, residuals, solve, touch_elsewhere
+from tests.support.blocks import soft_block
+from tests.verification.elements import ElementForces
 
 CPU = wp.get_device("cpu")
 LANES = 64
+every_method = pytest.mark.parametrize("method", [BlockCG, PipelinedCG])
 
 
 def bar(length: int, envs: int = 1) -> tuple[LinearSystem, np.ndarray]:
     """A bar that stands on its bonded end, 4 by 4 nodes thick, and its dense matrix."""
-    nodes, tets = box_tets((4, 4, length), (3e-3, 3e-3, 1e-3 * (length - 1)))
-    free = np.maximum(np.arange(len(nodes)) - 16, -1)
-    pattern = block_pattern([tets], free)
-    values = assemble(pattern, tets, free, elastic_blocks(nodes, tets))
-    system = LinearSystem(pattern, envs, CPU, method="cg", positions_m=nodes[16:])
+    size = (3e-3, 3e-3, 1e-3 * (length - 1))
+    gel = soft_block((3, 3, length - 1), size, Material(1.5e5, 0.46))
+    forces = ElementForces(Scene(gel).finalize())
+    rest, pattern = forces.model.rest_positions.numpy(), forces.model.pattern
+    values = forces.system(rest, PSD_NONE)[0][0]
+    values[pattern.diagonal] += 1e-2 * np.eye(3)  # Inertia of a cubic millimetre in 0.01 s.
+    system = LinearSystem(pattern, envs, CPU, method="cg", positions_m=rest[0, forces.free])
     system.values.assign(np.broadcast_to(values, (envs, *values.shape)))
-    rng = np.random.default_rng(1)
-    system.rhs.assign(1e-3 * rng.normal(size=(envs, pattern.free_count, 3)))
+    system.rhs.assign(1e-3 * np.random.default_rng(1).normal(size=(envs, pattern.free_count, 3)))
     return system, pattern.dense(values[None])[0]
 
 
@@ -56,7 +61,7 @@ def test_the_matrix_of_the_parts_is_inverted(many_lanes: None, part_rows: int) -
     assert sorted(np.concatenate(parts)) == list(range(system.pattern.free_count))
     plan = plan_rows(system.pattern.free_count, [], 3, parts)
     correction = CoarseCorrection(system, plan, parts, LANES)
-    correction.update(wp.array([1, 0], dtype=wp.int32, device=CPU))
+    correction.update(mask(1, 0))
     p = rigid_motions(parts, system.positions_m)
     assert correction.space.width == p.shape[1]
     found = correction.space.inverses.numpy()
@@ -68,42 +73,29 @@ def test_the_matrix_of_the_parts_is_inverted(many_lanes: None, part_rows: int) -
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("method", [BlockCG, PipelinedCG])
-def test_a_long_bar_takes_few_iterations(
-    many_lanes: None, method: type[BlockCG] | type[PipelinedCG]
-) -> None:
+@every_method
+def test_a_long_bar_takes_few_iterations(many_lanes: None, method: type) -> None:
     counts = {}
     for part_rows in (1000, 64):
         system, dense = bar(40, envs=2)
         system._solver = method(system, [], LANES, part_rows=part_rows)
-        system.tolerances.fill_(1e-6)
-        system.solution.fill_(np.nan)
-        system.solve(wp.full(2, 1, dtype=wp.int32, device=CPU), 2000)
-        report = system.report()
+        report = solve(system, 1e-6, most=2000)
         assert not report.breakdown.any()
-        for env in range(2):
-            b, found = system.rhs.numpy()[env].ravel(), system.solution.numpy()[env].ravel()
-            assert np.linalg.norm(b - dense @ found) <= 1.001e-6 * np.linalg.norm(b)
+        assert (residuals(system, np.stack([dense, dense])) <= 1.001e-6).all()
         counts[part_rows] = int(report.iterations.max())
         assert ("rigid motions of 10 parts" in system.describe()) == (part_rows == 64)
     assert counts[64] < 0.4 * counts[1000]
 
 
-@pytest.mark.parametrize("method", [BlockCG, PipelinedCG])
-def test_bodies_and_extra_blocks_stand_beside_it(
-    many_lanes: None, method: type[BlockCG] | type[PipelinedCG]
-) -> None:
+@every_method
+def test_bodies_and_extra_blocks_stand_beside_it(many_lanes: None, method: type) -> None:
     system, dense = contact_system(1)
     touch_elsewhere(system, dense, 1)
-    rng = np.random.default_rng(0)
-    system.positions_m = rng.random((system.pattern.free_count, 3))
+    system.positions_m = np.random.default_rng(0).random((system.pattern.free_count, 3))
     system._solver = method(system, system.clusters, LANES, part_rows=20)
     assert "1 of bodies" in system.describe() and "parts" in system.describe()
-    system.tolerances.fill_(1e-9)
-    system.solve(wp.full(1, 1, dtype=wp.int32, device=CPU), 1000)
-    for env, matrix in enumerate(dense):
-        b, found = system.rhs.numpy()[env].ravel(), system.solution.numpy()[env].ravel()
-        assert np.linalg.norm(b - matrix @ found) <= 1.01e-9 * np.linalg.norm(b)
+    solve(system, 1e-9)
+    assert residuals(system, dense) <= 1.01e-9
 
 
 def test_an_indefinite_matrix_is_left_out(many_lanes: None) -> None:
@@ -114,7 +106,7 @@ def test_an_indefinite_matrix_is_left_out(many_lanes: None) -> None:
     plan = plan_rows(system.pattern.free_count, [], parts=parts)
     correction = CoarseCorrection(system, plan, parts, LANES)
     correction.space.inverses.fill_(np.nan)
-    correction.update(wp.full(1, 1, dtype=wp.int32, device=CPU))
+    correction.update(mask(1))
     assert (correction.space.inverses.numpy() == 0).all()
 
 
@@ -134,8 +126,7 @@ def test_parts_are_few(rows: int, parts: int) -> None:
 
 
 def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
-    lengths = [90, 300, 200, 120]
-    starts = np.cumsum([0, *lengths])
+    starts = np.cumsum([0, 90, 300, 200, 120])
     links = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], 1) for a, b in pairwise(starts)]
     rows = int(starts[-1])
     pattern = block_pattern([np.concatenate(links)], np.arange(rows))

@@ -8,7 +8,7 @@ import warp as wp
 
 from taccel_lab.ipc.linear.corrected import MOST_SOLVES, TOLERANCE, CorrectedSolve
 from taccel_lab.ipc.linear.system import LinearSystem
-from tests.ipc.linear.systems import delaunay_pattern, random_spd
+from tests.ipc.linear.systems import delaunay_pattern, mask, random_spd, residuals, solve
 
 ENVS = 4
 STILL = 3
@@ -28,15 +28,12 @@ class Corrected:
         self.system.values.assign(values)
         self.dense = pattern.dense(values)
         n = 3 * pattern.free_count
-        self.corrections = np.zeros((ENVS, n, n))
         left, right = rng.normal(size=(2, ENVS, n, 3))
-        for env in range(ENVS):
-            self.corrections[env] = size * left[env] @ right[env].T
+        self.corrections = size * left @ right.swapaxes(1, 2)
         self.rhs = rng.normal(size=(ENVS, pattern.free_count, 3))
         self.system.rhs.assign(self.rhs)
-        self.system.tolerances.fill_(1e-8)
         self.solve = CorrectedSolve(self.system)
-        self.who = wp.array([int(env != STILL) for env in range(ENVS)], dtype=wp.int32)
+        self.who = mask(*(int(env != STILL) for env in range(ENVS)))
         self.asked = 0
 
     def change(self, mask: wp.array) -> None:
@@ -49,16 +46,12 @@ class Corrected:
 
     def run(self) -> np.ndarray:
         """Residual over load of each environment."""
-        everyone = wp.full(ENVS, 1, dtype=wp.int32)
-        self.system.solve(everyone, 2000)
+        solve(self.system, 1e-8, most=2000)
         self.plain = self.system.solution.numpy().copy()
         totals = wp.zeros(ENVS, dtype=wp.int32)
         self.solve.solve(self.who, self.change, 2000, totals)
         self.totals = totals.numpy()
-        x = self.system.solution.numpy().reshape(ENVS, -1)
-        load = self.rhs.reshape(ENVS, -1)
-        left = load - np.einsum("eij,ej->ei", self.dense + self.corrections, x)
-        return np.linalg.norm(left, axis=1) / np.linalg.norm(load, axis=1)
+        return residuals(self.system, self.dense + self.corrections, self.rhs)
 
 
 def test_a_correction_of_rank_three_is_solved_in_four() -> None:

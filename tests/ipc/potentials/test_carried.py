@@ -4,6 +4,8 @@ of the energy, and of the gradient."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -25,6 +27,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
+from tests.ipc.derivatives import differences
 
 HALF = np.sqrt(0.5)
 MODULUS_PA = 1e5
@@ -60,74 +63,86 @@ def solver(request: pytest.FixtureRequest) -> SolverIPC:
 
 
 class Reduced:
-    """Energy, gradient and matrix of what elements and inertia add up to, by the unknowns."""
+    """Energies, gradients and matrix of potentials by the unknowns, of environment 0."""
 
-    def __init__(self, solver: SolverIPC) -> None:
-        self.solver, self.model = solver, solver.model
-        state = initial_state(self.model)
+    def __init__(self, solver: SolverIPC, parts: list[Any], start: np.ndarray) -> None:
+        self.solver, self.model, self.parts, self.start = solver, solver.model, parts, start
         self.everyone = wp.full(self.model.env_count, 1, dtype=wp.int32)
-        dts = wp.full(self.model.env_count, 0.01, dtype=wp.float64)
-        assert solver.inertia is not None and solver.maxwell
-        solver.inertia.begin_step(state.positions, state.velocities)
-        for part in solver.maxwell:
-            part.begin_step(
-                state.positions,
-                state.viscous_inverses,
-                dts,
-                self.everyone,
-                wp.zeros_like(self.everyone),
-            )
-        self.parts = [*solver.elastic, *solver.maxwell, solver.inertia]
-        self.start = state.positions.numpy()
-        noise = np.random.default_rng(4).normal(size=(self.model.free_count, 3))
-        self.base = self.start[0, self.model.free_nodes.numpy()] + 0.02 * SIZE_M * noise
+        self.free = self.model.free_nodes.numpy()
 
     def positions(self, free: np.ndarray) -> wp.array:
         x = self.start.copy()
-        x[:, self.model.free_nodes.numpy()] = free
+        x[:, self.free] = free
         placed = wp.array(x, dtype=wp.vec3d)
         embed_vertices(self.model, placed)
         return placed
 
-    def energy(self, free: np.ndarray) -> float:
-        x = self.positions(free)
-        return sum(part.energy(self.everyone, x)[0] for part in self.parts)
+    def energies(self, batch: np.ndarray) -> np.ndarray:
+        """Of configurations [count, free, 3]."""
+        at = map(self.positions, batch)
+        return np.array([sum(p.energy(self.everyone, x)[0] for p in self.parts) for x in at])
 
-    def gradient(self, free: np.ndarray) -> np.ndarray:
-        x = self.positions(free)
-        nodal, none = wp.zeros_like(x), wp.zeros_like(x)
-        for part in self.parts:
-            part.add_gradient(self.everyone, x, nodal)
+    def gradients(self, batch: np.ndarray) -> np.ndarray:
+        """The same, [count, 3 free]."""
         shape = (self.model.env_count, self.model.free_count)
-        reduced = wp.zeros(shape, dtype=wp.vec3d)
-        reduce_gradient(self.model, self.everyone, [nodal, none, none], reduced)
-        return reduced.numpy()[0]
+        found = []
+        for x in map(self.positions, batch):
+            nodal, none, reduced = (wp.zeros(n, dtype=wp.vec3d) for n in (x.shape, x.shape, shape))
+            for part in self.parts:
+                self.add_gradient(part, x, nodal)
+            reduce_gradient(self.model, self.everyone, [nodal, none, none], reduced)
+            found.append(reduced.numpy()[0].ravel())
+        return np.array(found)
+
+    def add_gradient(self, part: Any, x: wp.array, nodal: wp.array) -> None:
+        part.add_gradient(self.everyone, x, nodal)
 
     def matrix(self, free: np.ndarray) -> np.ndarray:
         linear = self.solver.linear
         linear.values.zero_()
+        linear.extra.clear()
         system = newton_system(self.model, linear, self.solver.displacements)
         exact = wp.full(self.model.env_count, PSD_NONE, dtype=wp.int32)
         for part in self.parts:
             part.add_hessian(self.everyone, self.positions(free), system, exact)
-        return self.model.pattern.dense(linear.values.numpy())[0]
+        full, extra = self.model.pattern.dense(linear.values.numpy())[0], linear.extra
+        for (i, j), b in zip(extra.of(0, extra.places), extra.of(0, extra.values), strict=True):
+            full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += b
+            full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += b.T
+        return full
+
+
+def elements_and_inertia(solver: SolverIPC) -> tuple[Reduced, np.ndarray]:
+    """What both add up to, and where the unknowns are."""
+    state = initial_state(solver.model)
+    everyone = wp.full(2, 1, dtype=wp.int32)
+    none, dts = wp.zeros_like(everyone), wp.full(2, 0.01, dtype=wp.float64)
+    assert solver.inertia is not None and solver.maxwell
+    solver.inertia.begin_step(state.positions, state.velocities)
+    for part in solver.maxwell:
+        part.begin_step(state.positions, state.viscous_inverses, dts, everyone, none)
+    parts = [*solver.elastic, *solver.maxwell, solver.inertia]
+    reduced = Reduced(solver, parts, state.positions.numpy())
+    noise = np.random.default_rng(4).normal(size=(solver.model.free_count, 3))
+    return reduced, reduced.start[0, reduced.free] + 0.02 * SIZE_M * noise
 
 
 def test_derivatives_against_differences(solver: SolverIPC) -> None:
-    reduced = Reduced(solver)
-    x, count = reduced.base, reduced.base.size
-    step = 5e-5 * SIZE_M
-    moves = step * np.eye(count).reshape(count, *x.shape)
+    reduced, x = elements_and_inertia(solver)
     # All that the boxes move, and some of the rest: the boxes' rows are last.
-    some = [*range(0, count - 24, 7), *range(count - 24, count)]
-    gradient, matrix = reduced.gradient(x).ravel(), reduced.matrix(x)
+    some = [*range(0, x.size - 24, 7), *range(x.size - 24, x.size)]
+    gradient, matrix = reduced.gradients(x[None])[0], reduced.matrix(x)
     force, stiffness = np.abs(gradient).max(), np.abs(matrix).max()
     assert np.abs(gradient[-12:]).max() > 1e-3 * MODULUS_PA * SIZE_M**2, "the gels pull at the box"
-    for i in some:
-        slope = (reduced.energy(x + moves[i]) - reduced.energy(x - moves[i])) / (2 * step)
-        assert gradient[i] == pytest.approx(slope, abs=1e-6 * force)
-        column = (reduced.gradient(x + moves[i]) - reduced.gradient(x - moves[i])) / (2 * step)
-        np.testing.assert_allclose(matrix[:, i], column.ravel(), atol=1e-6 * stiffness)
+    slopes = differences(reduced.energies, x, 5e-5 * SIZE_M, some)
+    np.testing.assert_allclose(gradient[some], slopes, rtol=0, atol=1e-6 * force)
+    columns = differences(reduced.gradients, x, 5e-5 * SIZE_M, some)
+    np.testing.assert_allclose(matrix[:, some], columns.T, atol=1e-6 * stiffness)
+    # The other box's rows hold its own inertia alone, and no block to the gels.
+    other, own = matrix[-24:-12], np.zeros((12, x.size))
+    masses = solver.model.masses.numpy()[0, reduced.free[-8:-4]] / 0.01**2
+    own[:, -24:-12] = np.diag(np.repeat(masses, 3))
+    np.testing.assert_allclose(other, own, rtol=1e-12)
 
 
 def test_rims_of_gels_on_two_bodies_that_touch() -> None:
@@ -150,38 +165,29 @@ def test_rims_of_gels_on_two_bodies_that_touch() -> None:
         SoftBody(mesh, gel, name=f"gel {i}", mount=f"box {i}", element=Element.LINEAR)
         for i in range(2)
     ]
-    time = TimeStepping(quasi_static=False)
-    model = Scene(gels, affine_bodies=bodies, time=time).finalize("cpu")
+    model = Scene(gels, affine_bodies=bodies, time=TimeStepping(quasi_static=False)).finalize("cpu")
     solver = SolverIPC(model, SolverConfig(dhat_m=dhat))
-    state, everyone = initial_state(model), wp.full(1, 1, dtype=wp.int32)
-    free = model.free_nodes.numpy()
-    noise = np.random.default_rng(3).normal(size=(len(free), 3))
-    start = state.positions.numpy().copy()
-    start[0, free] += 0.02 * gap * noise
+    state = initial_state(model)
 
-    def moved(way: np.ndarray) -> wp.array:
-        x = start.copy()
-        x[0, free] += way
-        placed = wp.array(x, dtype=wp.vec3d)
-        embed_vertices(model, placed)
-        solver.displacements.zero_()
-        solver.candidates.update(
-            everyone, placed, solver.displacements, state.poses, state.poses, dhat
-        )
-        solver.pairs.forget(everyone)
-        solver.collisions.update(everyone, placed, solver.candidates)
-        return placed
+    class Touching(Reduced):
+        """Collisions are found anew at all positions."""
 
-    def gradient(way: np.ndarray) -> np.ndarray:
-        x = moved(way)
-        nodal, none = wp.zeros_like(x), wp.zeros_like(x)
-        nearest = wp.full(1, np.inf, dtype=wp.float64)
-        solver.contact.add_gradient(everyone, x, nodal, nearest)
-        reduced = wp.zeros((1, model.free_count), dtype=wp.vec3d)
-        reduce_gradient(model, everyone, [nodal, none, none], reduced)
-        return reduced.numpy()[0].ravel()
+        def positions(self, free: np.ndarray) -> wp.array:
+            placed, still = super().positions(free), solver.displacements
+            still.zero_()
+            poses = (state.poses, state.poses)
+            solver.candidates.update(self.everyone, placed, still, *poses, dhat)
+            solver.pairs.forget(self.everyone)
+            solver.collisions.update(self.everyone, placed, solver.candidates)
+            return placed
 
-    x = moved(np.zeros((len(free), 3)))
+        def add_gradient(self, part: Any, x: wp.array, nodal: wp.array) -> None:
+            part.add_gradient(self.everyone, x, nodal, wp.full(1, np.inf, dtype=wp.float64))
+
+    reduced = Touching(solver, [solver.contact], state.positions.numpy())
+    noise = np.random.default_rng(3).normal(size=(len(reduced.free), 3))
+    x = reduced.start[0, reduced.free] + 0.02 * gap * noise
+    matrix = reduced.matrix(x)
     nodes = solver.collisions.snapshot(0)["stencils"]
     parents, rows = model.parents.numpy(), model.free_index.numpy()
     unknowns = [
@@ -189,33 +195,5 @@ def test_rims_of_gels_on_two_bodies_that_touch() -> None:
         for s in nodes
     ]
     assert max(unknowns) == 10
-    linear = solver.linear
-    linear.values.zero_()
-    linear.extra.clear()
-    exact = wp.full(1, PSD_NONE, dtype=wp.int32)
-    solver.contact.add_hessian(
-        everyone, x, newton_system(model, linear, solver.displacements), exact
-    )
-    matrix = model.pattern.dense(linear.values.numpy())[0]
-    count = int(linear.extra.counts.numpy()[0])
-    places, blocks = linear.extra.places.numpy(), linear.extra.values.numpy()
-    for (row, column), block in zip(places[:count], blocks[:count], strict=True):
-        matrix[3 * row : 3 * row + 3, 3 * column : 3 * column + 3] += block
-        matrix[3 * column : 3 * column + 3, 3 * row : 3 * row + 3] += block.T
-    step, largest = 1e-5 * gap, np.abs(matrix).max()
-    for i in range(3 * len(free)):
-        way = np.zeros((len(free), 3))
-        way.ravel()[i] = step
-        column = (gradient(way) - gradient(-way)) / (2 * step)
-        np.testing.assert_allclose(matrix[:, i], column, atol=1e-5 * largest)
-
-
-def test_a_box_that_carries_nothing_is_left_alone(solver: SolverIPC) -> None:
-    """The other box's rows hold its own inertia alone, and no block to the gels."""
-    reduced = Reduced(solver)
-    matrix = reduced.matrix(reduced.base)
-    other = matrix[-24:-12]
-    own = np.zeros_like(other)
-    masses = solver.model.masses.numpy()[0, solver.model.free_nodes.numpy()[-8:-4]] / 0.01**2
-    own[:, -24:-12] = np.diag(np.repeat(masses, 3))
-    np.testing.assert_allclose(other, own, rtol=1e-12)
+    columns = differences(reduced.gradients, x, 1e-5 * gap)
+    np.testing.assert_allclose(matrix, columns.T, atol=1e-5 * np.abs(matrix).max())

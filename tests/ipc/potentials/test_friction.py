@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction against finite differences, Coulomb's law, rolling and spinning."""
+"""Lagged friction against finite differences, Coulomb's law, rolling and spinning; what brought two
+bodies together is no sliding."""
 
 from __future__ import annotations
 
@@ -9,86 +10,92 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.ipc.potentials.friction_change import add_friction_change
+from taccel_lab.presses import parse_indenter
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
-from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers import SolverConfig
 from taccel_lab.state import initial_state
-from tests.ipc.derivatives import assert_derivatives
+from tests.ipc.derivatives import assert_derivatives, assert_semidefinite
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.assembly import Assembly
 
-DHAT, EPS, MU = 3e-4, 2e-5, 0.7
-STEP = 1e-9
+EPS, MU = 2e-5, 0.7
+COARSE = SolverConfig(dhat_m=3e-4, friction_eps_m=EPS)
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3), jitter=0.2, seed=4)
+GEL = slice(0, MESH.node_count)
 RADIUS = 1.5e-3
 BODIES: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
     "bumpy": (bumpy_body(1, 0.8e-3), pose(1e-4, -2e-4, 0.88e-3, (1, 2, 3), 40)),
     # The gel lies under one triangle of the plate, away from its diagonal.
     "plate": (box_mesh((12e-3, 12e-3, 1e-3)), pose(4e-3, -1e-3, 0.6e-3)),
-    "ball": (Ball(RADIUS), pose(2e-4, -1e-4, RADIUS + 0.3 * DHAT)),
+    "ball": (Ball(RADIUS), pose(2e-4, -1e-4, RADIUS + 0.3 * 3e-4)),
     # It lies on faces and edges of the gel, and nodes of the gel on it.
     "edge": (box_mesh((1e-3, 1e-3, 1e-3)), pose(1e-4, 2e-4, 0.95e-3, (1, 1, 0.2), 45)),
 }
 
 
 class Rubbing:
-    """A gel frozen against a body, then moved; an environment for each probe of a coordinate, or
-    as many as there are to be."""
+    """A gel frozen against a body that came from another pose; an environment for each probe."""
 
-    def __init__(self, name: str, turn_deg: float = 0.0, count: int = 0) -> None:
-        shape, placed = BODIES[name]
+    def __init__(
+        self,
+        shape: TriangleMesh | Ball,
+        before: np.ndarray,
+        after: np.ndarray,
+        count: int = 0,
+        mesh: TetMesh = MESH,
+        config: SolverConfig = COARSE,
+    ) -> None:
         body_count = 1 if isinstance(shape, Ball) else len(shape.vertices_m)
-        count = count or 6 * (MESH.node_count + body_count)
-        model = scene(MESH, KinematicBody(shape, MU), env_count=count).finalize()
-        before = everywhere(count, placed)
-        config = SolverConfig(dhat_m=DHAT, friction_eps_m=EPS)
-        self.assembly = Assembly(model, config, before)
-        self.start = initial_state(model, before).positions.numpy()
-        turned = pose(*placed[:3], (1, 2, 2), turn_deg) if turn_deg else placed
-        self.poses = self.assembly.poses
-        self.end_poses = wp.array(everywhere(count, turned), dtype=wp.transformd)
-        assert self.assembly.collide(self.start) > 0
-        assert self.assembly.solver.friction is not None
+        self.count = count or 6 * (mesh.node_count + body_count)
+        model = scene(mesh, KinematicBody(shape, MU), env_count=self.count).finalize()
+        starts, ends = everywhere(self.count, before), everywhere(self.count, after)
+        self.assembly = Assembly(model, config, ends)
+        self.active = self.assembly.active
+        self.poses = wp.array(starts, dtype=wp.transformd)
+        self.end_poses = self.assembly.poses
+        self.start = initial_state(model, starts).positions.numpy()
+        self.now = initial_state(model, ends).positions.numpy()
+        assert self.assembly.collide(self.now) > 0 and self.assembly.solver.friction
         self.friction = self.assembly.solver.friction
-        dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
-        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts, dts)
-        self.freeze(self.start)
+        dts = wp.full(self.count, model.scene.time.dt_s, dtype=wp.float64)
+        self.friction.begin_step(self.active, dts, dts)
+        self.freeze(self.now)
 
     def freeze(self, positions: np.ndarray) -> None:
         x, start = self.assembly.nodal(positions), self.assembly.nodal(self.start)
-        self.friction.lag(self.assembly.active, x, start)
+        self.friction.lag(self.active, x, start)
 
     def motion(self, positions: np.ndarray):
-        return step_motion(
-            self.friction.model,
-            self.assembly.nodal(positions),
-            self.assembly.nodal(self.start),
-            self.end_poses,
-            self.poses,
-        )
+        x, start = self.assembly.nodal(positions), self.assembly.nodal(self.start)
+        return step_motion(self.friction.model, x, start, self.end_poses, self.poses)
 
     def energy(self, positions: np.ndarray) -> np.ndarray:
-        return self.friction.energy(self.assembly.active, self.motion(positions))
+        return self.friction.energy(self.active, self.motion(positions))
 
     def gradient(self, positions: np.ndarray) -> np.ndarray:
         out = self.assembly.nodal()
-        self.friction.add_gradient(self.assembly.active, self.motion(positions), out)
+        self.friction.add_gradient(self.active, self.motion(positions), out)
         return out.numpy()
 
+    def at(self, x: np.ndarray) -> np.ndarray:
+        return self.gradient(self.same(x))[0]
+
     def same(self, x: np.ndarray) -> np.ndarray:
-        return np.repeat(x[None], len(self.start), axis=0)
+        return np.repeat(x[None], self.count, axis=0)
+
+    def slid(self, size: float) -> np.ndarray:
+        x = self.start[0]
+        return x + np.random.default_rng(2).uniform(-size, size, x.shape)
 
 
 @lru_cache
-def rubbing(name: str, turn_deg: float = 0.0) -> Rubbing:
-    return Rubbing(name, turn_deg)
-
-
-def slid(case: Rubbing, size: float) -> np.ndarray:
-    """Positions after random sliding of about ``size`` [m]."""
-    x = case.start[0]
-    return x + np.random.default_rng(2).uniform(-size, size, x.shape)
+def rubbing(name: str, turn_deg: float, count: int = 0) -> Rubbing:
+    shape, placed = BODIES[name]
+    turned = pose(*placed[:3], (1, 2, 2), turn_deg) if turn_deg else placed
+    return Rubbing(shape, placed, turned, count)
 
 
 # Sliding below and above eps, where friction is static and where it is sliding, and both at once.
@@ -96,83 +103,71 @@ def slid(case: Rubbing, size: float) -> np.ndarray:
 @pytest.mark.parametrize(("name", "turn"), [("bumpy", 0.0), ("ball", 0.0), ("ball", 0.5)])
 def test_gradient_and_hessian_are_the_derivatives(name: str, turn: float, size: float) -> None:
     case = rubbing(name, turn)
-    x = slid(case, size)
+    x, assembly, mu_lambdas = case.slid(size), case.assembly, case.friction.frozen.mu_lambdas
     # The matrix leaves out subtracted duplicates, so that it stays positive.
-    assembly, friction = case.assembly, case.friction
-    signed = friction.frozen.mu_lambdas.numpy().copy()
+    signed = mu_lambdas.numpy().copy()
     assert (signed < 0).any() == (name == "bumpy")
-    friction.frozen.mu_lambdas.assign(np.maximum(signed, 0.0))
+    mu_lambdas.assign(np.maximum(signed, 0.0))
     motion = np.zeros_like(x)
     motion[MESH.node_count :] = np.random.default_rng(1).normal(size=(len(x) - MESH.node_count, 3))
     system = assembly.system(case.same(motion))
-    friction.add_hessian(assembly.active, case.motion(case.same(x)), system)
+    case.friction.add_hessian(case.active, case.motion(case.same(x)), system)
     matrix, rhs = assembly.dense(system.values)[0], system.rhs.numpy()[0]
     least, within = (1e-5, 1e-1), (3e-6, 1e-5)
     change = assert_derivatives(
-        x, assembly.free, STEP, case.energy, case.gradient, matrix, least, within
+        x, 1e-9, case.energy, case.gradient, matrix, assembly.free, least, within
     )
-    friction.frozen.mu_lambdas.assign(signed)
+    mu_lambdas.assign(signed)
     expected = -np.einsum("ni,nifj->fj", motion, change)
     np.testing.assert_allclose(rhs, expected, atol=1e-5 * np.abs(expected).max())
-    assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * np.abs(matrix).max()
+    assert_semidefinite(matrix)
 
 
 def test_a_flat_slide_has_coulomb_friction() -> None:
-    case = rubbing("plate")
-    normal = case.assembly.contact_gradient(case.start)[0, : MESH.node_count].sum(axis=0)
+    case = rubbing("plate", 0.0)
+    normal = np.linalg.norm(case.assembly.contact_gradient(case.start)[0, GEL].sum(axis=0))
     direction = np.array([0.6, -0.8, 0.0])
     x = case.start[0].copy()
-    x[: MESH.node_count] += 3 * EPS * direction
-    drag = case.gradient(case.same(x))[0, : MESH.node_count].sum(axis=0)
-    assert np.linalg.norm(normal) > 1e-3
-    expected = MU * np.linalg.norm(normal) * direction
-    np.testing.assert_allclose(drag, expected, atol=1e-10 * np.linalg.norm(expected))
-
-
-def test_nothing_slides_when_all_move_together() -> None:
-    case = rubbing("bumpy")
-    x = case.start[0] + [1e-4, -2e-4, 5e-5]
-    scale = np.abs(case.gradient(case.same(slid(case, EPS)))[0]).max()
-    assert np.abs(case.gradient(case.same(x))[0]).max() < 1e-9 * scale
+    x[GEL] += 3 * EPS * direction
+    assert normal > 1e-3
+    drag = case.at(x)[GEL].sum(axis=0)
+    np.testing.assert_allclose(drag, MU * normal * direction, atol=1e-10 * MU * normal)
 
 
 @pytest.mark.parametrize("name", ["bumpy", "plate", "ball"])
 def test_friction_on_gel_and_body_balance(name: str) -> None:
-    case = rubbing(name)
-    gradient = case.gradient(case.same(slid(case, EPS)))[0]
-    on_gel, on_body = gradient[: MESH.node_count], gradient[MESH.node_count :]
+    case = rubbing(name, 0.0)
+    gradient = case.at(case.slid(EPS))
+    on_gel, on_body = gradient[GEL].sum(axis=0), gradient[MESH.node_count :].sum(axis=0)
     scale = np.abs(gradient).sum()
-    assert np.linalg.norm(on_gel.sum(axis=0)) > 1e-3 * scale
-    np.testing.assert_allclose(on_gel.sum(axis=0), -on_body.sum(axis=0), atol=1e-14 * scale)
-
-
-def _drag_of_ball(shift: np.ndarray, axis: tuple[float, float, float], deg: float) -> np.ndarray:
-    """Friction force on the gel [N] after a ball has moved and turned."""
-    case = Rubbing("ball")
-    placed = BODIES["ball"][1]
-    moved = pose(*(placed[:3] + shift), axis, deg)
-    case.end_poses = wp.array(everywhere(len(case.start), moved), dtype=wp.transformd)
-    x = case.start[0].copy()
-    x[MESH.node_count :] += shift
-    return -case.gradient(case.same(x))[0, : MESH.node_count].sum(axis=0)
+    assert np.linalg.norm(on_gel) > 1e-3 * scale
+    np.testing.assert_allclose(on_gel, -on_body, atol=1e-14 * scale)
+    # Nothing slides when all move together.
+    together = case.at(case.start[0] + [1e-4, -2e-4, 5e-5])
+    assert name == "ball" or np.abs(together).max() < 1e-9 * np.abs(gradient).max()
 
 
 def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
-    deg = 0.05
-    turn = np.deg2rad(deg)
-    gap = 0.3 * DHAT
+    case, (_, placed) = rubbing("ball", 0.0, 1), BODIES["ball"]
+    ends, turn = case.end_poses, np.deg2rad(0.05)
+
+    def drag(shift_m: float, deg: float) -> np.ndarray:
+        """Friction force on the gel [N] after the ball has moved along x and turned about y."""
+        moved = pose(placed[0] + shift_m, *placed[1:3], (0, 1, 0), deg)
+        case.end_poses = wp.array(everywhere(1, moved), dtype=wp.transformd)
+        x = case.start[0].copy()
+        x[MESH.node_count :, 0] += shift_m
+        return -case.at(x)[GEL].sum(axis=0)
+
     # Turning about +y moves the lowest point of the ball towards -x.
-    rolling = _drag_of_ball(np.array([RADIUS * turn, 0, 0]), (0, 1, 0), deg)
-    spinning = _drag_of_ball(np.zeros(3), (0, 1, 0), deg)
-    sliding = _drag_of_ball(np.array([-RADIUS * turn, 0, 0]), (0, 1, 0), 0.0)
+    rolling, spinning = drag(RADIUS * turn, 0.05), drag(0.0, 0.05)
+    sliding = drag(-RADIUS * turn, 0.0)
+    case.end_poses = ends
     assert RADIUS * turn < EPS, "static friction is proportional to sliding"
     assert spinning[0] < 0
     # All faces in reach count, so that the drag is not that of the lowest point alone.
     np.testing.assert_allclose(spinning, sliding, rtol=0.15, atol=0.05 * abs(sliding[0]))
-    assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding), f"gap {gap}"
-
-
-DIRECTIONS = 6
+    assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding)
 
 
 @pytest.mark.parametrize("size", [0.2 * EPS, 5 * EPS])
@@ -180,20 +175,18 @@ DIRECTIONS = 6
 def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
     name: str, size: float
 ) -> None:
-    case, step = Rubbing(name, count=2 * DIRECTIONS), 1e-10
-    active, rng = case.assembly.active, np.random.default_rng(2)
+    case, rng = rubbing(name, 0.0, 12), np.random.default_rng(2)
     x = case.start[0] + rng.uniform(-size, size, case.start[0].shape)
-    ways = np.repeat(rng.uniform(-1.0, 1.0, (DIRECTIONS, *x.shape)), 2, axis=0)
-    signs = np.tile([1.0, -1.0], DIRECTIONS)[:, None, None]
+    ways = np.repeat(rng.uniform(-1.0, 1.0, (6, *x.shape)), 2, axis=0)
+    signs = np.tile([1.0, -1.0], 6)[:, None, None]
 
     def difference(step: float) -> np.ndarray:
-        """Along each direction, [direction, node, 3]."""
         forces = case.gradient(x + step * signs * ways)
         return (forces[::2] - forces[1::2]) / (2 * step)
 
     assert case.assembly.collide(case.same(x)) > 0
-    case.freeze(x + step * signs * ways)
-    whole = difference(step)
+    case.freeze(x + 1e-10 * signs * ways)
+    whole = difference(1e-10)
     case.freeze(case.same(x))
     mu_lambdas = case.friction.frozen.mu_lambdas
     signed = mu_lambdas.numpy().copy()
@@ -201,8 +194,29 @@ def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
     left_out = whole - difference(1e-9)
     mu_lambdas.assign(signed)
     found, sharpness = case.assembly.nodal(), wp.full(len(signs), 1.0, dtype=wp.float64)
-    motion = case.motion(case.same(x))
-    add_friction_change(case.friction, active, motion, sharpness, case.assembly.nodal(ways), found)
+    motion, along = case.motion(case.same(x)), case.assembly.nodal(ways)
+    add_friction_change(case.friction, case.active, motion, sharpness, along, found)
     scale = np.abs(left_out).max()
     assert scale > 0.01 * np.abs(whole).max()
     np.testing.assert_allclose(found.numpy()[::2], left_out, atol=1e-3 * scale)
+
+
+def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
+    """Friction over mu times the normal force after a body came straight down, and aside [um]."""
+    low = float(shape.vertices_m[:, 2].min())
+    before, after = pose(0, 0, 60e-6 - low), pose(1e-6 * aside, 0, 5e-6 - low)
+    flat = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
+    case = Rubbing(shape, before, after, 1, flat, SolverConfig(dhat_m=1e-5, friction_eps_m=1e-6))
+    gel = slice(0, flat.node_count)
+    normal = np.linalg.norm(case.assembly.contact_gradient(case.now)[0, gel], axis=1).sum()
+    return -case.at(case.now[0])[gel].sum(axis=0) / (MU * normal)
+
+
+def test_a_body_that_comes_straight_down_has_slid_by_what_it_went_aside() -> None:
+    """Against the tilted normals of a blade the 55 um of its way down would be sliding of 3 um."""
+    blade, expected = parse_indenter("edge:90x4").shape, 0.3 * (2 - 0.3)
+    assert isinstance(blade, TriangleMesh)
+    for sign in (1, -1):
+        assert friction_over_normal(blade, sign * 0.3)[0] == pytest.approx(sign * expected, rel=0.1)
+    plate = friction_over_normal(box_mesh((6e-3, 6e-3, 1e-3)), 0.3)
+    assert plate == pytest.approx([expected, 0, 0], abs=1e-3)

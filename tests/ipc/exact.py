@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Earliest collision of moving primitives in exact rational arithmetic.
+"""Distances and earliest collisions in exact rational arithmetic.
 
 Four nodes that move along straight lines are coplanar at the roots of a cubic; whether the point is
 then in the triangle, or the edges cross, is the sign of quartics at that root. Roots are isolated
@@ -9,11 +9,53 @@ with Sturm sequences over fractions, so the answer has no rounding at all.
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
 from tests.ipc.batch import POINT_TRIANGLE, Array
+
+fractions = np.frompyfunc(Fraction, 1, 1)
+
+
+def _point_edge(p: Array, a: Array, b: Array) -> Fraction:
+    edge, r = b - a, p - a
+    length = edge @ edge
+    r = r - (min(max(r @ edge / length, 0), 1) if length else 0) * edge
+    return r @ r
+
+
+def _stationary(u: Array, v: Array, r: Array) -> tuple[Fraction, Fraction, Fraction] | None:
+    """a, b that minimise |r - a u - b v|^2, and the minimum; None when u and v are parallel."""
+    uu, uv, vv, ru, rv = u @ u, u @ v, v @ v, r @ u, r @ v
+    det = uu * vv - uv * uv
+    if det == 0:
+        return None
+    a, b = (ru * vv - rv * uv) / det, (rv * uu - ru * uv) / det
+    rest = r - a * u - b * v
+    return a, b, rest @ rest
+
+
+def exact_point_triangle_sq(nodes: Array) -> float:
+    p, *t = fractions(nodes)
+    best = min(_point_edge(p, a, b) for a, b in pairwise([*t, t[0]]))
+    inner = _stationary(t[1] - t[0], t[2] - t[0], p - t[0])
+    if inner and inner[0] >= 0 and inner[1] >= 0 and inner[0] + inner[1] <= 1:
+        best = min(best, inner[2])
+    return float(best)
+
+
+def exact_edge_edge_sq(nodes: Array) -> float:
+    a0, a1, b0, b1 = fractions(nodes)
+    ends = ((a0, b0, b1), (a1, b0, b1), (b0, a0, a1), (b1, a0, a1))
+    best = min(_point_edge(*end) for end in ends)
+    inner = _stationary(a1 - a0, b0 - b1, b0 - a0)
+    if inner and 0 <= inner[0] <= 1 and 0 <= inner[1] <= 1:
+        best = min(best, inner[2])
+    return float(best)
+
+
+# Motion -------------------------------------------------------------------------------------------
 
 Polynomial = list[Fraction]
 """Coefficients, constant first, without trailing zeros."""
@@ -29,10 +71,7 @@ def _trim(p: Polynomial) -> Polynomial:
 
 
 def _add(p: Polynomial, q: Polynomial, factor: int = 1) -> Polynomial:
-    size = max(len(p), len(q))
-    a = p + [Fraction(0)] * (size - len(p))
-    b = q + [Fraction(0)] * (size - len(q))
-    return _trim([x + factor * y for x, y in zip(a, b, strict=True)])
+    return _trim([x + factor * y for x, y in zip_longest(p, q, fillvalue=Fraction(0))])
 
 
 def _times(p: Polynomial, q: Polynomial) -> Polynomial:
@@ -69,8 +108,8 @@ def _sturm(p: Polynomial) -> list[Polynomial]:
 
 
 def _changes(chain: list[Polynomial], t: Fraction) -> int:
-    signs = [s for p in chain if (s := _at(p, t)) != 0]
-    return sum((a > 0) != (b > 0) for a, b in pairwise(signs))
+    values = (_at(p, t) for p in chain)
+    return sum((a > 0) != (b > 0) for a, b in pairwise(v for v in values if v != 0))
 
 
 def _isolated(p: Polynomial, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction]]:
@@ -134,10 +173,8 @@ def earliest_contact(kind: int, x: Array, dx: Array) -> tuple[float, float] | No
     ``x``, ``dx``: [4, 3]. Contacts while the triangle has no area, or the edges are parallel, are
     not looked for.
     """
-    nodes = [
-        [_trim([Fraction(float(a)), Fraction(float(v))]) for a, v in zip(p, d, strict=True)]
-        for p, d in zip(x, dx, strict=True)
-    ]
+    motions = fractions(np.stack([x, dx], axis=-1)).tolist()
+    nodes = [[_trim(motion) for motion in node] for node in motions]
     zero, one = Fraction(0), Fraction(1)
     if kind == POINT_TRIANGLE:
         p, a, b, c = nodes
@@ -170,14 +207,5 @@ def earliest_contact(kind: int, x: Array, dx: Array) -> tuple[float, float] | No
     # Coplanar for ever: the contact begins at the start or where a condition changes sign.
     if _at(area, zero) > 0 and all(_at(g, zero) >= 0 for g in conditions):
         return 0.0, 0.0
-    events = sorted(
-        ((interval, g) for g in conditions for interval in _isolated(g, zero, one)),
-        key=lambda event: event[0],
-    )
-    times = [event for event in events if touching(event[1], *event[0])]
-    return min((float(low), float(high)) for (low, high), _ in times) if times else None
-
-
-def as_stencils(*nodes: Array) -> Array:
-    """Nodes [count, 3] as stencils [count, 4, 3]."""
-    return np.stack(nodes, axis=1)
+    events = [(at, g) for g in conditions for at in _isolated(g, zero, one)]
+    return min([(float(at[0]), float(at[1])) for at, g in events if touching(g, *at)], default=None)
