@@ -225,14 +225,6 @@ def test_a_digit_cast_flat_gets_a_sound_mesh() -> None:
     assert edge_mm in [pytest.approx(share * usual_edge_mm(pad)) for share in SHORTER[1:]]
 
 
-@pytest.mark.thorough
-def test_a_sound_mesh_stays_the_usual_one() -> None:
-    pad = sensor_family("flat_pad").parameters().pad()
-    mesh, _, edge_mm = sound_gel_mesh(pad)
-    assert edge_mm == usual_edge_mm(pad)
-    assert (mesh.nodes_m == gel_mesh(pad).nodes_m).all()
-
-
 @given(st.integers(0, 1000))
 @settings(max_examples=10)
 def test_worst_tets_get_rounder_and_only_free_nodes_move(seed: int) -> None:

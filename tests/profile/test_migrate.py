@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile, load_profile, save_profile, validate_profile
@@ -135,7 +136,7 @@ def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:
     """Networks of normals whose heights have no band, and a curve of a grey sensor beside networks
     that tell the error of the reading alone."""
 
-    def read(profile: SensorProfile, method: Method) -> tuple[SurfaceReading, dict[str, Any]]:
+    def read(profile: SensorProfile, method: Any) -> tuple[SurfaceReading, dict[str, Any]]:
         assert profile.background_rgb is not None
         reader = SurfaceReader(profile, method=method)
         reading = reader.read(profile.background_rgb.astype(float))

@@ -19,6 +19,11 @@ from tests.robots.gels import IDENTITY
 from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 
 OURS = ("parallel_gripper", "three_finger_hand")
+DOF = {
+    "parallel_gripper": 1, "three_finger_hand": 9, "chain": 3, "panda": 8, "panda_hand": 1,
+    "allegro_left": 16, "allegro_right": 16, "ur5_gripper": 6,
+}  # fmt: skip
+"""By their makers."""
 HALF = np.sqrt(0.5)
 
 
@@ -35,6 +40,7 @@ def test_links_are_where_yourdfpy_has_them(name: str, tmp_path: Path) -> None:
     if name != "chain":
         (path,) = (entry.path() for entry in catalogue.ENTRIES if entry.name == name)
     robot = load_urdf(path) if name == "chain" else named(name)
+    assert robot.dof == DOF[name]
     peer = yourdfpy.URDF.load(str(path), load_meshes=False)
     q = random_coordinates(robot, 100)
     ours = matrix_of(robot.forward_kinematics(q))
@@ -142,12 +148,6 @@ def test_what_is_not_there_is_refused(call: Callable[[Robot], object], message: 
     """Of tensors as of arrays."""
     with pytest.raises(InputError, match=message):
         call(named("three_finger_hand"))
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_real_robots_have_the_joints_of_their_makers(name: str) -> None:
-    wanted = {"panda": 8, "panda_hand": 1, "allegro_left": 16, "allegro_right": 16}
-    assert named(name).dof == wanted.get(name, 6)
 
 
 def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,10 +42,6 @@ def gripper_with_pads() -> Robot:
     return with_pads(named("parallel_gripper").placed([0.3, -0.1, 0.2, 0.5, 0.5, 0.5, 0.5]))
 
 
-def box() -> AffineBody:
-    return AffineBody(box_mesh((6e-3, 6e-3, 6e-3)), name="box")
-
-
 def carried(frame: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points [n, 3] of a frame [4, 4] in the world."""
     return points @ frame[:3, :3].T + frame[:3, 3]
@@ -93,8 +89,8 @@ def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
     middle[:3] += [2e-4, 1e-4, 3e-4]
     slides = [(6.1e-3, 6.2e-3), (5.9e-3, 6.0e-3), (5.8e-3, 5.9e-3), *[(5.8e-3, 5.9e-3)] * 4]
     ways = [np.array(pair)[:, None] for pair in slides]
-    start = np.full((2, 1), 6.3e-3)
-    run, force, residual = pushes_of_gels(robot, replace(box(), initial_pose=middle), start, ways)
+    box = AffineBody(box_mesh((6e-3, 6e-3, 6e-3)), name="box", initial_pose=middle)
+    run, force, residual = pushes_of_gels(robot, box, np.full((2, 1), 6.3e-3), ways)
     poses = run.state.poses.numpy().reshape(2, -1, 7)
     np.testing.assert_array_equal(poses, robot.targets(ways[-1]))
     push = np.linalg.norm(force, axis=2)
@@ -155,18 +151,11 @@ def test_shapes_are_where_their_links_are(tmp_path: Path) -> None:
     wanted = frame[:, :3, 3] + 0.01 * frame[:, :3, 0]
     np.testing.assert_allclose(targets[:, 1, :3], wanted, atol=1e-15)
     np.testing.assert_allclose(targets[:, 2], robot.link_poses("wheel", q), atol=1e-15)
-
-
-def test_gels_touch_gels_and_objects_but_no_links() -> None:
-    robot = gripper_with_pads()
-    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 1, moving(DT), affine_bodies=box())
-    (left, right), (body,) = scene.soft_bodies, scene.affine_bodies
-    links = [body for body in scene.kinematic_bodies if body.shape is not None]
-    assert len(links) == 3
-    assert scene.may_touch(left, right) and scene.may_touch(left, body)
-    for link in links:
-        assert scene.may_touch(link, body)
-        assert not scene.may_touch(left, link) and not scene.may_touch(right, link)
+    # A ball is drawn though it has no edges, as the tips of Allegro's fingers have none.
+    rest = np.clip(np.zeros(robot.dof), *robot.limits.T)
+    draw_robot(robot.touching(["slide"]), rest, tmp_path / "ball.png")
+    image = np.asarray(Image.open(tmp_path / "ball.png"))
+    assert ((image.std(axis=2) < 6) & (image.mean(axis=2) < 200)).mean() > 0.05
 
 
 def test_a_sensor_brings_its_mesh_material_and_friction(coarse: SensorProfile) -> None:
@@ -215,14 +204,6 @@ def test_a_picture_shows_gels(tmp_path: Path) -> None:
         draw_robot(robot.touching(["finger_left"]), [0.04], tmp_path / "gel.png", direction)
         red, _, blue = np.asarray(Image.open(tmp_path / "gel.png")).astype(int).T
         assert ((blue - red > 40).mean() > 0.005) == seen
-
-
-def test_a_ball_is_drawn(tmp_path: Path) -> None:
-    """Though it has no edges, as the tips of Allegro's fingers have none."""
-    robot = load_urdf(write(tmp_path, CHAIN)).touching(["slide"])
-    draw_robot(robot, np.clip(np.zeros(robot.dof), *robot.limits.T), tmp_path / "ball.png")
-    image = np.asarray(Image.open(tmp_path / "ball.png"))
-    assert ((image.std(axis=2) < 6) & (image.mean(axis=2) < 200)).mean() > 0.05
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ def with_mesh(file: str, scale: str = "0.01 0.01 0.01") -> str:
     return WITH_MESH.format(file=file, scale=scale)
 
 
-def links(inertial: str = "", shape: str = BOX, effort: str = "1") -> str:
+def with_link(inertial: str = "", shape: str = BOX, effort: str = "1") -> str:
     return LINKS.format(inertial=inertial, shape=shape, effort=effort)
 
 
@@ -58,6 +57,13 @@ def test_limits_masses_and_shapes(tmp_path: Path) -> None:
     np.testing.assert_allclose(arm.center_m, [0, 0, 0.1])
     # The frame of the inertia is turned by a quarter about z: x and y change places.
     np.testing.assert_allclose(arm.inertia_kg_m2, np.diag([0.2, 0.1, 0.25]), atol=1e-15)
+    inertial = """<inertial><origin rpy="0.3 0.5 0.7"/><mass value="2"/>
+        <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0.01" ixz="0.02" iyz="0.03"/></inertial>"""
+    mass = load_urdf(write(tmp_path, with_link(inertial))).links[1].mass
+    turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
+    given = np.array([[0.1, 0.01, 0.02], [0.01, 0.2, 0.03], [0.02, 0.03, 0.25]])
+    assert mass is not None
+    np.testing.assert_allclose(mass.inertia_kg_m2, turn @ given @ turn.T, atol=1e-12)
     assert links["tip"].mass is None and links["tip"].shapes == ()
     corners = surface(robot, "arm").vertices_m
     np.testing.assert_allclose(corners.min(axis=0), [-0.01, -0.015, 0], atol=1e-15)
@@ -76,6 +82,16 @@ def test_mesh_files_are_found(tmp_path: Path, name: str) -> None:
     text = with_mesh(name.format(folder=tmp_path / "pack"))
     robot = load_urdf(write(tmp_path / "pack" / "urdf", text))
     np.testing.assert_allclose(size(robot), 0.01, atol=1e-9)
+    # Packages are where one says.
+    path = write(tmp_path, with_mesh("package://my_robot/shared/mesh.obj"))
+    for packages, words in (
+        ({}, r"packages=\{'my_robot': FOLDER\}\), or --package"),
+        ({"my_robot": tmp_path}, "is not there; looked in"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load_urdf(path, packages=packages)
+    robot = load_urdf(path, packages={"my_robot": tmp_path / "pack"})
+    assert len(surface(robot).faces) == 4
 
 
 @pytest.mark.parametrize("scale", ["0.01 0.02 0.03", "0.01 -0.02 0.03"])
@@ -165,32 +181,19 @@ def test_shapes_can_be_left_out_and_a_file_not(tmp_path: Path) -> None:
         load_urdf(tmp_path / "none.urdf")
 
 
-def test_an_inertia_is_turned_into_the_links_frame(tmp_path: Path) -> None:
-    inertial = """<inertial><origin rpy="0.3 0.5 0.7"/><mass value="2"/>
-        <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0.01" ixz="0.02" iyz="0.03"/></inertial>"""
-    mass = load_urdf(write(tmp_path, links(inertial))).links[1].mass
-    turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
-    given = np.array([[0.1, 0.01, 0.02], [0.01, 0.2, 0.03], [0.02, 0.03, 0.25]])
-    assert mass is not None
-    np.testing.assert_allclose(mass.inertia_kg_m2, turn @ given @ turn.T, atol=1e-12)
-
-
 @pytest.mark.parametrize("inertial", ["", '<inertial><origin xyz="0 0 0.001"/></inertial>'])
-def test_a_link_without_mass_has_that_of_its_shapes(tmp_path: Path, inertial: str) -> None:
-    path = write(tmp_path, links(inertial))
-    with pytest.warns(InputWarning, match="has no <mass>") if inertial else nullcontext():
+def test_links_without_mass_and_drives_without_effort(tmp_path: Path, inertial: str) -> None:
+    """Mass is that of the shapes, effort has no limit."""
+    path = write(tmp_path, with_link(inertial, effort="0"))
+    words = "has no <mass>" if inertial else "effort=\"0\" of joint 'j' is taken as no limit"
+    with pytest.warns(InputWarning, match=words):
         robot = load_urdf(path)
+    assert robot.joints[0].max_effort == np.inf
     with pytest.warns(InputWarning, match=r"'a' states no mass: .* 1000 kg/m\^3 weigh 0.008 kg"):
         (body,) = drive(robot, PositionDrive(1.0, 0.01)).affine_bodies
     mass = body.stated_mass
     assert mass is not None and mass.mass_kg == pytest.approx(8e-3)
     np.testing.assert_allclose(mass.inertia_kg_m2, 8e-3 * 0.02**2 / 6 * np.eye(3), atol=1e-12)
-
-
-def test_no_effort_is_no_limit_and_is_said(tmp_path: Path) -> None:
-    path = write(tmp_path, links(effort="0"))
-    with pytest.warns(InputWarning, match="effort=\"0\" of joint 'j' is taken as no limit"):
-        assert load_urdf(path).joints[0].max_effort == np.inf
 
 
 def test_a_mesh_in_millimetres_is_shown_and_asked_about(tmp_path: Path) -> None:
@@ -203,17 +206,6 @@ def test_a_mesh_in_millimetres_is_shown_and_asked_about(tmp_path: Path) -> None:
     assert "20 m across" in sentence and "20 mm if its numbers are millimetres" in sentence
     assert small["refused"] == []
     assert small["links"]["a"]["shapes"] == ["part.obj 20 x 20 x 20 mm"]
-
-
-def test_packages_are_where_one_says(tmp_path: Path) -> None:
-    write(tmp_path / "there", TETRAHEDRON, "meshes/part.obj")
-    path = write(tmp_path, with_mesh("package://my_robot/meshes/part.obj"))
-    with pytest.raises(InputError, match=r"packages=\{'my_robot': FOLDER\}\), or --package"):
-        load_urdf(path)
-    robot = load_urdf(path, packages={"my_robot": tmp_path / "there"})
-    assert len(surface(robot).faces) == 4
-    with pytest.raises(InputError, match="is not there; looked in"):
-        load_urdf(path, packages={"my_robot": tmp_path})
 
 
 @pytest.mark.parametrize(
@@ -236,7 +228,7 @@ def test_meshes_of_a_package_lie_in_it(name: str, message: str, tmp_path: Path) 
 def test_collada_is_turned_to_z_up_unless_as_drawn(tmp_path: Path) -> None:
     """Of 2 x 3 x 4 mm, the longest edge along z of the file."""
     write(tmp_path, collada(place="", up="Y_UP"), "part.dae")
-    path = write(tmp_path, links(shape='<mesh filename="part.dae"/>'))
+    path = write(tmp_path, with_link(shape='<mesh filename="part.dae"/>'))
     with pytest.warns(InputWarning, match="says Y_UP, so it is turned to z up"):
         np.testing.assert_allclose(size(load_urdf(path)), [2e-3, 4e-3, 3e-3], rtol=1e-6)
     drawn = size(load_urdf(path, as_drawn=True))
