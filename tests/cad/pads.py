@@ -19,8 +19,8 @@ PADS: dict[str, HeightPad] = {
     for name, family in sensor_families().items()
     if isinstance(pad := family.parameters().pad(), HeightPad)
 }
-MINI, BEVELLED, SKINNED, DIGIT = (
-    PADS[name] for name in ("gelsight_mini", "gelsight_40", "9dtact", "digit")
+CLASSIC, MINI, BEVELLED, SKINNED, DIGIT = (
+    PADS[name] for name in ("gelsight", "gelsight_mini", "gelsight_40", "9dtact", "digit")
 )
 
 

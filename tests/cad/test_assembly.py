@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small sensor: parts sit where their joints say and do not interpenetrate; its files and drawings
-are read back by other programs' readers."""
+"""A small sensor: parts sit where their joints say and do not interpenetrate; its files are read
+back by other programs' readers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import ezdxf
 import numpy as np
@@ -18,18 +17,12 @@ import pyvista as pv
 from build123d import Compound, Mesher, Pos, Unit
 from ezdxf import bbox
 
+from taccel_lab.cad import export
 from taccel_lab.cad.assembly import Assembly, require_no_overlap
 from taccel_lab.cad.drawing.assembly_drawing import assembly_drawing
 from taccel_lab.cad.drawing.pad_drawing import pad_drawing
 from taccel_lab.cad.drawing.sections import circle_through, section
 from taccel_lab.cad.drawing.title import Issue
-from taccel_lab.cad.export import (
-    write_3mf,
-    write_assembly_step,
-    write_dxf,
-    write_part_step,
-    write_part_stl,
-)
 from taccel_lab.cad.gel_import.step_reader import read_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
@@ -40,6 +33,7 @@ from taccel_lab.cad.parts.window import window_part
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light, Window
 from tests.cad.small_sensor import CAMERA, LEDS, PAD, VIEW_MM, WINDOW, housing, small_sensor
+from tests.support.sensor_refusals import refuses
 
 OUTLINE_MM2 = 24 * 20 - (4 - math.pi) * 2**2
 
@@ -101,10 +95,7 @@ def test_a_planted_overlap_is_refused_and_named(gel: LabelledSolid) -> None:
     assert shared == pytest.approx(gel.volume_mm3 - OUTLINE_MM2, rel=1e-3)
     with pytest.raises(InputError, match=r"gel_pad and sunk by"):
         require_no_overlap(Assembly("pair", (above, sunk)).clearances())
-
-
-@pytest.mark.thorough
-def test_an_led_inside_the_window_and_bosses_without_room_are_warnings() -> None:
+    # An LED inside the window and bosses without room are warnings.
     inside = Light((5.0, 0.0, -7.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0), name="inside")
     (words,) = require_no_overlap(small_sensor(leds=(inside,)).clearances())
     assert words.startswith("window and led_inside interpenetrate by 0.6 mm^3")
@@ -113,21 +104,16 @@ def test_an_led_inside_the_window_and_bosses_without_room_are_warnings() -> None
     assert require_no_overlap(tight.clearances()) == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"housing": housing(size_mm=(24.5, 26.0, 30.0))}, r"housing_x_mm = 24.5 .* at least 25"),
-        ({"housing": housing(size_mm=(30.0, 26.0, 5.0))}, r"housing_z_mm = 5 .* at least"),
-        ({"housing": housing(front_z_mm=-9.0)}, r"housing_front_mm = 9 .* allowed: up to 8 mm"),
-        ({"housing": housing(wall_mm=0.1)}, r"housing_wall_mm = 0.1"),
-        ({"view_mm": (23.8, 14.0)}, r"ledge of 0.10 mm"),
-        ({"window": dome(3.0, 20.0, 8.0)}, r"allowed: up to 16 mm"),
-        ({"window": dome(3.0, 8.0, 20.0)}, r"exceed its thickness"),
-    ],
+test_what_cannot_be_built_names_the_bound = refuses(
+    lambda changes: small_sensor(**changes),
+    ({"housing": housing(size_mm=(24.5, 26.0, 30.0))}, r"housing_x_mm = 24.5 .* at least 25"),
+    ({"housing": housing(size_mm=(30.0, 26.0, 5.0))}, r"housing_z_mm = 5 .* at least"),
+    ({"housing": housing(front_z_mm=-9.0)}, r"housing_front_mm = 9 .* allowed: up to 8 mm"),
+    ({"housing": housing(wall_mm=0.1)}, r"housing_wall_mm = 0.1"),
+    ({"view_mm": (23.8, 14.0)}, r"ledge of 0.10 mm"),
+    ({"window": dome(3.0, 20.0, 8.0)}, r"allowed: up to 16 mm"),
+    ({"window": dome(3.0, 8.0, 20.0)}, r"exceed its thickness"),
 )
-def test_what_cannot_be_built_names_the_bound(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        small_sensor(**changes)
 
 
 def test_window_plate_follows_the_gel_or_is_a_rectangle_and_a_dome_is_a_shell(
@@ -154,7 +140,7 @@ def test_assembly_step_keeps_names_colours_faces_and_places(
     sensor: Assembly, tmp_path: Path
 ) -> None:
     path = tmp_path / "assembly.step"
-    write_assembly_step(sensor.parts, path, name=sensor.name)
+    export.write_assembly_step(sensor.parts, path, name=sensor.name)
     bodies = {body.name: body for body in read_step(path)}
     assert list(bodies) == [part.name for part in sensor.parts]
     for part in sensor.parts:
@@ -169,16 +155,13 @@ def test_assembly_step_keeps_names_colours_faces_and_places(
             assert color == pytest.approx(part.face_color(name), abs=0.005), (part.name, name)
     products = re.findall(r"=PRODUCT\('([^']*)'", path.read_text().replace(" ", ""))
     assert set(products) == {"small", *bodies}
-
-
-@pytest.mark.thorough
-def test_parts_alone_are_written_in_their_own_frame(sensor: Assembly, tmp_path: Path) -> None:
+    # Parts alone are written in their own frame.
     window = sensor.part("window")
-    write_part_step(window, tmp_path / "window.step")
+    export.write_part_step(window, tmp_path / "window.step")
     (body,) = read_step(tmp_path / "window.step")
     assert body.shape.bounding_box().max.Z == pytest.approx(0, abs=1e-6)
     assert Counter(body.face_names) == Counter(window.face_names)
-    write_part_stl(window, tmp_path / "window.stl")
+    export.write_part_stl(window, tmp_path / "window.stl")
     surface = pv.read(tmp_path / "window.stl")
     assert isinstance(surface, pv.PolyData)
     assert surface.volume == pytest.approx(window.solid.volume, rel=1e-4)
@@ -188,7 +171,7 @@ def test_parts_alone_are_written_in_their_own_frame(sensor: Assembly, tmp_path: 
 @pytest.mark.thorough
 def test_3mf_holds_named_bodies_in_millimetres(sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "sensor.3mf"
-    write_3mf(sensor.parts, path)
+    export.write_3mf(sensor.parts, path)
     reader = Mesher()
     reader.model.QueryReader("3mf").ReadFromFile(str(path))
     assert reader.model_unit == Unit.MM
@@ -212,7 +195,7 @@ def test_dxf_has_outline_window_seat_and_section_to_scale(
     gel: LabelledSolid, sensor: Assembly, tmp_path: Path
 ) -> None:
     path = tmp_path / "pad.dxf"
-    write_dxf(gel, path, others=[part for part in sensor.parts if part.made_beside])
+    export.write_dxf(gel, path, others=[part for part in sensor.parts if part.made_beside])
     document = ezdxf.readfile(path)
     assert document.units == ezdxf.units.MM  # type: ignore[attr-defined]
     for layer, extent in {
@@ -226,6 +209,13 @@ def test_dxf_has_outline_window_seat_and_section_to_scale(
         assert (*box.extmin.vec2, *box.extmax.vec2) == pytest.approx(extent, abs=1e-6)
     corners = [e for e in document.modelspace().query("ARC") if e.dxf.layer == "outline"]
     assert [arc.dxf.radius for arc in corners] == pytest.approx([2.0] * 4)
+    # The section of the pad is its profile.
+    ((loop,),) = section(gel.solid, "x").faces
+    assert loop.min(axis=0) == pytest.approx([-12, -5], abs=1e-6)
+    top = loop[loop[:, 1] > -1.4]
+    assert PAD.height_mm(top * [1, 0]) == pytest.approx(top[:, 1], abs=1e-6)
+    assert circle_through(top) == pytest.approx(50, rel=1e-6)
+    assert circle_through(top * [1, 0]) == float("inf")
 
 
 def texts(path: Path) -> list[str]:
@@ -264,6 +254,12 @@ def test_drawings_state_dimensions_revision_date_and_tolerances(
     ):
         assert set(texts(path)) >= {issue.revision, issue.date}
         assert any(start in text for text in texts(path)), start
+    # A dome's has diameters and both radii.
+    paths = [tmp_path / f"dome.{kind}" for kind in ("svg", "png", "pdf")]
+    pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), title="dome").save(*paths)
+    assert set(texts(paths[0])) >= {"Ø30", "Ø27 window", "R15", "R13.5", "1.5", "20", "5 wall"}
+    assert paths[1].read_bytes().startswith(b"\x89PNG")
+    assert paths[2].read_bytes().startswith(b"%PDF")
 
 
 def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> None:
@@ -276,15 +272,6 @@ def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> N
     # As an image: white paper with ink, in the sheet's proportions.
     assert picture.shape == (494, 700, 3) and picture.dtype == np.uint8
     assert np.median(picture) == 255 and picture.min() < 50
-
-
-@pytest.mark.thorough
-def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
-    paths = [tmp_path / f"dome.{kind}" for kind in ("svg", "png", "pdf")]
-    pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), title="dome").save(*paths)
-    assert set(texts(paths[0])) >= {"Ø30", "Ø27 window", "R15", "R13.5", "1.5", "20", "5 wall"}
-    assert paths[1].read_bytes().startswith(b"\x89PNG")
-    assert paths[2].read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.thorough
@@ -305,12 +292,3 @@ def test_overlapping_leds_are_red_in_the_plan_and_named(tmp_path: Path) -> None:
     words, red = drawn(7.5)
     assert "red: overlaps another part" in words and red == 2
     assert any(text.startswith("led_one and led_two interpenetrate by") for text in words)
-
-
-def test_section_of_the_pad_is_its_profile(gel: LabelledSolid) -> None:
-    ((loop,),) = section(gel.solid, "x").faces
-    assert loop.min(axis=0) == pytest.approx([-12, -5], abs=1e-6)
-    top = loop[loop[:, 1] > -1.4]
-    assert PAD.height_mm(top * [1, 0]) == pytest.approx(top[:, 1], abs=1e-6)
-    assert circle_through(top) == pytest.approx(50, rel=1e-6)
-    assert circle_through(top * [1, 0]) == float("inf")

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.cad.gel_import.gel_checks import check_units
-from taccel_lab.cad.parameters import (
-    ParameterSet,
-    parameter,
-    parse_overrides,
-    restated,
-    value_text,
-)
+from taccel_lab.cad.parameters import ParameterSet, parameter, parse_overrides, restated, value_text
 from taccel_lab.errors import InputError
+from tests.support.sensor_refusals import refuses
 
 
 @dataclass(frozen=True)
@@ -91,40 +84,32 @@ def test_words_become_the_parameters_own_type() -> None:
     assert parse_overrides(["a = 1", "b=x=y", "c=1_0"]) == {"a": 1, "b": "x=y", "c": "1_0"}
 
 
-@pytest.mark.parametrize(
-    ("kind", "overrides", "words"),
-    [
-        (Box, {"width_mm": 0.5}, "width_mm = 0.5 is below .* 1 to 3 mm"),
-        (Box, {"width_mm": 7}, "width_mm = 7 is above .* 1 to 3 mm"),
-        (Box, {"width_mm": "2.5"}, "width_mm = '2.5' is not a number"),
-        (Box, {"width_mm": math.nan}, "width_mm .*not a number"),
-        (Box, {"width_mm": 10**400}, "width_mm = 1000.* not a number"),
-        (Box, {"width_mm": "wide"}, "width_mm .*'wide'.* 1 to 3 mm"),
-        (Box, {"width_mm": True}, "width_mm .*not a number"),
-        (Box, {"count": 2.5}, "count .*whole number"),
-        (Box, {"radius_mm": 2}, r"radius_mm = 2 .*0 \(flat\) or 5 to 9 mm"),
-        (Box, {"style": "oval"}, "style .*round, square"),
-        (Box, {"depth": 1}, "no parameter 'depth'.*width_mm, count, radius_mm, style"),
-        (WideBox, {"width_mm": 9}, "width_mm = 9 is above its bound; allowed: 1 to 8 mm"),
-        (Cupboard, {"width_mm": 9}, "width_mm = 9 is above its bound"),
-        (Cupboard, {"count": 21}, "count = 21"),
-        (Shelf, {"depth_mm": []}, "depth_mm"),
-        (Shelf, {"depth_mm": [2.0, 5.0]}, "depth_mm"),
-        (Shelf, {"depth_mm": [2.0, [3.0]]}, "depth_mm"),
-        (Shelf, {"depth_mm": [2.0, True]}, "depth_mm"),
-    ],
+test_bad_values_name_the_bound = refuses(
+    lambda kind, overrides: kind.of(overrides),
+    (Box, {"width_mm": 0.5}, "width_mm = 0.5 is below .* 1 to 3 mm"),
+    (Box, {"width_mm": 7}, "width_mm = 7 is above .* 1 to 3 mm"),
+    (Box, {"width_mm": "2.5"}, "width_mm = '2.5' is not a number"),
+    (Box, {"width_mm": math.nan}, "width_mm .*not a number"),
+    (Box, {"width_mm": 10**400}, "width_mm = 1000.* not a number"),
+    (Box, {"width_mm": "wide"}, "width_mm .*'wide'.* 1 to 3 mm"),
+    (Box, {"width_mm": True}, "width_mm .*not a number"),
+    (Box, {"count": 2.5}, "count .*whole number"),
+    (Box, {"radius_mm": 2}, r"radius_mm = 2 .*0 \(flat\) or 5 to 9 mm"),
+    (Box, {"style": "oval"}, "style .*round, square"),
+    (Box, {"depth": 1}, "no parameter 'depth'.*width_mm, count, radius_mm, style"),
+    (WideBox, {"width_mm": 9}, "width_mm = 9 is above its bound; allowed: 1 to 8 mm"),
+    (Cupboard, {"width_mm": 9}, "width_mm = 9 is above its bound"),
+    (Cupboard, {"count": 21}, "count = 21"),
+    (Shelf, {"depth_mm": []}, "depth_mm"),
+    (Shelf, {"depth_mm": [2.0, 5.0]}, "depth_mm"),
+    (Shelf, {"depth_mm": [2.0, [3.0]]}, "depth_mm"),
+    (Shelf, {"depth_mm": [2.0, True]}, "depth_mm"),
 )
-def test_bad_values_name_the_bound(
-    kind: type[ParameterSet], overrides: dict[str, Any], words: str
-) -> None:
-    with pytest.raises(InputError, match=words):
-        kind.of(overrides)
 
 
-@pytest.mark.parametrize("items", [["a"], ["=1"], ["a="], ["a=1", "a=2"]])
-def test_overrides_of_another_form_are_refused(items: list[str]) -> None:
-    with pytest.raises(InputError):
-        parse_overrides(items)
+test_overrides_of_another_form_are_refused = refuses(
+    parse_overrides, (["a"], "a"), (["=1"], "=1"), (["a="], "a="), (["a=1", "a=2"], "a")
+)
 
 
 def test_description_tells_default_from_override_and_group() -> None:
@@ -135,6 +120,10 @@ def test_description_tells_default_from_override_and_group() -> None:
     # Groups are those of the declaring class.
     groups = {name: item["group"] for name, item in described.items()}
     assert groups == {**dict.fromkeys(Box.parameters(), ""), "depth_mm": "boxes"}
+    # A set has the parameters of its groups and hands them out.
+    assert set(Cupboard.parameters()) == {*Box.parameters(), "frame_mm"}
+    found = Cupboard.of({"count": 15, "width_mm": 1.5})
+    assert found.group(Box).values() == {**Box().values(), "count": 15, "width_mm": 1.5}
 
 
 def test_a_restated_parameter_keeps_what_it_does_not_state() -> None:
@@ -149,8 +138,7 @@ def test_a_restated_parameter_keeps_what_it_does_not_state() -> None:
         class Tall(Box):
             height_mm: float = restated(3.0, source="none")
 
-
-def test_a_part_hands_its_parameter_on() -> None:
+    # A part hands its parameter on.
     @dataclass(frozen=True)
     class Rack(ParameterSet):
         parameter_group = "rack"
@@ -178,12 +166,6 @@ def test_a_value_that_others_leave_no_room_for_is_refused_with_the_bound() -> No
         box.require("width_mm", "is too narrow", low=3.0, also=", or another box")
 
 
-def test_a_set_has_the_parameters_of_its_groups_and_hands_them_out() -> None:
-    assert set(Cupboard.parameters()) == {*Box.parameters(), "frame_mm"}
-    found = Cupboard.of({"count": 15, "width_mm": 1.5})
-    assert found.group(Box).values() == {**Box().values(), "count": 15, "width_mm": 1.5}
-
-
 MINI = np.array([[-12.6, -10.4, -4.2], [12.6, 10.4, 0.0]])
 UNITS = {"m": (1e3, "metres"), "in": (25.4, "inches"), "cm": (10, "cent"), "um": (1e-3, "micro")}
 """Millimetres of a metre, an inch, ..."""
@@ -208,18 +190,11 @@ def test_other_units_are_named_and_accepted_when_said(unit: str) -> None:
     assert check_units(numbers, unit) == pytest.approx(scale, rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "unit", "words"),
-    [
-        (MINI * 25.4, None, "read as inches, 25.4 times too large"),
-        (MINI * [1, 1, 0.001], None, "sheet without volume"),
-        (MINI, "furlong", "known: mm, cm"),
-        (MINI * np.nan, None, "bounding box"),
-        (MINI, "m", "0.5 to 1000 mm large; name its real unit with --unit"),
-    ],
+test_sizes_that_no_gel_has_are_refused = refuses(
+    check_units,
+    (MINI * 25.4, None, "read as inches, 25.4 times too large"),
+    (MINI * [1, 1, 0.001], None, "sheet without volume"),
+    (MINI, "furlong", "known: mm, cm"),
+    (MINI * np.nan, None, "bounding box"),
+    (MINI, "m", "0.5 to 1000 mm large; name its real unit with --unit"),
 )
-def test_sizes_that_no_gel_has_are_refused(
-    numbers: np.ndarray, unit: str | None, words: str
-) -> None:
-    with pytest.raises(InputError, match=re.escape(words)):
-        check_units(numbers, unit)

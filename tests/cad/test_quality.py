@@ -65,10 +65,7 @@ def test_pad_measures_agree_with_the_pad() -> None:
     assert found.hausdorff_mm == pytest.approx(2 * (1 - np.cos(np.pi / 16)), abs=0.03)
     assert found.surface_rms_mm is not None and found.surface_rms_mm < found.hausdorff_mm
     require_quality(mesh, found)
-
-
-@pytest.mark.thorough
-def test_surface_distance_is_the_offset_of_two_boxes() -> None:
+    # The distance of two surfaces is the offset of two boxes.
     mesh = gel_mesh(FLAT, 2.0)
     cad = LabelledSurface(mesh.nodes_m * 1e3 + [0, 0, 0.25], mesh.faces, mesh.face_regions)
     found = measure_quality(mesh, None, cad_surface=cad)
@@ -88,13 +85,8 @@ def with_sliver(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
 
 
 @pytest.mark.thorough
-def test_gate_names_place_and_figure() -> None:
+def test_gate_names_each_figure() -> None:
     mesh = gel_mesh(FLAT, 2.0)
-    bad, at = with_sliver(mesh)
-    with pytest.raises(InputError, match=r"dihedral angle under 10 deg.* x ") as error:
-        require_quality(bad, measure_quality(bad, FLAT))
-    x = float(str(error.value).split(" x ")[1].split(",")[0])
-    assert x == pytest.approx(at[0], abs=1.5)
     good = measure_quality(mesh, FLAT)
     assert require_quality(mesh, good).passed
     for change, limit in (
@@ -146,7 +138,8 @@ def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     np.testing.assert_allclose(places["positive volumes"], [8, 0, -2], atol=1.5)
     assert result.bad[far] and 2 <= result.bad.sum() < 20
     json.dumps(result.to_json(), allow_nan=False)
-    with pytest.raises(InputError, match=r"bad_mesh\.png shows where") as error:
+    words = r"(?s)dihedral angle under 10 deg.* x .*bad_mesh\.png shows where"
+    with pytest.raises(InputError, match=words) as error:
         require_quality(bad, found, picture_folder=tmp_path)
     assert all(v.text in str(error.value) for v in result.violations)
     picture = matplotlib.image.imread(tmp_path / "bad_mesh.png")

@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -36,6 +35,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.cad.small_sensor import PAD, small_sensor
 from tests.support.real_data import real_data
+from tests.support.sensor_refusals import refuses
 
 BOX = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:10x8",))
 
@@ -139,24 +139,20 @@ def test_the_body_is_turned_into_the_gel_frame(
     assert found == pytest.approx(tuple(part.solid.center()), abs=1e-5)
 
 
-def test_a_window_is_split_off_the_glued_plane(tmp_path: Path) -> None:
-    gel = import_gel(write(box(), tmp_path / "box.step"), BOX)
-    assert areas(gel.part) == pytest.approx(
-        {"SIDE": 2 * (24 + 20) * 4, "CONTACT": 480, "BOND": 400, "WINDOW": 80}
-    )
+def test_a_window_is_split_off_the_glued_plane_and_proposed(box_step: Path) -> None:
+    gel = import_gel(box_step, BOX)
+    wanted = {"SIDE": 2 * (24 + 20) * 4, "CONTACT": 480, "BOND": 400, "WINDOW": 80}
+    assert areas(gel.part) == pytest.approx(wanted)
     assert gel.part.volume_mm3 == pytest.approx(24 * 20 * 4)
     (window,) = gel.part.faces(Region.WINDOW)
     assert tuple(window.center()) == pytest.approx((0, 0, -4), abs=1e-6)
-
-
-def test_step_without_names_is_proposed_contact_bond_and_window(tmp_path: Path) -> None:
-    path = write(box(), tmp_path / "box.step")
-    gel = import_gel(path)
-    assert areas(gel.part)["CONTACT"] == pytest.approx(480)  # type: ignore[arg-type]
+    # Without names it is proposed.
+    gel = import_gel(box_step)
+    assert areas(gel.part)["CONTACT"] == pytest.approx(480)
     assert gel.selection.window == ("rect:19.2x16",)
     assert {"contact", "bond", "window", "normal"} <= set(gel.assumed)
     with pytest.raises(InputError) as caught:
-        import_gel(path, FaceSelection(contact=("name:contact",)))
+        import_gel(box_step, FaceSelection(contact=("name:contact",)))
     for words in (
         "'name:contact' matches none of the 6 faces", "normal (0.00, 0.00, 1.00)", "480.000 mm^2",
         "names in the file: none at all; select by plane:, normal: or index:",
@@ -164,33 +160,33 @@ def test_step_without_names_is_proposed_contact_bond_and_window(tmp_path: Path) 
         assert words in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"contact": ("top",)}, r"'top' selects no faces; write one of name:NAME"),
-        ({"contact": ("index:6",)}, r"numbered 0 to 5"),
-        ({"contact": ("index:2-1",)}, r"numbered 0 to 5"),
-        ({"contact": ("index:a",)}, r"whole numbers"),
-        ({"contact": ("plane:up",)}, r"'up' is not a direction"),
-        ({"contact": ("normal:+z@x",)}, r"degrees after @"),
-        ({"contact": ("normal:-z",)}, r"face \d is selected for contact and for bond"),
-        ({"bond": ("rect:3x3",)}, r"allowed for the window only"),
-        ({"window": ("rect:30x8",)}, r"takes a window of 30 x 8 mm"),
-        ({"window": ("rect:3",)}, r"must stand alone and read rect:18x14"),
-        ({"window": ()}, r"no faces are selected for window"),
-        ({"normal": "z+"}, r"'z\+' is not a direction"),
-        ({"right": "-z"}, r"right = -z lies along normal"),
-        ({"origin": "corner"}, r"no origin 'corner'.*known: center, file"),
-        ({"body": "lid"}, r"0 solids of the name 'lid'"),
-    ],
+@pytest.fixture(scope="module")
+def box_step(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(box(), tmp_path_factory.mktemp("box") / "box.step")
+
+
+test_bad_selections_are_refused = refuses(
+    lambda path, changes: import_gel(path, FaceSelection(**{**vars(BOX), **changes})),
+    ({"contact": ("top",)}, r"'top' selects no faces; write one of name:NAME"),
+    ({"contact": ("index:6",)}, r"numbered 0 to 5"),
+    ({"contact": ("index:2-1",)}, r"numbered 0 to 5"),
+    ({"contact": ("index:a",)}, r"whole numbers"),
+    ({"contact": ("plane:up",)}, r"'up' is not a direction"),
+    ({"contact": ("normal:+z@x",)}, r"degrees after @"),
+    ({"contact": ("normal:-z",)}, r"face \d is selected for contact and for bond"),
+    ({"bond": ("rect:3x3",)}, r"allowed for the window only"),
+    ({"window": ("rect:30x8",)}, r"takes a window of 30 x 8 mm"),
+    ({"window": ("rect:3",)}, r"must stand alone and read rect:18x14"),
+    ({"window": ()}, r"no faces are selected for window"),
+    ({"normal": "z+"}, r"'z\+' is not a direction"),
+    ({"right": "-z"}, r"right = -z lies along normal"),
+    ({"origin": "corner"}, r"no origin 'corner'.*known: center, file"),
+    ({"body": "lid"}, r"0 solids of the name 'lid'"),
+    given="box_step",
 )
-def test_bad_selections_are_refused(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
-    path = write(box(), tmp_path / "box.step")
-    with pytest.raises(InputError, match=words):
-        import_gel(path, FaceSelection(**{**vars(BOX), **changes}))
 
 
-def test_bad_bodies_are_refused(tmp_path: Path) -> None:
+def test_bad_bodies_are_refused_and_large_ones_not_meshed(tmp_path: Path) -> None:
     two = box().solids() + [Solid.make_box(5, 5, 5, Plane((50, 0, 0)))]
     open_shell = Shell(box().faces()[:5])
     bow = Face(Wire.make_polygon([(0, 0, 0), (20, 10, 0), (20, 0, 0), (0, 12, 0)], close=True))
@@ -205,17 +201,18 @@ def test_bad_bodies_are_refused(tmp_path: Path) -> None:
     for shape, words in cases:
         with pytest.raises(InputError, match=words):
             import_gel(write(shape, tmp_path / "bad.step"), BOX)
+    fin = (box() + Solid.make_box(0.02, 10, 3, Plane((11.0, -5, 0)))).solids()[0]
+    selection = BOX.model_copy(update={"contact": ("normal:+z",)})
+    with pytest.raises(InputError, match=r"0\.02 mm thick at x 11\.0"):
+        import_gel(write(fin, tmp_path / "fin.step"), selection)
+    path = write(box(600, 500, 100), tmp_path / "large.step")
+    large = import_gel(path, BOX.model_copy(update={"unit": "mm"})).part
+    with pytest.raises(InputError, match=r"edge_mm = 2 would make about 3.2e\+07 tets.* needed"):
+        tetwild_mesh(tessellate_solid(large), 2.0)
     (tmp_path / "no.step").write_text("not a STEP file")
     for name, words in (("no", "not a STEP file"), ("missing", "does not exist")):
         with pytest.raises(InputError, match=words):
             import_gel(tmp_path / f"{name}.step", BOX)
-
-
-def test_a_part_far_too_large_for_its_edge_is_not_meshed(tmp_path: Path) -> None:
-    path = write(box(600, 500, 100), tmp_path / "large.step")
-    part = import_gel(path, BOX.model_copy(update={"unit": "mm"})).part
-    with pytest.raises(InputError, match=r"edge_mm = 2 would make about 3.2e\+07 tets.* needed"):
-        tetwild_mesh(tessellate_solid(part), 2.0)
 
 
 def entity(text: str, name: str, fields: str) -> str:
@@ -278,14 +275,6 @@ def test_this_process_lists_faces_without_the_kernel(tmp_path: Path) -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["6", "False"]
-
-
-def test_a_fin_of_no_thickness_is_refused_with_its_place(tmp_path: Path) -> None:
-    fin = Solid.make_box(0.02, 10, 3, Plane((11.0, -5, 0)))
-    body = (box() + fin).solids()[0]
-    selection = BOX.model_copy(update={"contact": ("normal:+z",)})
-    with pytest.raises(InputError, match=r"0\.02 mm thick at x 11\.0"):
-        import_gel(write(body, tmp_path / "fin.step"), selection)
 
 
 def test_one_body_of_an_assembly_is_chosen_by_name(tmp_path: Path) -> None:

@@ -173,13 +173,6 @@ def test_a_surface_inside_out_is_turned_and_a_large_one_refused(
         import_gel(path)
 
 
-def test_one_of_several_bodies_is_chosen_by_number(tmp_path: Path) -> None:
-    path = stl(tmp_path / "two.stl", *TWO)
-    assert import_gel(path, FaceSelection(body="2")).shift_mm[0] == pytest.approx(-62)
-    with pytest.raises(InputError, match=r"none of the number '3'"):
-        import_gel(path, FaceSelection(body="3"))
-
-
 def test_what_no_gel_can_be_is_refused_when_it_is_read(tmp_path: Path) -> None:
     path = stl(tmp_path / "gel.stl")
     numbers = {info.normal: info.index for info in part_faces(path).table}
@@ -193,6 +186,11 @@ def test_what_no_gel_can_be_is_refused_when_it_is_read(tmp_path: Path) -> None:
     for given, words in cases:
         with pytest.raises(InputError, match=words):
             import_gel(path, FaceSelection(normal="+z", **given))
+    # One of several bodies is chosen by number.
+    path = stl(tmp_path / "two.stl", *TWO)
+    assert import_gel(path, FaceSelection(body="2")).shift_mm[0] == pytest.approx(-62)
+    with pytest.raises(InputError, match=r"none of the number '3'"):
+        import_gel(path, FaceSelection(body="3"))
 
 
 def test_a_window_with_a_hole_is_refused(tmp_path: Path) -> None:

@@ -80,14 +80,21 @@ def test_version_1_is_read_as_it_was_and_written_as_the_current_one(tmp_path: Pa
         assert (tmp_path / "p" / name).read_bytes() == (OLD / "v1" / name).read_bytes()
 
 
-def test_version_2_is_read_as_it_was() -> None:
-    """The stored folder adds markers and a window to that of version 1."""
+def test_versions_2_and_4_are_read_as_they_were(tmp_path: Path) -> None:
+    """The stored folder of version 2 adds markers and a window to that of version 1."""
     profile = old(2)
     assert profile.markers is not None and profile.markers.pitch_y_mm == 2.1
     assert profile.material.model == "neo_hookean" and profile.material.branches == ()
     for lacking in (profile.normals, profile.depth_response, profile.perturbation):
         assert lacking is None
     assert profile.material.provenance.verdict is None
+    # Version 4 has a calibrated material, and does not know what it was fitted with.
+    profile = old(4)
+    assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
+    assert profile.material.fitted_with is None
+    save_profile(profile, tmp_path / "p")
+    assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
+    assert load_profile(tmp_path / "p").material == profile.material
 
 
 def test_version_3_is_read_as_it_was(tmp_path: Path) -> None:
@@ -120,16 +127,6 @@ def test_version_3_is_read_as_it_was(tmp_path: Path) -> None:
     assert config.position_bands == 2
     assert np.array_equal(again.color_weights["layer0.weight"], weights["layer0.weight"])
     ColorModel(config, again.color_weights)
-
-
-def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Path) -> None:
-    """The stored folder has a calibrated material."""
-    profile = old(4)
-    assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
-    assert profile.material.fitted_with is None
-    save_profile(profile, tmp_path / "p")
-    assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
-    assert load_profile(tmp_path / "p").material == profile.material
 
 
 def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:

@@ -90,13 +90,11 @@ def test_names_that_cannot_be_are_refused(full_profile: SensorProfile, name: str
             full_profile.with_view(name, full_profile)
     with pytest.raises(InputError, match="is no name of a view"):
         replace(full_profile, views={name: SensorView.of(full_profile)})
-
-
-def test_a_view_that_looks_beside_the_gel_is_refused_by_name(full_profile: SensorProfile) -> None:
+    # One that looks beside the gel, by its name.
     beside = CameraBlock.from_grid(PixelGrid(12, 9, 0.03, 0.03, center_u_px=5e3), ASSUMED)
-    eye = SensorView.of(full_profile.without("background", "color"))
+    eye = replace(SensorView.of(full_profile.without("background", "color")), camera=beside)
     with pytest.raises(InputError, match=r"views\.left: camera: the image's middle lies at x"):
-        replace(full_profile, views={"left": replace(eye, camera=beside)})
+        replace(full_profile, views={"left": eye})
 
 
 @pytest.mark.parametrize(

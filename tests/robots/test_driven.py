@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +26,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import Control
 from tests.robots.gels import GEL, PAD, G, Run, driven_scene, moving, with_pads
 from tests.support.robot_files import CHAIN, REAL, write
+from tests.support.sensor_refusals import refuses
 
 SIDEWAYS = np.array([0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 SERVO = PositionDrive(100.0)
@@ -69,31 +68,25 @@ def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:
         np.testing.assert_allclose(center, (frames @ local)[:, :3], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda r, _: drive(r, {"slide": SERVO}), "no joint to drive 'slide'"),
-        (lambda r, _: drive(r, SERVO, [0.05]), r"0\.05 of joint 'slide_left' in row 0 is out of i"),
-        (lambda r, _: drive(r, SERVO, [0, 0.0]), r"start_q must have shape \[1\], got \[2\]"),
-        (
-            lambda r, _: drive(r, SERVO).joint_targets([np.nan]),
-            r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
-        ),
-        (
-            lambda r, _: drive(r, SERVO).poses(2, np.zeros((3, 7))),
-            r"world_from_base must have shape \[7\] or \[2, 7\]",
-        ),
-        (
-            lambda _, folder: drive(load_urdf(write(folder, CHAIN)).touching([]), SERVO),
-            "link 'arm' moves but has no collision shape",
-        ),
-    ],
+test_what_cannot_be_driven_is_refused = refuses(
+    lambda folder, call: call(named("parallel_gripper"), folder),
+    (lambda r, _: drive(r, {"slide": SERVO}), "no joint to drive 'slide'"),
+    (lambda r, _: drive(r, SERVO, [0.05]), r"0\.05 of joint 'slide_left' in row 0 is out of i"),
+    (lambda r, _: drive(r, SERVO, [0, 0.0]), r"start_q must have shape \[1\], got \[2\]"),
+    (
+        lambda r, _: drive(r, SERVO).joint_targets([np.nan]),
+        r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
+    ),
+    (
+        lambda r, _: drive(r, SERVO).poses(2, np.zeros((3, 7))),
+        r"world_from_base must have shape \[7\] or \[2, 7\]",
+    ),
+    (
+        lambda _, folder: drive(load_urdf(write(folder, CHAIN)).touching([]), SERVO),
+        "link 'arm' moves but has no collision shape",
+    ),
+    given="tmp_path",
 )
-def test_what_cannot_be_driven_is_refused(
-    call: Callable[[Robot, Path], object], message: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match=message):
-        call(named("parallel_gripper"), tmp_path)
 
 
 def test_the_closest_inertia_of_a_solid() -> None:

@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.errors import InputError
 from taccel_lab.robots import IKOptions, Robot, named
 from tests.support.robot_files import REAL, random_coordinates
+from tests.support.sensor_refusals import refuses
 
 HAND = named("three_finger_hand")
 REST = HAND.link_poses("pad_1", HAND.rest_q)
@@ -96,21 +94,16 @@ def test_the_base_s_place_and_the_seed_do_not_matter_for_the_answer() -> None:
         np.testing.assert_allclose(found.q[:, 6:], q[:, 6:], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: HAND.inverse_kinematics("pad_1", REST, np.zeros((2, 9))),
-            "start has 2 rows, expected 1 or one",
-        ),
-        (lambda: HAND.inverse_kinematics("pad_1", 2 * REST), "unit length"),
-        (lambda: IKOptions(attempts=0), "attempts must be at least 1, got 0"),
-        (
-            lambda: IKOptions(position_tolerance_m=float("nan")),
-            "position_tolerance_m must be positive and finite, got nan",
-        ),
-    ],
+test_bad_questions_are_refused = refuses(
+    lambda call: call(),
+    (
+        lambda: HAND.inverse_kinematics("pad_1", REST, np.zeros((2, 9))),
+        "start has 2 rows, expected 1 or one",
+    ),
+    (lambda: HAND.inverse_kinematics("pad_1", 2 * REST), "unit length"),
+    (lambda: IKOptions(attempts=0), "attempts must be at least 1, got 0"),
+    (
+        lambda: IKOptions(position_tolerance_m=float("nan")),
+        "position_tolerance_m must be positive and finite, got nan",
+    ),
 )
-def test_bad_questions_are_refused(call: Callable[[], object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        call()

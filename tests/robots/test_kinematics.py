@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from taccel_lab.robots import Robot, catalogue, load_urdf, named, names
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from tests.robots.gels import IDENTITY
 from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
+from tests.support.sensor_refusals import refuses
 
 OURS = ("parallel_gripper", "three_finger_hand")
 DOF = {
@@ -127,27 +127,21 @@ BEYOND[1, 4] = 1.5
 ONE_NAN = torch.where(BEYOND > 0, torch.nan, BEYOND)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda hand: hand.forward_kinematics(np.zeros((2, 8))), SHAPE),
-        (lambda hand: hand.targets(torch.zeros(2, 8)), SHAPE),
-        (lambda hand: hand.targets(torch.zeros(2, 2, 9)), SHAPE),
-        (lambda hand: hand.targets(np.zeros((2, 2, 9))), SHAPE),
-        (lambda hand: hand.targets(0.0), SHAPE),
-        (lambda hand: hand.forward_kinematics(np.full(9, np.nan)), "hold NaN or infinite"),
-        (lambda hand: hand.forward_kinematics(ONE_NAN), "hold NaN or infinite"),
-        (lambda hand: hand.targets(BEYOND), "coordinate 1.5 of joint 'knuckle_2' in row 1 is out"),
-        (lambda hand: hand.jacobian("thumb", np.zeros(9)), "no link 'thumb'; there are 'palm', 'b"),
-        (lambda hand: hand.placed([0, 0, 0, 1, 1, 0, 0]), "unit length"),
-        (lambda hand: hand.placed([IDENTITY] * 2), r"world_from_base must have shape \[7\]"),
-        (lambda _: named("hand"), "no robot 'hand'.*known: parallel_gripper, three_"),
-    ],
+test_what_is_not_there_is_refused = refuses(
+    lambda call: call(named("three_finger_hand")),
+    (lambda hand: hand.forward_kinematics(np.zeros((2, 8))), SHAPE),
+    (lambda hand: hand.targets(torch.zeros(2, 8)), SHAPE),
+    (lambda hand: hand.targets(torch.zeros(2, 2, 9)), SHAPE),
+    (lambda hand: hand.targets(np.zeros((2, 2, 9))), SHAPE),
+    (lambda hand: hand.targets(0.0), SHAPE),
+    (lambda hand: hand.forward_kinematics(np.full(9, np.nan)), "hold NaN or infinite"),
+    (lambda hand: hand.forward_kinematics(ONE_NAN), "hold NaN or infinite"),
+    (lambda hand: hand.targets(BEYOND), "coordinate 1.5 of joint 'knuckle_2' in row 1 is out"),
+    (lambda hand: hand.jacobian("thumb", np.zeros(9)), "no link 'thumb'; there are 'palm', 'b"),
+    (lambda hand: hand.placed([0, 0, 0, 1, 1, 0, 0]), "unit length"),
+    (lambda hand: hand.placed([IDENTITY] * 2), r"world_from_base must have shape \[7\]"),
+    (lambda _: named("hand"), "no robot 'hand'.*known: parallel_gripper, three_"),
 )
-def test_what_is_not_there_is_refused(call: Callable[[Robot], object], message: str) -> None:
-    """Of tensors as of arrays."""
-    with pytest.raises(InputError, match=message):
-        call(named("three_finger_hand"))
 
 
 def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_driven_fingers_stop_at_one_another() -> None:
         np.testing.assert_allclose(run.efforts()[1::3], 2.0, rtol=1e-6)
 
 
-def test_what_overlaps_is_refused_by_name() -> None:
+def test_what_overlaps_and_bad_pairs_are_refused_by_name() -> None:
     folded, palms = np.tile([0.0, 1.4, 1.2], 3), [(f"pad {k}", "palm") for k in (1, 2, 3)]
     with pytest.raises(InputError) as error:
         padded_hand().touching_itself(at=folded)
@@ -118,16 +119,14 @@ def test_what_overlaps_is_refused_by_name() -> None:
     driven = drive(bare.touching_itself(tips), DRIVES, meeting)
     apart = {body.name: body.surface.apart_from for body in driven.affine_bodies}
     assert "three_finger_hand/distal_3" in apart["three_finger_hand/distal_1"]
-
-
-def test_bad_pairs_are_refused() -> None:
-    for apart, message in (
+    bad: list[tuple[Any, str]] = [
         ([("pad 1", "thumb")], "apart names 'thumb', which is no link or gel of robot 'three_f"),
         (["ab"], "apart has pairs of names of links and gels, got 'ab'"),
         ([("pad 1", "palm", "pad 2")], "apart has pairs of names"),
-    ):
+    ]
+    for pairs, message in bad:
         with pytest.raises(InputError, match=message):
-            padded_hand().touching_itself(apart)  # type: ignore[arg-type]
+            padded_hand().touching_itself(pairs)
     lonely = replace(GEL, name="gel", surface=Surface(apart_from=frozenset({"nobody"})))
     with pytest.raises(InputError, match="'gel' is kept apart from 'nobody', which is no body"):
         Scene(lonely)

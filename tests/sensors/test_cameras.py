@@ -22,6 +22,7 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
 from taccel_lab.sensors.workshop import sensor_parts
 from taccel_lab.studies.report.preview import preview_design, write_preview
+from tests.support.sensor_refusals import refuses
 
 BASELINE_MM = 9.0
 PAIR: dict[str, Any] = {"camera_x_mm": [-BASELINE_MM / 2, BASELINE_MM / 2], "marker_pitch_mm": 2.5}
@@ -99,35 +100,20 @@ def test_the_catalogues_stereo_sensor_looks_at_its_middle() -> None:
     figures = {name: value for name, (value, _) in derived_figures(parameters).items()}
     assert figures["cameras"] == 2
     assert 50 < float(figures["gel in all images"]) < float(figures["gel in the image"])
-
-
-def test_each_camera_has_its_values() -> None:
+    # Each camera has its values.
     assert not FLAT.parameters().views()
     three = FLAT.parameters({"camera_x_mm": [0, -5, 5], "camera_y_mm": [4, -3, -3]})
     assert list(three.views()) == ["camera_2", "camera_3"]
     assert three.views()["camera_3"].values()["camera_x_mm"] == 5.0
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"camera_x_mm": [0, 1], "camera_y_mm": [0, 1, 2]}, "camera_x_mm has 2, camera_y_mm has 3"),
-        ({"camera_x_mm": [0, 20]}, "camera_x_mm and camera_tilt_x_deg let .* x = 20 mm"),
-        ({"camera_x_mm": [0, 31]}, "camera_x_mm = 31 is above its bound"),
-        ({"camera_x_mm": [0] * 65}, "camera_x_mm has 65 values; allowed: 1 to 64"),
-    ],
+test_numbers_of_cameras_agree_and_all_of_them_see_the_gel = refuses(
+    FLAT.parameters,
+    ({"camera_x_mm": [0, 1], "camera_y_mm": [0, 1, 2]}, "camera_x_mm has 2, camera_y_mm has 3"),
+    ({"camera_x_mm": [0, 20]}, "camera_x_mm and camera_tilt_x_deg let .* x = 20 mm"),
+    ({"camera_x_mm": [0, 31]}, "camera_x_mm = 31 is above its bound"),
+    ({"camera_x_mm": [0] * 65}, "camera_x_mm has 65 values; allowed: 1 to 64"),
 )
-def test_numbers_of_cameras_agree_and_all_of_them_see_the_gel(
-    values: dict[str, Any], words: str
-) -> None:
-    with pytest.raises(InputError, match=words):
-        FLAT.parameters(values)
-
-
-@pytest.mark.thorough
-def test_an_image_beside_the_gel_is_refused_in_names_that_can_be_set() -> None:
-    with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
-        catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})
 
 
 def test_a_profile_keeps_its_cameras_and_is_a_sensor_by_them(stereo: SensorProfile) -> None:
@@ -152,6 +138,9 @@ def test_cad_and_figures_have_all_cameras() -> None:
     found = describe_sensor(parameters)
     assert found["derived"]["cameras"]["value"] == 2
     assert found["views"]["camera_2"]["camera"]["position_mm"][0] == 6.0
+    # An image beside the gel is refused in names that can be set.
+    with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
+        catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})
 
 
 @pytest.fixture(scope="module")

@@ -91,9 +91,7 @@ def test_files_hold_what_was_measured_and_set(result: DesignResult) -> None:
     assert thickness["value"] == 4.5 and thickness["source"] == "set by the user"
     assert "gelmap" in parameters["parameters"]["crown_radius_mm"]["source"]
     assert parameters["part"]["bounding_box_min"][2] == pytest.approx(-4.5)
-
-
-def test_mesh_and_profile_come_back(result: DesignResult) -> None:
+    # Mesh and profile come back.
     assert np.array_equal(read_mesh_vtu(result.files["mesh"]).nodes_m, result.mesh.nodes_m)
     profile = load_profile(result.files["profile"])
     assert np.array_equal(profile.mesh.tets, result.mesh.tets)
@@ -102,12 +100,6 @@ def test_mesh_and_profile_come_back(result: DesignResult) -> None:
     assert "assumption" in profile.material.provenance.source
     assert profile.grid() == FAMILY.parameters().grid()
     assert profile.sensor.parameters == result.parameters.values()
-
-
-@pytest.mark.thorough
-def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
-    found = design_sensor(FAMILY, None, tmp_path / "out", edge_mm=1.5, parts=())
-    assert set(found.files) == {"mesh", "quality", "parameters", "preview", "profile"}
 
 
 @pytest.mark.parametrize(
@@ -145,6 +137,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "smallest dihedral angle" in found.out and "pad.step" in found.out
     assert json.loads((out / "parameters.json").read_text())["part"]["pad"]["rim"] == "chamfer"
     assert (out / "pad.step").exists() and not (out / "drawing.svg").exists()
+    without = design_sensor(FAMILY, None, tmp_path / "without", edge_mm=1.5, parts=())
+    assert set(without.files) == {"mesh", "quality", "parameters", "preview", "profile"}
 
 
 def test_command_line_refuses_unknown_sensor(

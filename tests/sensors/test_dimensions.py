@@ -135,28 +135,29 @@ def test_mini_crown_and_rim_are_those_of_the_step_file() -> None:
     assert thick.bounds_mm()[0, 2] == -6.0
 
 
-def test_mini_markers_are_seven_rows_of_nine() -> None:
+def test_markers_are_where_the_sources_have_them() -> None:
     markers, grid = nominal("gelsight_mini").markers(), nominal("gelsight_mini").grid()
     assert markers is not None
     assert (markers.rows, markers.columns) == (7, 9)
     corner = grid.pixel_from_gel(markers.points_mm()[0])
     # gelsight_ansys_sim: margins of 24 px, at its 0.0581 mm/px
     assert corner == pytest.approx([159.5 - 4 * 1.97 / 0.0634, 119.5 - 3 * 1.9 / 0.0634])
+    markers = nominal("gelsight_40").markers()
+    assert markers is not None
+    assert np.abs(markers.points_mm()).max() == pytest.approx(13.3)
+    assert len(markers.points_mm()) == 64
 
 
-def test_digit_mid_section_has_radius_21_4() -> None:
+def test_digit_mid_section_has_radius_21_4_unless_it_is_set_or_thin() -> None:
     """By the least-squares circle through points of the section (Kasa's linear fit)."""
     x = np.linspace(-7.5, 7.5, 61)
     z = nominal("digit").pad().top_mm(np.stack([x, 0 * x], axis=-1))
     a, b, c = np.linalg.lstsq(np.stack([x, z, 0 * x + 1], axis=-1), x**2 + z**2, rcond=None)[0]
     assert np.sqrt(c + (a**2 + b**2) / 4) == pytest.approx(21.4, abs=0.3)
-
-
-def test_a_thin_digit_is_flatter_and_the_usual_one_as_ever() -> None:
-    radii = [
-        pad.values()["mid_radius_mm"]
-        for pad in (nominal("digit", thickness_mm=t).pad() for t in (4.07, 3.0, 2.0, 1.0))
-    ]
+    assert nominal("digit", mid_radius_mm=30.0).pad().values()["mid_radius_mm"] == 30.0
+    # A thin gel is flatter.
+    thin = [nominal("digit", thickness_mm=t).pad() for t in (4.07, 3.0, 2.0, 1.0)]
+    radii = [pad.values()["mid_radius_mm"] for pad in thin]
     assert nominal("digit").pad().values()["mid_radius_mm"] == radii[0] == 21.4
     assert (np.diff(radii) > 0).all()
     with pytest.raises(InputError, match="thickness_mm must be at least"):
@@ -175,17 +176,11 @@ def test_digit_rolls_off_at_base_and_tip(end: int, height: float) -> None:
     assert np.abs(over_back[inward > 7.5] - 4.07).max() < 0.25
 
 
-def test_taccel_pad_is_bevelled_and_stuck_to_its_sides() -> None:
-    pad, markers = nominal("gelsight_40").pad(), nominal("gelsight_40").markers()
+def test_taccel_pad_is_bevelled_and_9dtact_has_a_core_and_a_skin() -> None:
+    pad = nominal("gelsight_40").pad()
     assert pad.top_mm(np.array([16.9, 0.0])) == pytest.approx(0.0)
     assert pad.top_mm(np.array([19.999, 0.0])) == pytest.approx(2.971 - 5.925, abs=2e-3)
     assert pad.values()["bond_sides"] == "yes"
-    assert markers is not None
-    assert np.abs(markers.points_mm()).max() == pytest.approx(13.3)
-    assert len(markers.points_mm()) == 64
-
-
-def test_9dtact_has_a_core_and_a_skin() -> None:
     pad = nominal("9dtact").pad()
     assert pad.layer_names == ("gel", "skin")
     assert len(nominal("9dtact").layer_materials()) == 2
@@ -194,20 +189,16 @@ def test_9dtact_has_a_core_and_a_skin() -> None:
     assert pad.layer_of(np.array(inside + outside)).tolist() == [0] * 4 + [1] * 4
 
 
-@pytest.mark.parametrize(
-    ("name", "size"),
-    [
-        ("gelsight_mini", (32.0, 28.0, 24.0)),
-        ("digit", (26.95, 34.01, 28.4)),
-        ("9dtact", (32.5, 25.5, 22.7)),
-        ("rtac", (30.0, 30.0, 21.65)),
-    ],
-)
-def test_housings_have_the_stated_size(name: str, size: tuple[float, float, float]) -> None:
-    housing = nominal(name).housing()
-    assert housing is not None and housing.size_mm == size
-    if name == "gelsight_mini":
-        assert size[2] - housing.front_z_mm == 28.25
+def test_housings_have_the_stated_size() -> None:
+    for name, size in {
+        "gelsight_mini": (32.0, 28.0, 24.0),
+        "digit": (26.95, 34.01, 28.4),
+        "9dtact": (32.5, 25.5, 22.7),
+        "rtac": (30.0, 30.0, 21.65),
+    }.items():
+        housing = nominal(name).housing()
+        assert housing is not None and housing.size_mm == size
+        assert name != "gelsight_mini" or size[2] - housing.front_z_mm == 28.25
 
 
 def test_pad_matches_the_gel_map_of_taxim_everywhere() -> None:

@@ -194,10 +194,14 @@ def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
 
 
+PRESSED = [("digit", None), ("digit_360", None), ("rtac", None)]
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", variants(["digit", "digit_360", "rtac"], FAMILIES))
-def test_nominal_sensor_is_pressed(name: str) -> None:
-    assert_pressed(FAMILIES[name].parameters())
+@pytest.mark.parametrize(("name", "seed"), variants(PRESSED, FAMILIES, [None, 0, 1, 2]))
+def test_nominal_and_random_sensors_are_pressed(name: str, seed: int | None) -> None:
+    family = FAMILIES[name]
+    assert_pressed(family.parameters() if seed is None else accepted(family, seed))
 
 
 @pytest.mark.slow
@@ -219,13 +223,6 @@ def test_similar_sensors_are_meshed(family: SensorFamily) -> None:
     assert len(refused) <= 2
     for pad in refused[:1]:
         assert measure_quality(tetwild_gel_mesh(pad), pad).min_dihedral_deg >= 10.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-@each_family
-def test_random_sensor_is_pressed(family: SensorFamily, seed: int) -> None:
-    assert_pressed(accepted(family, seed))
 
 
 @pytest.mark.slow

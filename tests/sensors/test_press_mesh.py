@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +12,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import measure_quality
-from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH
 from taccel_lab.geometry.tool_section import ToolSection
@@ -27,6 +24,7 @@ from taccel_lab.sensors.press_mesh import pad_press_mesh, press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from tests.cad.pads import check_same, contact_edges
+from tests.support.sensor_refusals import refuses
 
 SMALL = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
 RECTANGLE = np.array([[-0.1, -3.0], [0.1, -3.0], [0.1, 3.0], [-0.1, 3.0]])
@@ -37,20 +35,6 @@ DISC = np.stack([np.cos(TURN), np.sin(TURN)], axis=1)
 
 def section(outline_mm: np.ndarray, filled: float = 1.0) -> ToolSection:
     return ToolSection(outline_mm, filled, depth_mm=0.6)
-
-
-@pytest.mark.thorough
-@settings(max_examples=8)
-@given(x=st.floats(-7.5, 7.5), y=st.floats(-5.5, 5.5), radius=st.floats(0.5, 1.6))
-def test_shape_is_that_of_the_pad_and_arrays_are_shared(x: float, y: float, radius: float) -> None:
-    mesh = press_mesh("gelsight", {}, (x, y), radius, SMALL)
-    check_same(mesh, press_mesh("gelsight", {}, (0.0, 0.0), 1.0, SMALL))
-    pad = sensor_family("gelsight").parameters().pad()
-    top = mesh.nodes_m[mesh.region_nodes(Region.CONTACT)] * 1e3
-    assert top[:, 2] == pytest.approx(pad.height_mm(top[:, :2]), abs=1e-9)
-    assert mesh.nodes_m[mesh.bonded_nodes(), 2] == pytest.approx(-5e-3, abs=1e-15)
-    assert np.ptp(mesh.nodes_m, axis=0)[:2] == pytest.approx([24e-3, 20e-3])
-    assert dihedral_angles_deg(mesh.nodes_m, mesh.tets).min() > 1.0
 
 
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0), (4.0, -3.0)])
@@ -78,23 +62,18 @@ def test_options_set_the_number_of_nodes_and_parameters_the_shape() -> None:
     assert DEFAULT_PRESS_MESH.for_ball(1.5, 4.25, 11.5) == DEFAULT_PRESS_MESH
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "at_mm", "tool", "message"),
-    [
-        ("digit9", {}, (0.0, 0.0), 1.0, r"digit9.*gelsight"),
-        ("gelsight", {"thick": 3.0}, (0.0, 0.0), 1.0, "thick"),
-        ("gelsight", {"thickness_mm": -3.0}, (0.0, 0.0), 1.0, r"thickness_mm.*-3"),
-        ("gelsight", {}, (11.5, 0.0), 1.0, r"at_mm = \(11\.5, 0\).*at least 1\.5 mm"),
-        ("gelsight", {}, (40.0, 0.0), 1.0, r"at_mm = \(40, 0\)"),
-        ("gelsight", {}, (0.0, math.nan), 1.0, "at_mm"),
-        ("gelsight", {}, (0.0, 0.0), 0.0, r"radius must be above 0 mm, got 0"),
-        ("gelsight", {}, (11.5, 0.0), section(RECTANGLE), r"lies .* inside the pad's edge"),
-        ("gelsight", {}, (0.0, 0.0), math.nan, "radius .* got nan"),
-    ],
+test_refused = refuses(
+    lambda *given: press_mesh(*given, SMALL),
+    ("digit9", {}, (0.0, 0.0), 1.0, r"digit9.*gelsight"),
+    ("gelsight", {"thick": 3.0}, (0.0, 0.0), 1.0, "thick"),
+    ("gelsight", {"thickness_mm": -3.0}, (0.0, 0.0), 1.0, r"thickness_mm.*-3"),
+    ("gelsight", {}, (11.5, 0.0), 1.0, r"at_mm = \(11\.5, 0\).*at least 1\.5 mm"),
+    ("gelsight", {}, (40.0, 0.0), 1.0, r"at_mm = \(40, 0\)"),
+    ("gelsight", {}, (0.0, math.nan), 1.0, "at_mm"),
+    ("gelsight", {}, (0.0, 0.0), 0.0, r"radius must be above 0 mm, got 0"),
+    ("gelsight", {}, (11.5, 0.0), section(RECTANGLE), r"lies .* inside the pad's edge"),
+    ("gelsight", {}, (0.0, 0.0), math.nan, "radius .* got nan"),
 )
-def test_refused(name: str, values: Any, at_mm: Any, tool: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        press_mesh(name, values, at_mm, tool, SMALL)
 
 
 @pytest.mark.parametrize("outline", [RECTANGLE, TRIANGLE, 2 * DISC], ids=["long", "sharp", "round"])
@@ -164,14 +143,6 @@ def test_tools_full_of_gaps_have_even_cells_inside() -> None:
 
 
 @pytest.mark.thorough
-def test_a_narrower_focus_is_taken_where_the_usual_one_folds_and_said() -> None:
-    """It was refused: folded tets far from the contact."""
-    with pytest.warns(UserWarning, match=r"fine part is \d+% as wide"):
-        beside = press_mesh("gelsight_r15", {}, (0.0, 13.33), 2.1)
-    check_same(beside, press_mesh("gelsight_r15", {}, (0.0, 0.0), 2.1))
-
-
-@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*as finely as elsewhere")
 @pytest.mark.parametrize("lowest", [0.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_every_place_in_the_image_meshes(lowest: float) -> None:
@@ -182,6 +153,10 @@ def test_every_place_in_the_image_meshes(lowest: float) -> None:
     parts = parts[parts >= lowest]
     for x, y in (half * np.stack(np.meshgrid(parts, parts), axis=-1).reshape(-1, 2)).tolist():
         press_mesh("gelsight_r15", {}, (x, y), 1.5)
+    # A narrower focus is taken where the usual one folds.
+    with pytest.warns(UserWarning, match=r"fine part is \d+% as wide"):
+        beside = press_mesh("gelsight_r15", {}, (0.0, 13.33), 2.1)
+    check_same(beside, press_mesh("gelsight_r15", {}, (0.0, 0.0), 2.1))
 
 
 @pytest.mark.thorough(cases=("9dtact-0.8", "9dtact-1.0", "9dtact-2.0"))

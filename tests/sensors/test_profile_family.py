@@ -32,7 +32,7 @@ from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.presses.press_batch import press_jobs, simulate
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
-from tests.sensors.imported_profiles import SIZE, crowned, imported
+from tests.sensors.imported_profiles import SIZE, imported
 from tests.studies.coarse_presses import coarse
 from tests.support.finite_element_press import SURFACE_PHYSICS
 from tests.support.synthetic_presses import synthetic_captures, write_captures
@@ -191,7 +191,7 @@ def test_a_curved_pad_and_its_mesh_press_alike() -> None:
     """The parametric pad, and its mesh as an imported gel: forces of one ball."""
     ball = coarse("sphere", depth_fraction=0.1, steps=2, mesh=SURFACE_PHYSICS.mesh)
     forces = []
-    for parameters in (crowned(), profile_parameters(imported())):
+    for parameters in (sensor_family("gelsight").parameters(SIZE), profile_parameters(imported())):
         (job,) = press_jobs(ball, parameters)
         job = replace(job, poisson_ratios=(0.46,), friction=0.0)
         forces.append(simulate([job])[0].record.normal_n)

@@ -49,6 +49,12 @@ def test_its_mark_survives_saving(tmp_path: Path) -> None:
     tl.save_profile(tl.load_sensor("9dtact"), tmp_path / "profile")
     again = tl.load_sensor(tmp_path / "profile")
     assert is_starter(again) and tl.validate_profile(tmp_path / "profile") == []
+    # A calibration does not begin with blocks of another unit.
+    cv2.imwrite(str(tmp_path / "background.png"), np.full((240, 320, 3), 120, np.uint8))
+    manifest = 'schema_version = 2\nsensor = "gelsight_mini"\nbackground = "background.png"\n'
+    (tmp_path / "captures.toml").write_text(manifest)
+    base = base_profile(tl.load_sensor("gelsight_mini"), load_capture_folder(tmp_path))
+    assert not is_starter(base) and base.color is None and base.background is None
 
 
 @pytest.mark.thorough(cases=("gelsight_mini",))
@@ -62,15 +68,6 @@ def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     assert np.abs(nothing.rise_m).max() < 0.1e-3
     assert NOT_YOUR_UNIT in repr(nothing)
     assert nothing.figures(profile.grid())["warnings"][0] == NOT_YOUR_UNIT
-
-
-def test_a_calibration_does_not_begin_with_blocks_of_another_unit(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "background.png"), np.full((240, 320, 3), 120, np.uint8))
-    (tmp_path / "captures.toml").write_text(
-        'schema_version = 2\nsensor = "gelsight_mini"\nbackground = "background.png"\n'
-    )
-    base = base_profile(tl.load_sensor("gelsight_mini"), load_capture_folder(tmp_path))
-    assert not is_starter(base) and base.color is None and base.background is None
 
 
 @pytest.mark.thorough
