@@ -116,9 +116,7 @@ test_what_cannot_be_built_names_the_bound = refuses(
 )
 
 
-def test_window_plate_follows_the_gel_or_is_a_rectangle_and_a_dome_is_a_shell(
-    gel: LabelledSolid,
-) -> None:
+def test_windows_are_plates_like_the_gel_rectangles_or_shells(gel: LabelledSolid) -> None:
     outline = gel.solid.faces().sort_by()[0].outer_wire()
     like_gel = window_part(WINDOW, outline, VIEW_MM)
     assert like_gel.solid.volume == pytest.approx(3 * OUTLINE_MM2, rel=1e-9)
@@ -136,9 +134,7 @@ def test_window_plate_follows_the_gel_or_is_a_rectangle_and_a_dome_is_a_shell(
 
 
 @pytest.mark.thorough
-def test_assembly_step_keeps_names_colours_faces_and_places(
-    sensor: Assembly, tmp_path: Path
-) -> None:
+def test_step_keeps_names_colours_faces_and_places(sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "assembly.step"
     export.write_assembly_step(sensor.parts, path, name=sensor.name)
     bodies = {body.name: body for body in read_step(path)}
@@ -191,9 +187,7 @@ def test_3mf_holds_named_bodies_in_millimetres(sensor: Assembly, tmp_path: Path)
     assert not found.MoveNext()
 
 
-def test_dxf_has_outline_window_seat_and_section_to_scale(
-    gel: LabelledSolid, sensor: Assembly, tmp_path: Path
-) -> None:
+def test_dxf_has_outlines_to_scale(gel: LabelledSolid, sensor: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "pad.dxf"
     export.write_dxf(gel, path, others=[part for part in sensor.parts if part.made_beside])
     document = ezdxf.readfile(path)
@@ -225,9 +219,7 @@ def texts(path: Path) -> list[str]:
 
 
 @pytest.mark.thorough
-def test_drawings_state_dimensions_revision_date_and_tolerances(
-    gel: LabelledSolid, sensor: Assembly, tmp_path: Path
-) -> None:
+def test_drawings_state_what_is_built(gel: LabelledSolid, sensor: Assembly, tmp_path: Path) -> None:
     pad, whole = tmp_path / "pad.svg", tmp_path / "all.svg"
     issue = Issue("0a1b2c3d, taccel-lab 9.9", "2031-02-03")
     thickness = {"thickness_mm": (5.0, "mm")}

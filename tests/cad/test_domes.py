@@ -54,9 +54,7 @@ def test_the_meridian_is_a_closed_chain_from_axis_to_axis(pad: DomePad) -> None:
 
 @given(pads.domes(), st.floats(0, 0.99), st.floats(-np.pi, np.pi), st.integers(0, 2**32 - 1))
 @settings(max_examples=60)
-def test_top_normal_and_glued_surface_are_those_of_the_formula(
-    pad: DomePad, share: float, turn: float, seed: int
-) -> None:
+def test_surfaces_are_those_of_formulas(pad: DomePad, share: float, turn: float, seed: int) -> None:
     way = pad.cap_radius_mm * np.array([np.cos(turn), np.sin(turn)])
     xy = share * way
     point = np.append(xy, pad.top_mm(xy))

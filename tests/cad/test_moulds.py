@@ -72,9 +72,7 @@ def test_no_shrinkage_and_no_draft_give_the_gel_itself() -> None:
 
 
 @pytest.mark.thorough
-def test_cavity_has_the_exact_contact_face_and_holds_the_lid(
-    crowned: tuple[LabelledSolid, Mould],
-) -> None:
+def test_cavity_has_the_contact_face_and_a_lid(crowned: tuple[LabelledSolid, Mould]) -> None:
     gel, mould = crowned
     faces = [f for f in mould.cavity.faces("mould") if f.center().Z > -0.9]
     scale = 1 / (1 - mould.options.shrinkage_percent / 100)
@@ -101,9 +99,7 @@ def test_cavity_has_the_exact_contact_face_and_holds_the_lid(
     assert common_volume_mm3(cavity, wider) > 1.0
 
 
-def test_gates_lie_in_the_bonded_margin_and_go_through_the_lid(
-    crowned: tuple[LabelledSolid, Mould],
-) -> None:
+def test_gates_lead_through_the_lid_to_the_margin(crowned: tuple[LabelledSolid, Mould]) -> None:
     _, mould = crowned
     assert [gate.kind for gate in mould.gates] == ["pour", "vent", "vent", "vent"]
     base = mould.body.base_z_mm

@@ -172,9 +172,7 @@ UNITS = {"m": (1e3, "metres"), "in": (25.4, "inches"), "cm": (10, "cent"), "um":
 
 
 @given(st.floats(4, 120), st.floats(0.05, 1), st.floats(0.05, 1), st.floats(1e-4, 0.499))
-def test_pads_in_millimetres_pass_and_smaller_ones_are_asked_about(
-    size: float, b: float, c: float, small: float
-) -> None:
+def test_millimetres_pass_or_are_asked_about(size: float, b: float, c: float, small: float) -> None:
     extents = np.maximum(size * np.array([1, b, c]), 0.06)
     assert check_units(np.stack([np.zeros(3), extents])) == 1.0
     with pytest.raises(InputError, match="--unit"):

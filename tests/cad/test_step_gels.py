@@ -68,9 +68,7 @@ BY_COLOUR = FaceSelection(
 
 
 @pytest.mark.parametrize("selected", ["", "colours", "toml"])
-def test_our_own_step_comes_back_region_by_region(
-    selected: str, own: tuple[LabelledSolid, Path], tmp_path: Path
-) -> None:
+def test_our_step_is_read(selected: str, own: tuple[LabelledSolid, Path], tmp_path: Path) -> None:
     part, path = own
     (tmp_path / "faces.toml").write_text(NAMES_TOML)
     by_name = FaceSelection.from_toml(tmp_path / "faces.toml")
@@ -235,9 +233,7 @@ def entity(text: str, name: str, fields: str) -> str:
         (lambda t: t.replace("(-12.,", "(nan,"), "no finite bounding box"),
     ],
 )
-def test_damaged_files_end_in_a_sentence(
-    damage: Callable[[str], str], words: str, tmp_path: Path
-) -> None:
+def test_damage_is_a_sentence(damage: Callable[[str], str], words: str, tmp_path: Path) -> None:
     path = write(box(), tmp_path / "box.step")
     path.write_text(damage(path.read_text()))
     with pytest.raises(InputError, match=rf"box\.step.*{words}") as caught:
@@ -257,9 +253,7 @@ def test_files_that_are_large_or_take_long(tmp_path: Path, monkeypatch: pytest.M
             read(path)
 
 
-def test_exceptions_of_the_kernel_are_sentences_and_ours_are_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exceptions_of_the_kernel_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for error, raised in ((StdFail_NotDone("no"), InputError), (KeyError("no"), KeyError)):
         monkeypatch.setattr(step_gel, "read_step", Mock(side_effect=error))
         with pytest.raises(raised, match="no"):
@@ -321,9 +315,7 @@ def assembly_of_one_part(path: Path, named: tuple[str, ...]) -> list[np.ndarray]
 
 
 @pytest.mark.parametrize("named", [(), ("plate",), ("plate", "group", "whole")])
-def test_a_part_of_an_assembly_is_found_wherever_it_is_placed(
-    named: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_parts_of_an_assembly_are_found_in_place(named: tuple[str, ...], tmp_path: Path) -> None:
     """Its repeated labels have no names, on which the kernel crashed."""
     path = tmp_path / "assembly.step"
     places = assembly_of_one_part(path, named)

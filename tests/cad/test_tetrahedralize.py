@@ -127,9 +127,7 @@ def test_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("good_at", [5, None])
-def test_runs_that_miss_the_gate_by_flat_tets_alone_are_made_once_more(
-    monkeypatch: pytest.MonkeyPatch, good_at: int | None
-) -> None:
+def test_flat_tets_are_meshed_anew(monkeypatch: pytest.MonkeyPatch, good_at: int | None) -> None:
     """fTetWild's next run is another draw; a box of 8 x 6 mm was refused once in 20 imports."""
     good = gel_mesh(SMALL, 1.5)
     # The surface as it is, and an inner node close to the opposite face of one of its tets.
@@ -197,9 +195,7 @@ def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) ->
         tetwild_gel_mesh(SMALL, 1.4)
 
 
-def test_keys_follow_content_and_a_cache_that_cannot_be_written_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_and_folder_of_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     a = np.arange(6.0)
     key = content_key({"x": a, "n": 1})
     assert key == content_key({"n": 1, "x": a.copy()})

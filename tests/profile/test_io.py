@@ -119,9 +119,7 @@ def test_round_trip_of_random_values(
     st.floats(0, 1, exclude_max=True),
     st.integers(1, 255),
 )
-def test_any_changed_byte_is_found(
-    profile_folder: Path, name: str, where: float, flip: int
-) -> None:
+def test_any_changed_byte_is_seen(profile_folder: Path, name: str, where: float, flip: int) -> None:
     path = profile_folder / name
     good = path.read_bytes()
     bad = bytearray(good)
@@ -263,9 +261,7 @@ def test_a_failed_save_leaves_the_old_profile(
     assert [entry.name for entry in profile_folder.parent.iterdir()] == [profile_folder.name]
 
 
-def test_what_a_material_was_fitted_with_is_kept(
-    full_profile: SensorProfile, tmp_path: Path
-) -> None:
+def test_what_a_material_was_fitted_to_is_kept(full_profile: SensorProfile, tmp_path: Path) -> None:
     fitted = FittedWith(
         physics={"accuracy": "default", "dhat_m": 1e-5, "mesh": {"rings": 10, "fine_radii": 1.9}},
         friction_coefficient=0.3,

@@ -43,9 +43,7 @@ def folder(two_eyes: SensorProfile, tmp_path: Path) -> Path:
     return tmp_path / "p"
 
 
-def test_a_view_is_an_ordinary_profile_of_the_same_gel(
-    two_eyes: SensorProfile, full_profile: SensorProfile
-) -> None:
+def test_views_are_ordinary_profiles(two_eyes: SensorProfile, full_profile: SensorProfile) -> None:
     assert two_eyes.view_names() == ("main", "left")
     left, main = two_eyes.seen_by("left"), two_eyes.seen_by("main")
     assert left.grid() == SMALL and left.view_names() == ("main",)

@@ -46,9 +46,7 @@ def test_robots_reach_what_they_can(name: str, position_only: bool) -> None:
 
 
 @given(SHARES, SHARES, st.integers(1, 3))
-def test_any_pose_within_the_limits_is_reached(
-    there: np.ndarray, start: np.ndarray, finger: int
-) -> None:
+def test_poses_within_limits_are_reached(there: np.ndarray, start: np.ndarray, finger: int) -> None:
     low, high = HAND.limits.T
     pose = HAND.link_poses(f"pad_{finger}", low + there * (high - low))
     begin = low + start * (high - low)

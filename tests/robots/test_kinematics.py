@@ -176,6 +176,8 @@ def test_tensors_go_where_arrays_go(name: str, device: str, tmp_path: Path) -> N
     narrow = tensor.float()
     wanted = robot.forward_kinematics(narrow.double())
     torch.testing.assert_close(robot.forward_kinematics(narrow), wanted, rtol=0, atol=0)
+    if robot.dof == 9:  # A row that is wrong does not reach the others.
+        assert torch.isfinite(robot.targets(ONE_NAN, check=False)[0]).all()
 
 
 @pytest.mark.parametrize("name", ["three_finger_hand", "chain", *REAL])
@@ -205,7 +207,6 @@ def test_unchecked_targets_read_nothing_from_the_device() -> None:
     assert robot.jacobian("pad_1", q, check=False).shape == (5, 6, 9)
     with pytest.raises((RuntimeError, NotImplementedError)):
         robot.targets(q)
-    assert torch.isfinite(robot.targets(ONE_NAN, check=False)[0]).all()
 
 
 @pytest.mark.thorough

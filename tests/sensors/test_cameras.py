@@ -56,9 +56,7 @@ def tangent_in_air(aside_mm: float, depth_mm: float) -> float:
 
 
 @pytest.mark.parametrize("depth_mm", [0.0, 0.5, 1.5])
-def test_the_disparity_of_a_known_height_is_that_of_snells_law(
-    stereo: SensorProfile, depth_mm: float
-) -> None:
+def test_disparities_of_heights_follow_snells_law(stereo: SensorProfile, depth_mm: float) -> None:
     left, right = (eye(stereo, name) for name in ("main", "camera_2"))
     seen = [camera.pixel_from_gel(np.array([0.0, 0.0, -depth_mm])) for camera in (left, right)]
     focal = left.camera.fx_px
@@ -149,9 +147,7 @@ def pressed(stereo: SensorProfile) -> Press:
 
 
 @pytest.mark.thorough
-def test_dots_in_both_images_of_a_press_give_the_place_of_each(
-    stereo: SensorProfile, pressed: Press
-) -> None:
+def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: Press) -> None:
     """Sight lines of a dot's two pixels meet where the gel's own nodes have the dot."""
     assert list(pressed.outcome.views) == ["camera_2"]
     left, right = (pressed.seen_by(name).markers for name in stereo.view_names())
@@ -170,9 +166,7 @@ def test_dots_in_both_images_of_a_press_give_the_place_of_each(
 
 
 @pytest.mark.thorough
-def test_each_camera_has_its_picture_and_heights(
-    pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cameras_are_saved(pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("presses.press_files", "api.press_result"):
         monkeypatch.setattr(f"taccel_lab.{module}.PREDICTED_PX", 64)
     main, right = (pressed.seen_by(name) for name in ("main", "camera_2"))

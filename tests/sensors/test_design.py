@@ -56,9 +56,7 @@ def test_every_file_is_there_and_drawings_name_options_and_the_state(result: Des
     assert any(re.fullmatch(r"20\d\d-\d\d-\d\d", word) for word in words)
 
 
-def test_revisions_follow_the_parameters_and_dates_the_build(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_revisions_follow_parameters_and_dates_the_build(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
     first, same, other = (issue_of({"thickness_mm": t}) for t in (4.0, 4.0, 4.5))
     assert first == same and first.date == "1970-01-02"
@@ -117,14 +115,15 @@ def test_files_hold_what_was_measured_and_set(result: DesignResult) -> None:
         ),
     ],
 )
-def test_bad_input_leaves_an_earlier_result_untouched(
-    options: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_bad_input_leaves_no_files(options: dict[str, Any], words: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    out.mkdir()
-    (out / "old").write_text("old")
     with pytest.raises(InputError, match=words):
         design_sensor(FAMILY, out_dir=out, **options)
+    assert not list(tmp_path.iterdir())
+    out.mkdir()
+    (out / "old").write_text("old")
+    with pytest.raises(InputError, match="holds files that taccel-lab did not write"):
+        design_sensor(FAMILY, out_dir=out)
     assert [p.name for p in tmp_path.rglob("*")] == ["out", "old"]
 
 
@@ -141,9 +140,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert set(without.files) == {"mesh", "quality", "parameters", "preview", "profile"}
 
 
-def test_command_line_refuses_unknown_sensor(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_refuses_unknown_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert "known: " in refusal(capsys, "design", "digitt", "--out", out)
     assert "name=value" in refusal(capsys, "design", "gelsight", "--out", out, "--set", "thickness")
@@ -151,9 +148,7 @@ def test_command_line_refuses_unknown_sensor(
 
 
 @pytest.mark.thorough
-def test_a_bad_mesh_is_refused_with_a_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bad_mesh_is_refused_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def squeezed(pad: Any, edge_mm: float) -> TetMesh:
         mesh = gel_mesh(pad, edge_mm)
         # Flat tets, all of positive volume.

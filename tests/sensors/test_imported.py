@@ -40,9 +40,7 @@ def step(tmp_path: Path) -> Path:
 
 
 @pytest.mark.thorough
-def test_an_imported_block_is_meshed_and_all_files_are_written(
-    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_block_is_imported(step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path / "cache"))
     done: list[tuple[str, int, int]] = []
     progress = lambda *step: done.append(step)  # noqa: E731
@@ -184,9 +182,7 @@ def test_what_needs_no_mesh_is_refused_before_it(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_thickness_of_the_file_counts(
-    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_files_thickness(step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The file's gel is 3 mm thick, that of the family 4: the camera is outside of it."""
     meshed = Mock(side_effect=AssertionError("minutes"))
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", meshed)

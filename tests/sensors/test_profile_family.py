@@ -57,9 +57,7 @@ def family_of(profile: SensorProfile, folder: Path) -> SensorFamily:
     return sensor_family(str(folder / "saved"))
 
 
-def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folder_and_file_are_one_sensor(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = folder / "profile"
     for name in (folder, inside, inside / "profile.toml"):
         assert sensor_family(str(name)).name == str(inside)
@@ -125,9 +123,7 @@ def test_a_gel_can_be_like_every_sensor_of_the_catalogue(like: str) -> None:
     assert found.grid() == sensor_family(like).parameters().grid()
 
 
-def test_what_was_measured_or_designed_is_where_a_study_begins(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_what_was_measured_or_designed_is_where_studies_begin(folder: Path, tmp_path: Path) -> None:
     profile = load_profile(folder / "profile")
     measured = Provenance(
         kind="calibrated", method="presses", source="a press", inputs={"press.csv": "0" * 64},

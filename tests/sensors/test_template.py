@@ -42,9 +42,7 @@ def template(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("template")
-def test_template_is_in_the_catalogue_and_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_template_is_listed_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert not catalogue().broken
     assert "my_sensor" in done(capsys, "sensors", "list").out
     picture = tmp_path / "my_sensor.png"
