@@ -63,7 +63,8 @@ def test_surfaces_are_those_of_formulas(pad: DomePad, share: float, turn: float,
     np.testing.assert_allclose(pad.top_normal(xy), normal, atol=1e-9)
     assert np.isnan(pad.top_mm(1.01 * way)) and np.isnan(pad.top_normal(1.01 * way)).all()
     # The projection lands on glued pieces, and stays there.
-    points = np.random.default_rng(seed).uniform(*pad.bounds_mm(), (50, 3))
+    low, high = pad.bounds_mm()
+    points = np.random.default_rng(seed).uniform(low, high, (50, 3))
     landed = pad.bond_projection_mm(points)
     np.testing.assert_allclose(pad.bond_projection_mm(landed), landed, atol=1e-9)
     rz = np.stack([np.hypot(landed[:, 0], landed[:, 1]), landed[:, 2]], axis=1)

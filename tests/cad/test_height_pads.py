@@ -26,7 +26,7 @@ from tests.cad.pads import BEVELLED, DIGIT, MINI, SKINNED
 from tests.support.real_data import real_data
 from tests.support.sensor_refusals import refuses
 
-DOME = {"crown_radius_x_mm": 50.0, "crown_radius_y_mm": 50.0, "thickness_mm": 5.0}
+DOME: dict[str, Any] = {"crown_radius_x_mm": 50.0, "crown_radius_y_mm": 50.0, "thickness_mm": 5.0}
 
 
 def test_crowns_by_differences_and_closed_form() -> None:

@@ -61,6 +61,11 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> tuple[LabelledSolid, Path]:
     return part, path
 
 
+@pytest.fixture(scope="module")
+def box_step(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(box(), tmp_path_factory.mktemp("box") / "box.step")
+
+
 NAMES_TOML = 'contact = "name:cont*"\nbond = ["name:bond"]\nwindow = ["name:window"]\n'
 BY_COLOUR = FaceSelection(
     contact=("color:#E68C33",), bond=("color:336bb3",), window=("color:73c7d9",)
@@ -156,11 +161,6 @@ def test_a_window_is_split_off_the_glued_plane_and_proposed(box_step: Path) -> N
         "names in the file: none at all; select by plane:, normal: or index:",
     ):  # fmt: skip
         assert words in str(caught.value)
-
-
-@pytest.fixture(scope="module")
-def box_step(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(box(), tmp_path_factory.mktemp("box") / "box.step")
 
 
 test_bad_selections_are_refused = refuses(
@@ -261,11 +261,10 @@ def test_exceptions_of_the_kernel_are_said(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.thorough
-def test_this_process_lists_faces_without_the_kernel(tmp_path: Path) -> None:
-    path = write(box(), tmp_path / "box.step")
+def test_this_process_lists_faces_without_the_kernel(box_step: Path) -> None:
     code = (
         "import sys; from taccel_lab.cad.gel_import import part_faces\n"
-        f"print(len(part_faces({str(path)!r}).table), 'OCP' in sys.modules)"
+        f"print(len(part_faces({str(box_step)!r}).table), 'OCP' in sys.modules)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["6", "False"]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -68,15 +69,15 @@ def driven_scene(
 class Run:
     """A model on its way; each step must converge."""
 
-    def __init__(self, scene: Scene, poses: np.ndarray, **config: float) -> None:
+    def __init__(self, scene: Scene, poses: np.ndarray, **config: Any) -> None:
         self.model: Model = scene.finalize()
         self.solver = SolverIPC(self.model, SolverConfig(**config) if config else None)
         self.state: State = initial_state(self.model, poses)
 
-    def step(self, control: object, steps: int = 1) -> np.ndarray:
+    def step(self, control: Any, steps: int = 1) -> np.ndarray:
         """Residuals of the last step [N], [env]."""
         for _ in range(steps):
-            report = self.solver.step(self.state, control)  # type: ignore[arg-type]
+            report = self.solver.step(self.state, control)
             assert report.converged.all(), report.summary()
         return report.residual_n
 

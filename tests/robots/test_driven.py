@@ -43,7 +43,7 @@ def torques_of_weight(robot: Robot, q: np.ndarray) -> np.ndarray:
     """What gravity along -z does to each coordinate [N m or N], [dof]: the sum over the links of
     their weight times the slope of their centre's height."""
     masses = [(link.name, link.mass) for link in robot.links if link.mass is not None]
-    return -sum(m.mass_kg * G * lift(robot, name, q, m.center_m) for name, m in masses)
+    return -np.sum([m.mass_kg * G * lift(robot, name, q, m.center_m) for name, m in masses], axis=0)
 
 
 def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:

@@ -153,8 +153,8 @@ def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: P
     left, right = (pressed.seen_by(name).markers for name in stereo.view_names())
     assert left is not None and right is not None
     # Dots at the border lie in one of the images only; a number for each, from where it is painted.
-    keys = [np.round(100 * dots.rest_mm[:, :2]) @ [1, 100_000] for dots in (left, right)]
-    both, here, there = np.intersect1d(*keys, return_indices=True)
+    one, other = (np.round(100 * dots.rest_mm[:, :2]) @ [1, 100_000] for dots in (left, right))
+    both, here, there = np.intersect1d(one, other, return_indices=True)
     places = left.places_mm[-1][here]
     assert len(both) >= 9 and places[:, 2].min() < -0.1
     a, u = eye(stereo, "main").sight_lines(left.places_px[-1][here])
