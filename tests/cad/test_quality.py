@@ -142,6 +142,8 @@ def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words) as error:
         require_quality(bad, found, picture_folder=tmp_path)
     assert all(v.text in str(error.value) for v in result.violations)
+    x = float(str(error.value).split(" x ")[1].split(",")[0])
+    assert x == pytest.approx(8, abs=1.5)
     picture = matplotlib.image.imread(tmp_path / "bad_mesh.png")
     red = (picture[..., 0] > 0.7) & (picture[..., 1] < 0.3) & (picture[..., 2] < 0.3)
     left, right = np.split(red[:, : red.shape[1] // 2 * 2], 2, axis=1)
