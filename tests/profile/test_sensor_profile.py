@@ -96,6 +96,8 @@ def test_arrays_are_read_only_copies(full_profile: SensorProfile) -> None:
             dataclasses.replace(full_profile, **{lacking: None})
 
 
+ONE_NAN = np.zeros((9, 12, 3), np.float32)
+ONE_NAN[8, 11, 2] = np.nan
 test_arrays_are_checked = refuses(
     lambda profile, key, arrays: profile.with_block(profile.blocks()[key], arrays),
     ("background", None, "needs its background_rgb"),
@@ -103,7 +105,7 @@ test_arrays_are_checked = refuses(
     ("background", np.zeros((12, 9, 3), np.uint8), r"shape \[12, 9, 3\].*\[9, 12, 3\]"),
     ("background", np.zeros((9, 12), np.uint8), "shape"),
     ("background", np.zeros((9, 12, 3)), "uint8 or float32"),
-    ("background", np.full((9, 12, 3), np.nan, np.float32), "NaN"),
+    ("background", ONE_NAN, "NaN"),
     ("background", np.full((9, 12, 3), -1, np.float32), "0..255"),
     ("background", np.full((9, 12, 3), 256, np.float32), "0..255"),
     ("color", {}, "no weights"),
