@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pads of the catalogue and of real sensors, and random ones for property-based tests."""
+"""Pads of the catalogue and of real sensors, random ones, and what holds of meshes of any."""
 
 from __future__ import annotations
 
+import numpy as np
 from hypothesis import strategies as st
 
+from taccel_lab.cad.mesh.surface import check_closed
 from taccel_lab.cad.parts.dome_pad import DomePad, ShellDomePad, SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.sensors import sensor_families
 
 PADS: dict[str, HeightPad] = {
@@ -15,8 +19,8 @@ PADS: dict[str, HeightPad] = {
     for name, family in sensor_families().items()
     if isinstance(pad := family.parameters().pad(), HeightPad)
 }
-MINI, BEVELLED, SKINNED, DIGIT = (
-    PADS[name] for name in ("gelsight_mini", "gelsight_40", "9dtact", "digit")
+CLASSIC, MINI, BEVELLED, SKINNED, DIGIT = (
+    PADS[name] for name in ("gelsight", "gelsight_mini", "gelsight_40", "9dtact", "digit")
 )
 
 
@@ -85,5 +89,38 @@ def solid_domes(draw: st.DrawFn) -> SolidDomePad:
 
 
 def domes() -> st.SearchStrategy[DomePad]:
-    """Either kind."""
     return st.one_of(shell_domes(), solid_domes())
+
+
+def check_sound(mesh: TetMesh, pad: Pad) -> None:
+    """Closed, of positive tets; what is glued and touched lies on its formula."""
+    assert (mesh.volumes_m3() > 0).all()
+    check_closed(mesh.faces, "boundary")
+    assert np.array_equal(np.unique(mesh.tets), np.arange(mesh.node_count))
+    nodes = mesh.nodes_m * 1e3
+    bonded = nodes[mesh.bonded_nodes()]
+    assert np.linalg.norm(bonded - pad.bond_projection_mm(bonded), axis=1).max() < 1e-9
+    contact = nodes[mesh.region_nodes(Region.CONTACT)]
+    error = pad.contact_error_mm(contact)
+    if isinstance(pad, HeightPad):
+        # Where a fillet meets the wall the formula is infinitely steep.
+        steep = pad.inside_distance_mm(contact[:, :2]) < 1e-3
+        assert error[~steep].max() < 1e-6
+    else:
+        assert error.max() < 1e-9
+
+
+def check_same(mesh: TetMesh, other: TetMesh) -> None:
+    """The same connectivity to the byte."""
+    for name in ("tets", "faces", "face_regions", "tet_layers"):
+        assert getattr(mesh, name).tobytes() == getattr(other, name).tobytes()
+    assert mesh.nodes_m.shape == other.nodes_m.shape
+
+
+def contact_edges(mesh: TetMesh, beside: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths of the contact faces' edges [mm], [n, 3], and distances of their middles from a
+    place, in the plan where it has two coordinates, [n]."""
+    corners = mesh.nodes_m[mesh.region_faces(Region.CONTACT)] * 1e3
+    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    away = corners.mean(axis=1)[:, : len(beside)] - beside
+    return lengths, np.linalg.norm(away, axis=1)

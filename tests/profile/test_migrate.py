@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import copy
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile, load_profile, save_profile, validate_profile
@@ -24,34 +24,34 @@ from taccel_lab.signals.normal_model import NormalModel
 OLD = Path(__file__).parent / "old"
 
 
-def rename_pad(document: dict[str, Any]) -> dict[str, Any]:
-    pad = document["pad"]
-    gel = {"thickness_mm": pad["thickness"], "nodes": pad["nodes"]}
-    return {"gel": gel}
-
-
-def rename_nodes(document: dict[str, Any]) -> dict[str, Any]:
-    gel = dict(document["gel"])
-    gel["node_count"] = gel.pop("nodes")
-    return {"gel": gel}
+def document(version: int) -> dict[str, Any]:
+    return tomllib.loads((OLD / f"v{version}" / "profile.toml").read_text())
 
 
 def old(version: int) -> SensorProfile:
     """The stored profile of a version, which is sound."""
-    folder = OLD / f"v{version}"
-    assert f"schema_version = {version}\n" in (folder / "profile.toml").read_text()
-    assert validate_profile(folder) == []
-    return load_profile(folder)
+    assert document(version)["schema_version"] == version
+    assert validate_profile(OLD / f"v{version}") == []
+    return load_profile(OLD / f"v{version}")
 
 
 def test_steps_are_chained_and_checked() -> None:
-    version_0 = tomllib.loads((OLD / "v0" / "profile.toml").read_text())
+    def rename_pad(document: dict[str, Any]) -> dict[str, Any]:
+        pad = document["pad"]
+        return {"gel": {"thickness_mm": pad["thickness"], "nodes": pad["nodes"]}}
+
+    def rename_nodes(document: dict[str, Any]) -> dict[str, Any]:
+        gel = dict(document["gel"])
+        gel["node_count"] = gel.pop("nodes")
+        return {"gel": gel}
+
+    version_0 = document(0)
     before = copy.deepcopy(version_0)
     migrated = migrate(version_0, current=2, steps={0: rename_pad, 1: rename_nodes})
     assert migrated == {"schema_version": 2, "gel": {"thickness_mm": 4.0, "node_count": 5}}
     assert version_0 == before
-    document = {"schema_version": SCHEMA_VERSION, "x": 1}
-    assert migrate(document) is document
+    current = {"schema_version": SCHEMA_VERSION, "x": 1}
+    assert migrate(current) is current
     with pytest.raises(InputError, match="written by a newer version"):
         migrate({"schema_version": SCHEMA_VERSION + 1})
     with pytest.raises(InputError, match="version 0 is not known"):
@@ -61,7 +61,7 @@ def test_steps_are_chained_and_checked() -> None:
 def test_every_released_version_has_a_step_and_an_example() -> None:
     assert sorted(STEPS) == list(range(1, SCHEMA_VERSION))
     for version in STEPS:
-        assert (OLD / f"v{version}" / "profile.toml").is_file()
+        assert list(old(version).blocks())
 
 
 def test_version_1_is_read_as_it_was_and_written_as_the_current_one(tmp_path: Path) -> None:
@@ -80,17 +80,24 @@ def test_version_1_is_read_as_it_was_and_written_as_the_current_one(tmp_path: Pa
         assert (tmp_path / "p" / name).read_bytes() == (OLD / "v1" / name).read_bytes()
 
 
-def test_version_2_is_read_as_it_was() -> None:
-    """The stored folder adds markers and a window to that of version 1."""
+def test_versions_2_and_4_are_read_as_they_were(tmp_path: Path) -> None:
+    """The stored folder of version 2 adds markers and a window to that of version 1."""
     profile = old(2)
     assert profile.markers is not None and profile.markers.pitch_y_mm == 2.1
     assert profile.material.model == "neo_hookean" and profile.material.branches == ()
-    assert profile.normals is None and profile.depth_response is None
-    assert profile.perturbation is None
+    for lacking in (profile.normals, profile.depth_response, profile.perturbation):
+        assert lacking is None
     assert profile.material.provenance.verdict is None
+    # Version 4 has a calibrated material, and does not know what it was fitted with.
+    profile = old(4)
+    assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
+    assert profile.material.fitted_with is None
+    save_profile(profile, tmp_path / "p")
+    assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
+    assert load_profile(tmp_path / "p").material == profile.material
 
 
-def test_version_3_is_read_as_it_was() -> None:
+def test_version_3_is_read_as_it_was(tmp_path: Path) -> None:
     """The stored folder adds a normals block; its networks answer as version 3 had them answer."""
     profile = old(3)
     assert profile.color is not None and profile.color_weights is not None
@@ -107,82 +114,11 @@ def test_version_3_is_read_as_it_was() -> None:
     assert tilt[0] == pytest.approx([0.13469668, -0.13960093], abs=1e-6)
     assert error[0] == pytest.approx(1.08504629)
     assert model.config.radius95_sigmas == pytest.approx(2.4477468)
-
-
-def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Path) -> None:
-    """The stored folder has a calibrated material."""
-    profile = old(4)
-    assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
-    assert profile.material.fitted_with is None
-    save_profile(profile, tmp_path / "p")
-    assert "fitted_with" not in (tmp_path / "p" / "profile.toml").read_text()
-    assert load_profile(tmp_path / "p").material == profile.material
-
-
-def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
-    """The stored folder has networks of normals; its heights have no band."""
-    profile = old(5)
-    config = NormalModel.from_profile(profile).config
-    assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
-    assert profile.background_rgb is not None
-    reading = SurfaceReader(profile).read(profile.background_rgb.astype(float))
-    assert reading.height_sigma_m is None
-    figures = reading.figures(profile.grid())
-    assert figures["max_depth_sigma_mm"] is None and figures["sigma_of"] is None
-    assert "does not say how uncertain" in figures["warnings"][0]
-
-
-@pytest.mark.parametrize(
-    ("version", "lacks"),
-    [
-        (6, lambda profile: profile.force is None and profile.force_weights is None),
-        (7, lambda profile: profile.sensor.recorded == ()),
-        (9, lambda profile: profile.view_names() == ("main",)),
-    ],
-)
-def test_versions_that_only_lack_what_came_later(
-    version: int, lacks: Callable[[SensorProfile], bool]
-) -> None:
-    """The stored folder is that of the version before."""
-    profile = old(version)
-    assert lacks(profile)
-    assert profile.blocks() == load_profile(OLD / f"v{version - 1}").blocks()
-
-
-def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
-    """The stored folder has networks whose heights have a spread, and a curve of a grey sensor."""
-    profile = old(8)
-    assert profile.background_rgb is not None
-    image = profile.background_rgb.astype(float)
-    by_colour = SurfaceReader(profile).read(image)
-    assert by_colour.height_sigma_m is not None and by_colour.reading_sigma_m is not None
-    along = NormalModel.from_profile(profile).config.along_factor
-    assert along == 0 and (by_colour.height_sigma_m == by_colour.reading_sigma_m).all()
-    figures = by_colour.figures(profile.grid())
-    assert figures["sigma_of"] == "reading alone" and figures["max_depth_sigma_mm"] > 0
-    assert "+- is that of the reading alone" in figures["warnings"][0]
-    by_grey = SurfaceReader(profile, method="depth").read(image)
-    assert by_grey.height_sigma_m is None
-    assert "does not say how uncertain" in by_grey.figures(profile.grid())["warnings"][0]
-
-
-def test_version_11_may_have_a_damping_time_of_zero_alone() -> None:
-    """The stored folder has one; any other is refused."""
-    old(11)
-    document = tomllib.loads((OLD / "v11" / "profile.toml").read_text())
-    assert document["material"]["damping_time_s"] == 0.0
-    document["material"]["damping_time_s"] = 0.01
-    with pytest.raises(InputError, match=r"damping_time_s: must be 0 \(found 0.01\).*branches"):
-        migrate(document)
-
-
-def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
-    profile = load_profile(OLD / "v3")
-    assert profile.color is not None and profile.color_weights is not None
-    settings = {**profile.color.architecture, "position_bands": 2}
+    # With an encoding, which a round trip keeps.
     weights = dict(profile.color_weights)
     first = weights["layer0.weight"]
     weights["layer0.weight"] = np.concatenate([first, 0.1 * np.ones((len(first), 8))], axis=1)
+    settings = {**profile.color.architecture, "position_bands": 2}
     block = profile.color.replace(architecture=settings)
     save_profile(profile.with_block(block, weights), tmp_path / "p")
     again = load_profile(tmp_path / "p")
@@ -191,3 +127,52 @@ def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
     assert config.position_bands == 2
     assert np.array_equal(again.color_weights["layer0.weight"], weights["layer0.weight"])
     ColorModel(config, again.color_weights)
+
+
+def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:
+    """Networks of normals whose heights have no band, and a curve of a grey sensor beside networks
+    that tell the error of the reading alone."""
+
+    def read(profile: SensorProfile, method: Any) -> tuple[SurfaceReading, dict[str, Any]]:
+        assert profile.background_rgb is not None
+        reader = SurfaceReader(profile, method=method)
+        reading = reader.read(profile.background_rgb.astype(float))
+        return reading, reading.figures(profile.grid())
+
+    config = NormalModel.from_profile(old(5)).config
+    assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
+    for reading, figures in (read(old(5), "auto"), read(old(8), "depth")):
+        assert reading.height_sigma_m is None
+        assert figures["max_depth_sigma_mm"] is None and figures["sigma_of"] is None
+        assert "does not say how uncertain" in figures["warnings"][0]
+    assert NormalModel.from_profile(old(8)).config.along_factor == 0
+    reading, figures = read(old(8), "auto")
+    assert reading.height_sigma_m is not None and reading.reading_sigma_m is not None
+    assert (reading.height_sigma_m == reading.reading_sigma_m).all()
+    assert figures["sigma_of"] == "reading alone" and figures["max_depth_sigma_mm"] > 0
+    assert "+- is that of the reading alone" in figures["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("version", "later"),
+    [
+        (6, lambda profile: profile.force or profile.force_weights),
+        (7, lambda profile: profile.sensor.recorded),
+        (9, lambda profile: profile.view_names()[1:]),
+    ],
+)
+def test_versions_that_only_lack_what_came_later(version: int, later: Any) -> None:
+    """The stored folder is that of the version before."""
+    profile = old(version)
+    assert not later(profile)
+    assert profile.blocks() == load_profile(OLD / f"v{version - 1}").blocks()
+
+
+def test_version_11_may_have_a_damping_time_of_zero_alone() -> None:
+    """The stored folder has one; any other is refused."""
+    old(11)
+    damped = document(11)
+    assert damped["material"]["damping_time_s"] == 0.0
+    damped["material"]["damping_time_s"] = 0.01
+    with pytest.raises(InputError, match=r"damping_time_s: must be 0 \(found 0.01\).*branches"):
+        migrate(damped)

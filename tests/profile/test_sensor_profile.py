@@ -7,6 +7,7 @@ import dataclasses
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
+import cv2
 import numpy as np
 import pydantic
 import pytest
@@ -17,22 +18,19 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.profile import (
     BackgroundBlock,
     ColorBlock,
-    MaterialBlock,
     Provenance,
     SensorBlock,
     SensorProfile,
 )
+from taccel_lab.profile import optional_blocks as blocks
 from taccel_lab.profile.optical_design import Coating, DesignedCamera, Light, MarkerGrid, Window
-from taccel_lab.profile.optional_blocks import (
-    CoatingBlock,
-    LightEntry,
-    MarkersBlock,
-    OpticsBlock,
-    WindowBlock,
-)
 from taccel_lab.profile.quarter_turn import quarter_turned
 from taccel_lab.profile.sensor_view import OPTIONAL_BLOCKS
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.support.sample_blocks import ASSUMED
+from tests.support.sensor_refusals import refuses
+
+SAID: dict[str, Any] = {"kind": "assumed", "method": "m", "source": "s"}
 
 
 @pytest.fixture
@@ -45,22 +43,22 @@ def flat(full_profile: SensorProfile) -> SensorProfile:
     return dataclasses.replace(full_profile, gel=gel, mesh=mesh)
 
 
-def test_with_block_leaves_the_original(full_profile: SensorProfile) -> None:
-    changed = full_profile.with_block(full_profile.material.replace(poisson_ratio=0.3))
+def with_mesh(profile: SensorProfile, **changes: Any) -> SensorProfile:
+    return dataclasses.replace(profile, mesh=dataclasses.replace(profile.mesh, **changes))
+
+
+def test_blocks_are_frozen_replaced_in_a_copy_and_checked(full_profile: SensorProfile) -> None:
+    block = full_profile.material
+    with pytest.raises(pydantic.ValidationError, match="frozen"):
+        block.poisson_ratio = 0.4  # type: ignore[misc]
+    with pytest.raises(InputError, match="poisson_ratio"):
+        block.replace(poisson_ratio=0.5)
+    with pytest.raises(InputError, match=r"material\.provenance\.inputs\.a\.png"):
+        block.replace(provenance={**SAID, "inputs": {"a.png": "123"}})
+    changed = full_profile.with_block(block.replace(poisson_ratio=0.3))
     assert changed.material.poisson_ratio == 0.3
-    assert full_profile.material.poisson_ratio == 0.48
+    assert full_profile.material is block and block.poisson_ratio == 0.48
     assert changed.mesh is full_profile.mesh
-
-
-def test_with_block_wants_the_arrays_it_describes(full_profile: SensorProfile) -> None:
-    assert full_profile.background is not None
-    with pytest.raises(InputError, match="needs its background_rgb"):
-        full_profile.with_block(full_profile.background)
-    with pytest.raises(InputError, match="takes no arrays"):
-        full_profile.with_block(full_profile.material, np.zeros(3))
-    for lacking in ("background", "color_weights"):
-        with pytest.raises(InputError, match="one is missing"):
-            dataclasses.replace(full_profile, **{lacking: None})
 
 
 def test_without_removes_block_and_arrays(full_profile: SensorProfile) -> None:
@@ -72,6 +70,13 @@ def test_without_removes_block_and_arrays(full_profile: SensorProfile) -> None:
     assert list(required.blocks()) == ["sensor", "gel", "material", "camera"]
     with pytest.raises(InputError, match="cannot lack 'gel'"):
         full_profile.without("gel")
+    # Another camera needs another background.
+    wider = full_profile.camera.replace(width_px=20)
+    with pytest.raises(InputError, match="camera block asks for"):
+        full_profile.with_block(wider)
+    background = BackgroundBlock(provenance=wider.provenance)
+    image = np.zeros((9, 20, 3), np.float32)
+    assert bare.with_block(wider).with_block(background, image).grid().width_px == 20
 
 
 def test_arrays_are_read_only_copies(full_profile: SensorProfile) -> None:
@@ -86,27 +91,34 @@ def test_arrays_are_read_only_copies(full_profile: SensorProfile) -> None:
     assert profile.color_weights is not None
     with pytest.raises(TypeError):
         profile.color_weights["new"] = image  # type: ignore[index]
+    for lacking in ("background", "color_weights"):
+        with pytest.raises(InputError, match="one is missing"):
+            dataclasses.replace(full_profile, **{lacking: None})
 
 
-@pytest.mark.parametrize(
-    ("key", "arrays", "words"),
-    [
-        ("background", np.zeros((12, 9, 3), np.uint8), r"shape \[12, 9, 3\].*\[9, 12, 3\]"),
-        ("background", np.zeros((9, 12), np.uint8), "shape"),
-        ("background", np.zeros((9, 12, 3)), "uint8 or float32"),
-        ("background", np.full((9, 12, 3), np.nan, np.float32), "NaN"),
-        ("background", np.full((9, 12, 3), -1, np.float32), "0..255"),
-        ("background", np.full((9, 12, 3), 256, np.float32), "0..255"),
-        ("color", {}, "no weights"),
-        ("color", {"w": np.array([1.0, np.inf], np.float32)}, "'w' holds NaN or infinite"),
-        ("color", {"w": np.array([1, 2])}, "'w' must be float32 or float64"),
-    ],
+ONE_NAN = np.zeros((9, 12, 3), np.float32)
+ONE_NAN[8, 11, 2] = np.nan
+test_arrays_are_checked = refuses(
+    lambda profile, key, arrays: profile.with_block(profile.blocks()[key], arrays),
+    ("background", None, "needs its background_rgb"),
+    ("material", np.zeros(3), "takes no arrays"),
+    ("background", np.zeros((12, 9, 3), np.uint8), r"shape \[12, 9, 3\].*\[9, 12, 3\]"),
+    ("background", np.zeros((9, 12), np.uint8), "shape"),
+    ("background", np.zeros((9, 12, 3)), "uint8 or float32"),
+    ("background", ONE_NAN, "NaN"),
+    ("background", np.full((9, 12, 3), -1, np.float32), "0..255"),
+    ("background", np.full((9, 12, 3), 256, np.float32), "0..255"),
+    ("color", {}, "no weights"),
+    ("color", {"w": np.array([1.0, np.inf], np.float32)}, "'w' holds NaN or infinite"),
+    ("color", {"w": np.array([1, 2])}, "'w' must be float32 or float64"),
+    given="full_profile",
 )
-def test_arrays_are_checked(full_profile: SensorProfile, key: str, arrays: Any, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        full_profile.with_block(full_profile.blocks()[key], arrays)
 
 
+WIDE = r"the mesh is \S+ mm large; up to 1000 mm are allowed"
+
+
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
@@ -118,57 +130,36 @@ def test_arrays_are_checked(full_profile: SensorProfile, key: str, arrays: Any, 
         (1e-6, "1,000,000 times too small"),
         (0.8, r"has 0\.8 mm of gel under its apex, .* must agree within 10%$"),
         (1.2, r"has 1\.2 mm"),
+        ([334, 1, 1], WIDE),
+        ([1e150, 1, 1], WIDE),
+        ([1e300, 1, 1], WIDE),
     ],
 )  # fmt: skip
-def test_mesh_must_have_the_size_of_its_block(
-    factor: float, words: str, flat: SensorProfile
-) -> None:
-    mesh = dataclasses.replace(flat.mesh, nodes_m=flat.mesh.nodes_m * factor)
+def test_mesh_must_have_the_size_of_its_block(factor: Any, words: str, flat: SensorProfile) -> None:
     with pytest.raises(InputError, match=words):
-        dataclasses.replace(flat, mesh=mesh)
+        with_mesh(flat, nodes_m=flat.mesh.nodes_m * factor)
 
 
-def test_a_dome_may_reach_below_its_thickness(flat: SensorProfile) -> None:
-    for thickness_mm in (0.95, 1.5, 2.0):
-        gel = flat.gel.replace(thickness_mm=thickness_mm)
-        nodes = flat.mesh.nodes_m.copy()
-        # The deepest node of the side goes down by another millimetre.
-        nodes[0, 2] -= 1e-3
-        regions = np.full(len(flat.mesh.faces), int(Region.SIDE))
-        z = nodes[flat.mesh.faces][..., 2]
-        regions[(z == 0).all(axis=1)] = int(Region.CONTACT)
-        regions[np.flatnonzero((z == -1e-3).all(axis=1))] = int(Region.BOND)
-        mesh = dataclasses.replace(flat.mesh, nodes_m=nodes, face_regions=regions)
-        assert dataclasses.replace(flat, gel=gel, mesh=mesh).mesh is mesh
+@pytest.mark.parametrize("thickness_mm", [0.95, 1.5, 2.0])
+def test_a_dome_may_reach_below_its_thickness(thickness_mm: float, flat: SensorProfile) -> None:
+    nodes = flat.mesh.nodes_m.copy()
+    # The deepest node of the side goes down by another millimetre.
+    nodes[0, 2] -= 1e-3
+    z = nodes[flat.mesh.faces][..., 2]
+    contact, bond = (z == 0).all(axis=1), (z == -1e-3).all(axis=1)
+    regions = np.select([contact, bond], [Region.CONTACT, Region.BOND], Region.SIDE)
+    mesh = dataclasses.replace(flat.mesh, nodes_m=nodes, face_regions=regions)
+    gel = flat.gel.replace(thickness_mm=thickness_mm)
+    assert dataclasses.replace(flat, gel=gel, mesh=mesh).mesh is mesh
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("factor", [334, 1e150, 1e300])
-def test_a_mesh_that_is_wide_beyond_reason(factor: float, flat: SensorProfile) -> None:
-    mesh = dataclasses.replace(flat.mesh, nodes_m=flat.mesh.nodes_m * [factor, 1, 1])
-    with pytest.raises(InputError, match=r"the mesh is \S+ mm large; up to 1000 mm are allowed"):
-        dataclasses.replace(flat, mesh=mesh)
-
-
-def test_a_gel_is_touched_and_glued(flat: SensorProfile) -> None:
-    for region, name in ((Region.CONTACT, "contact"), (Region.BOND, "bond or window")):
-        regions = np.where(flat.mesh.face_regions == region, Region.SIDE, flat.mesh.face_regions)
-        mesh = dataclasses.replace(flat.mesh, face_regions=regions)
-        with pytest.raises(InputError, match=f"the mesh has no {name} faces"):
-            dataclasses.replace(flat, mesh=mesh)
-
-
-def test_another_camera_needs_another_background(full_profile: SensorProfile) -> None:
-    wider = full_profile.camera.replace(width_px=20)
-    with pytest.raises(InputError, match="camera block asks for"):
-        full_profile.with_block(wider)
-    provenance = wider.provenance
-    changed = (
-        full_profile.without("background", "color")
-        .with_block(wider)
-        .with_block(BackgroundBlock(provenance=provenance), np.zeros((9, 20, 3), np.float32))
-    )
-    assert changed.grid().width_px == 20
+@pytest.mark.parametrize(
+    ("region", "name"), [(Region.CONTACT, "contact"), (Region.BOND, "bond or window")]
+)
+def test_a_gel_is_touched_and_glued(region: Region, name: str, flat: SensorProfile) -> None:
+    regions = np.where(flat.mesh.face_regions == region, Region.SIDE, flat.mesh.face_regions)
+    with pytest.raises(InputError, match=f"the mesh has no {name} faces"):
+        with_mesh(flat, face_regions=regions)
 
 
 def test_blocks_give_back_the_optical_design(full_profile: SensorProfile) -> None:
@@ -180,9 +171,8 @@ def test_blocks_give_back_the_optical_design(full_profile: SensorProfile) -> Non
     assert design.window is not None and design.window.thickness_mm == 2.0
     assert design.coating.albedo_rgb == (0.5, 0.4, 0.5)
     assert design.ambient_rgb == (0.1, 0.1, 0.2)
-    again = OpticsBlock.from_design(
-        design, full_profile.optics.provenance, raw_px=(640, 480), crop=(0.7, 1.0)
-    )
+    provenance = full_profile.optics.provenance
+    again = blocks.OpticsBlock.from_design(design, provenance, raw_px=(640, 480), crop=(0.7, 1.0))
     assert again == full_profile.optics
     without_window = full_profile.without("window").optical_design()
     assert without_window is not None and without_window.window is None
@@ -193,19 +183,18 @@ def test_blocks_give_back_the_optical_design(full_profile: SensorProfile) -> Non
 @pytest.mark.parametrize(
     ("block", "described"),
     [
-        (OpticsBlock, DesignedCamera),
-        (WindowBlock, Window),
-        (CoatingBlock, Coating),
-        (LightEntry, Light),
-        (MarkersBlock, MarkerGrid),
+        (blocks.OpticsBlock, DesignedCamera),
+        (blocks.WindowBlock, Window),
+        (blocks.CoatingBlock, Coating),
+        (blocks.LightEntry, Light),
+        (blocks.MarkersBlock, MarkerGrid),
     ],
 )
 def test_blocks_hold_all_that_is_described(block: Any, described: Any) -> None:
-    fields = {field.name: field for field in dataclasses.fields(described)}
-    assert set(fields) <= set(block.model_fields)
-    for name, field in fields.items():
-        if field.default is not dataclasses.MISSING and not block.model_fields[name].is_required():
-            assert block.model_fields[name].default == field.default
+    for field in dataclasses.fields(described):
+        held = block.model_fields[field.name]
+        if field.default is not dataclasses.MISSING and not held.is_required():
+            assert held.default == field.default
 
 
 def test_the_untouched_image_is_given_or_the_profiles(full_profile: SensorProfile) -> None:
@@ -219,33 +208,6 @@ def test_the_untouched_image_is_given_or_the_profiles(full_profile: SensorProfil
         full_profile.without("background").untouched()
 
 
-def material(provenance: Provenance, **changes: Any) -> MaterialBlock:
-    values: dict[str, Any] = {
-        "young_modulus_pa": 1e5,
-        "poisson_ratio": 0.45,
-        "density_kg_m3": 1000.0,
-        "friction_coefficient": 0.5,
-        "provenance": provenance,
-    }
-    return MaterialBlock(**{**values, **changes})
-
-
-def test_nested_keys_are_named_by_path() -> None:
-    wrong: Any = {"kind": "assumed", "method": "m", "source": "s", "inputs": {"a.png": "123"}}
-    with pytest.raises(InputError, match=r"material\.provenance\.inputs\.a\.png"):
-        material(wrong)
-
-
-def test_blocks_are_frozen_and_replace_checks(provenance: Provenance) -> None:
-    block = material(provenance)
-    with pytest.raises(pydantic.ValidationError, match="frozen"):
-        block.poisson_ratio = 0.4  # type: ignore[misc]
-    assert block.replace(poisson_ratio=0.4).poisson_ratio == 0.4
-    assert block.poisson_ratio == 0.45
-    with pytest.raises(InputError, match="poisson_ratio"):
-        block.replace(poisson_ratio=0.5)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -255,99 +217,82 @@ def test_blocks_are_frozen_and_replace_checks(provenance: Provenance) -> None:
     ],
 )
 def test_evidence_is_complete(changes: dict[str, Any], words: str) -> None:
-    values: dict[str, Any] = {"kind": "assumed", "method": "m", "source": "s"}
     with pytest.raises(pydantic.ValidationError, match=words):
-        Provenance(**{**values, **changes})
-    stamp = Provenance(**values).created
+        Provenance(**{**SAID, **changes})
+    stamp = Provenance(**SAID).created
     assert stamp.tzinfo is UTC
     assert abs(datetime.now(UTC) - stamp) < timedelta(minutes=1)
 
 
-def test_configuration_values_keep_their_types(provenance: Provenance) -> None:
+def test_configuration_values_keep_their_types() -> None:
     values = {"count": 2, "scale": 2.0, "flag": True, "word": "2", "mixed": [1, 2.5, "x", False]}
-    block = SensorBlock(name="n", family="f", parameters=values, provenance=provenance)
+    block = SensorBlock(name="n", family="f", parameters=values, provenance=ASSUMED)
     assert [type(value) for value in block.parameters.values()] == [int, float, bool, str, list]
-    mixed = block.parameters["mixed"]
-    assert isinstance(mixed, list)
+    mixed: Any = block.parameters["mixed"]
     assert [type(value) for value in mixed] == [int, float, str, bool]
     with pytest.raises(InputError, match=r"color\.architecture"):
-        ColorBlock(architecture={"layer": {"width": 3}}, provenance=provenance)  # type: ignore[dict-item]
+        ColorBlock(architecture={"layer": {"width": 3}}, provenance=ASSUMED)  # type: ignore[dict-item]
 
 
-def turned_xyz(points: np.ndarray) -> np.ndarray:
+def turned_xyz(points: Any) -> np.ndarray:
     """Gel points after the turn: right becomes down."""
-    return np.stack([-points[..., 1], points[..., 0], points[..., 2]], axis=-1)
-
-
-@pytest.fixture(scope="module")
-def tilted() -> SensorProfile:
-    """A Mini with everything off centre, and a lens with tangential distortion."""
-    profile = catalogue_profile("gelsight_mini")
-    assert profile.optics is not None
-    camera = profile.camera.replace(mm_per_px_y=1.1 * profile.camera.mm_per_px_x)
-    return profile.with_block(camera).with_block(
-        profile.optics.replace(
-            crop_x=0.9,
-            crop_y=0.8,
-            fy_px=300.0,
-            cx_px=150.0,
-            cy_px=125.0,
-            distortion=(0.05, -0.02, 0.004, -0.007, 0.01),
-            position_mm=(0.7, -0.4, -24.0),
-            rotation=(0.02, -0.03, 0.05, float(np.sqrt(1 - 0.0038))),
-            raw_width_px=3280,
-            raw_height_px=2464,
-        )
-    )
+    x, y, z = np.moveaxis(np.asarray(points), -1, 0)
+    return np.stack([-y, x, z], axis=-1)
 
 
 def pixels_of(profile: SensorProfile, points_mm: np.ndarray) -> np.ndarray:
-    import cv2
-
+    """By OpenCV."""
     assert profile.optics is not None
     camera = profile.optics.camera()
     rotation = camera.gel_from_camera().T
-    matrix = np.array(
-        [[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]]
-    )
+    matrix = [[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]]
+    moved = -rotation @ np.array(camera.position_mm)
     found, _ = cv2.projectPoints(
-        points_mm,
-        cv2.Rodrigues(rotation)[0],
-        -rotation @ np.array(camera.position_mm),
-        matrix,
-        np.array(camera.distortion),
+        points_mm, cv2.Rodrigues(rotation)[0], moved, np.array(matrix), np.array(camera.distortion)
     )
     return found[:, 0]
 
 
-def test_the_picture_turns(tilted: SensorProfile) -> None:
-    after = quarter_turned(tilted)
-    assert tilted.optics is not None and after.optics is not None
+def turned_px(pixels: np.ndarray, height_px: int) -> np.ndarray:
+    return np.stack([height_px - 1 - pixels[:, 1], pixels[:, 0]], axis=1)
+
+
+def test_the_picture_and_every_part_turn() -> None:
+    """Of a Mini with everything off centre, and a lens with tangential distortion."""
+    profile = catalogue_profile("gelsight_mini")
+    assert profile.optics is not None
+    profile = profile.with_block(
+        profile.camera.replace(mm_per_px_y=1.1 * profile.camera.mm_per_px_x)
+    ).with_block(
+        profile.optics.replace(
+            crop_x=0.9, crop_y=0.8, fy_px=300.0, cx_px=150.0, cy_px=125.0,
+            distortion=(0.05, -0.02, 0.004, -0.007, 0.01), position_mm=(0.7, -0.4, -24.0),
+            rotation=(0.02, -0.03, 0.05, float(np.sqrt(1 - 0.0038))),
+            raw_width_px=3280, raw_height_px=2464,
+        )
+    )  # fmt: skip
+    after = quarter_turned(profile)
+    assert profile.optics is not None and after.optics is not None
     points = np.random.default_rng(0).uniform(-6, 6, (20, 3)) * (1, 1, 0.1)
-    before_px, after_px = pixels_of(tilted, points), pixels_of(after, turned_xyz(points))
-    expected = np.stack([tilted.optics.height_px - 1 - before_px[:, 1], before_px[:, 0]], axis=1)
-    assert after_px == pytest.approx(expected, abs=1e-9)
+    wanted = turned_px(pixels_of(profile, points), profile.optics.height_px)
+    assert pixels_of(after, turned_xyz(points)) == pytest.approx(wanted, abs=1e-9)
     assert (after.optics.width_px, after.optics.height_px) == (240, 320)
     assert (after.optics.raw_width_px, after.optics.raw_height_px) == (2464, 3280)
     assert (after.optics.crop_x, after.optics.crop_y) == (0.8, 0.9)
-    grid, turned = tilted.grid(), after.grid()
-    at = grid.pixel_from_gel(points[:, :2])
-    assert turned.pixel_from_gel(turned_xyz(points)[:, :2]) == pytest.approx(
-        np.stack([grid.height_px - 1 - at[:, 1], at[:, 0]], axis=1)
-    )
+    grid = profile.grid()
+    wanted = turned_px(grid.pixel_from_gel(points[:, :2]), grid.height_px)
+    found = after.grid().pixel_from_gel(turned_xyz(points)[:, :2])
+    assert found == pytest.approx(wanted)
 
-
-def test_every_part_turns_with_it(tilted: SensorProfile) -> None:
-    after = quarter_turned(tilted)
-    assert after.mesh.nodes_m == pytest.approx(turned_xyz(tilted.mesh.nodes_m))
-    assert tilted.lights is not None and after.lights is not None
-    for before_led, led in zip(tilted.lights.led, after.lights.led, strict=True):
-        assert led.position_mm == pytest.approx(turned_xyz(np.array(before_led.position_mm)))
-        assert led.direction == pytest.approx(turned_xyz(np.array(before_led.direction)))
-    assert tilted.markers is not None and after.markers is not None
-    dots = np.pad(tilted.markers.grid().points_mm(), ((0, 0), (0, 1)))
+    assert after.mesh.nodes_m == pytest.approx(turned_xyz(profile.mesh.nodes_m))
+    assert profile.lights is not None and after.lights is not None
+    for before, led in zip(profile.lights.led, after.lights.led, strict=True):
+        assert led.position_mm == pytest.approx(turned_xyz(before.position_mm))
+        assert led.direction == pytest.approx(turned_xyz(before.direction))
+    assert profile.markers is not None and after.markers is not None
+    dots = np.pad(profile.markers.grid().points_mm(), ((0, 0), (0, 1)))
     assert after.markers.grid().points_mm() == pytest.approx(turned_xyz(dots)[:, :2])
-    assert tilted.housing is not None and after.housing is not None
-    assert after.housing.size_mm[:2] == tilted.housing.size_mm[1::-1]
-    assert after.window is not None and tilted.window is not None
-    assert after.window.size_mm == tilted.window.size_mm[::-1]
+    assert profile.housing is not None and after.housing is not None
+    assert after.housing.size_mm[:2] == profile.housing.size_mm[1::-1]
+    assert after.window is not None and profile.window is not None
+    assert after.window.size_mm == profile.window.size_mm[::-1]

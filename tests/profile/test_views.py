@@ -10,15 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
 
 from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
-from taccel_lab.files.documents import read_toml
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
     CameraBlock,
-    Provenance,
     SensorProfile,
     SensorView,
     load_profile,
@@ -27,16 +24,17 @@ from taccel_lab.profile import (
 )
 from taccel_lab.profile.quarter_turn import quarter_turned
 from tests.profile.test_io import assert_same
+from tests.support.edited_profiles import edit
+from tests.support.sample_blocks import ASSUMED
 
 SMALL = PixelGrid(8, 6, 0.04, 0.04)
 
 
 @pytest.fixture(scope="module")
-def two_eyes(full_profile: SensorProfile, provenance: Provenance) -> SensorProfile:
+def two_eyes(full_profile: SensorProfile) -> SensorProfile:
     """The full profile, and an eye of other pixels, without colours, under the name left."""
     eye = full_profile.without("background", "color", "optics")
-    eye = eye.with_block(CameraBlock.from_grid(SMALL, provenance))
-    return full_profile.with_view("left", eye)
+    return full_profile.with_view("left", eye.with_block(CameraBlock.from_grid(SMALL, ASSUMED)))
 
 
 @pytest.fixture
@@ -45,9 +43,7 @@ def folder(two_eyes: SensorProfile, tmp_path: Path) -> Path:
     return tmp_path / "p"
 
 
-def test_a_view_is_an_ordinary_profile_of_the_same_gel(
-    two_eyes: SensorProfile, full_profile: SensorProfile
-) -> None:
+def test_views_are_ordinary_profiles(two_eyes: SensorProfile, full_profile: SensorProfile) -> None:
     assert two_eyes.view_names() == ("main", "left")
     left, main = two_eyes.seen_by("left"), two_eyes.seen_by("main")
     assert left.grid() == SMALL and left.view_names() == ("main",)
@@ -60,12 +56,14 @@ def test_a_view_is_an_ordinary_profile_of_the_same_gel(
     assert stiffer.seen_by("left").material.young_modulus_pa == 3e5
     with pytest.raises(InputError, match=r"has no view 'right'; known: main, left"):
         two_eyes.seen_by("right")
-
-
-def test_views_change_places(two_eyes: SensorProfile) -> None:
-    swapped = two_eyes.with_view("right", two_eyes).with_view("main", two_eyes.seen_by("left"))
+    # Views change places.
+    swapped = two_eyes.with_view("right", two_eyes).with_view("main", left)
     assert swapped.grid() == SMALL and swapped.view_names() == ("main", "left", "right")
-    assert_same(swapped.seen_by("right"), two_eyes.seen_by("main"))
+    assert_same(swapped.seen_by("right"), main)
+    # A turned sensor turns all its cameras.
+    turned = quarter_turned(two_eyes).seen_by("left")
+    assert turned.grid().width_px == SMALL.height_px
+    assert_same(turned, quarter_turned(left))
 
 
 def test_views_are_written_and_read(two_eyes: SensorProfile, folder: Path, tmp_path: Path) -> None:
@@ -83,12 +81,6 @@ def test_views_are_written_and_read(two_eyes: SensorProfile, folder: Path, tmp_p
         load_profile(f"{folder}@up")
 
 
-def test_a_turned_sensor_turns_all_its_cameras(two_eyes: SensorProfile) -> None:
-    turned = quarter_turned(two_eyes)
-    assert turned.seen_by("left").grid().width_px == SMALL.height_px
-    assert_same(turned.seen_by("left"), quarter_turned(two_eyes.seen_by("left")))
-
-
 @pytest.mark.parametrize("name", ["main", "", "../left", "Left", "a" * 41, "a b"])
 def test_names_that_cannot_be_are_refused(full_profile: SensorProfile, name: str) -> None:
     if name != "main":
@@ -96,26 +88,11 @@ def test_names_that_cannot_be_are_refused(full_profile: SensorProfile, name: str
             full_profile.with_view(name, full_profile)
     with pytest.raises(InputError, match="is no name of a view"):
         replace(full_profile, views={name: SensorView.of(full_profile)})
-
-
-def test_a_view_that_looks_beside_the_gel_is_refused_by_name(
-    full_profile: SensorProfile, provenance: Provenance
-) -> None:
-    beside = CameraBlock.from_grid(PixelGrid(12, 9, 0.03, 0.03, center_u_px=5e3), provenance)
-    eye = SensorView.of(full_profile.without("background", "color"))
+    # One that looks beside the gel, by its name.
+    beside = CameraBlock.from_grid(PixelGrid(12, 9, 0.03, 0.03, center_u_px=5e3), ASSUMED)
+    eye = replace(SensorView.of(full_profile.without("background", "color")), camera=beside)
     with pytest.raises(InputError, match=r"views\.left: camera: the image's middle lies at x"):
-        replace(full_profile, views={"left": replace(eye, camera=beside)})
-
-
-def _edit(path: Path, **tables: object) -> None:
-    document = {**read_toml(path), **tables}
-    path.write_text(tomli_w.dumps({k: v for k, v in document.items() if v is not None}))
-
-
-def _seal(folder: Path) -> None:
-    view = folder / "views" / "left" / "profile.toml"
-    digest = hashlib.sha256(view.read_bytes()).hexdigest()
-    _edit(folder / "profile.toml", views={"left": digest})
+        replace(full_profile, views={"left": eye})
 
 
 @pytest.mark.parametrize(
@@ -129,13 +106,14 @@ def _seal(folder: Path) -> None:
     ],
 )
 def test_faults_of_a_view_are_named(folder: Path, changes: dict[str, object], words: str) -> None:
-    _edit(folder / "views" / "left" / "profile.toml", **changes)
+    view = folder / "views" / "left"
+    edit(view, **changes)
     with pytest.raises(InputError, match=r"SHA-256 is .* the file was changed"):
         load_profile(folder)
-    _seal(folder)
-    with pytest.raises(InputError) as error:
+    digest = hashlib.sha256((view / "profile.toml").read_bytes()).hexdigest()
+    edit(folder, views={"left": digest})
+    with pytest.raises(InputError, match=words):
         load_profile(folder)
-    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +126,8 @@ def test_faults_of_a_view_are_named(folder: Path, changes: dict[str, object], wo
     ],
 )
 def test_faults_of_the_list_are_named(folder: Path, views: object, words: str) -> None:
-    _edit(folder / "profile.toml", views=views)
+    edit(folder, views=None)
+    edit(folder, views=views)
     findings = validate_profile(folder)
     assert any(words in str(one) for one in findings if one.severity == "error")
     with pytest.raises(InputError):

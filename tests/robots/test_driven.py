@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import GelFrames, Outputs
-from taccel_lab.robots import DrivenRobot, Robot, drive, load_urdf, named, on_seat
+from taccel_lab.robots import Robot, drive, load_urdf, named, on_seat
 from taccel_lab.robots.driven import closest_solid
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
@@ -22,56 +20,16 @@ from taccel_lab.scene import (
     Material,
     Plane,
     PositionDrive,
-    Scene,
     SoftBody,
-    TimeStepping,
     box_mesh,
 )
-from taccel_lab.solvers import Control, SolverConfig, SolverIPC
-from taccel_lab.state import State, initial_state
+from taccel_lab.solvers import Control
+from tests.robots.gels import GEL, PAD, G, Run, driven_scene, moving, with_pads
 from tests.support.robot_files import CHAIN, REAL, write
+from tests.support.sensor_refusals import refuses
 
 SIDEWAYS = np.array([0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
-G = 9.81
-
-
-def time(dt_s: float, g: float = G) -> TimeStepping:
-    return TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=(0, 0, -g))
-
-
-def scene_of(
-    driven: DrivenRobot,
-    time: TimeStepping,
-    bodies: Sequence[AffineBody] = (),
-    planes: Sequence[Plane] = (),
-    envs: int = 1,
-) -> Scene:
-    """A driven robot and what is beside it."""
-    return Scene(
-        driven.soft_bodies,
-        driven.kinematic_bodies,
-        envs,
-        time,
-        affine_bodies=[*driven.affine_bodies, *bodies],
-        joints=driven.joints,
-        planes=list(planes),
-    )
-
-
-def settled(
-    scene: Scene, driven: DrivenRobot, start: np.ndarray, steps: int, config: SolverConfig | None
-) -> tuple[SolverIPC, State, np.ndarray, np.ndarray]:
-    """Solver, state, coordinates [env, dof] and efforts [joint] of the first environment after
-    steps in which the targets stay where they are."""
-    solver = SolverIPC(scene.finalize(), config)
-    state = initial_state(solver.model, driven.poses(scene.env_count))
-    control = Control(joint_targets=driven.joint_targets(start))
-    for _ in range(steps):
-        report = solver.step(state, control)
-        assert report.converged.all(), report.summary()
-    assert solver.joints is not None
-    q = driven.coordinates(solver.joints.coordinates.numpy())
-    return solver, state, q, solver.joints.efforts.numpy()[0]
+SERVO = PositionDrive(100.0)
 
 
 def lift(robot: Robot, link: str, q: np.ndarray, point_m: np.ndarray) -> np.ndarray:
@@ -85,7 +43,7 @@ def torques_of_weight(robot: Robot, q: np.ndarray) -> np.ndarray:
     """What gravity along -z does to each coordinate [N m or N], [dof]: the sum over the links of
     their weight times the slope of their centre's height."""
     masses = [(link.name, link.mass) for link in robot.links if link.mass is not None]
-    return -sum(m.mass_kg * G * lift(robot, name, q, m.center_m) for name, m in masses)
+    return -np.sum([m.mass_kg * G * lift(robot, name, q, m.center_m) for name, m in masses], axis=0)
 
 
 def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:
@@ -93,50 +51,50 @@ def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:
     driven = drive(robot, PositionDrive(5.0, damping=0.05))
     q = np.tile(np.tile([0.2, 0.4, 0.6], 3), (2, 1))
     q[1, 1] = 2.0  # Beyond the limit of 1.4.
-    scene = scene_of(driven, time(0.02, 0.0), envs=2)
-    solver, state, found, _ = settled(scene, driven, q, 60, None)
+    run = Run(driven_scene(driven, moving(0.02), envs=2), driven.poses(2))
+    run.step(Control(joint_targets=driven.joint_targets(q)), 60)
     q[1, 1] = 1.4
+    found = run.coordinates(driven)
     np.testing.assert_allclose(found, q, atol=2e-3)
     # Bodies are where forward kinematics has the links.
     poses = robot.forward_kinematics(found)
-    outputs = Outputs(solver).update(state)
-    assert outputs.momentum().linear.numpy() == pytest.approx(0, abs=1e-5)
-    for body in driven.affine_bodies[::4]:
-        i = [b.name for b in driven.affine_bodies].index(body.name)
-        center = state.positions.numpy()[:, solver.model.affine.first_control + 4 * i]
+    momentum = Outputs(run.solver).update(run.state).momentum().linear.numpy()
+    assert momentum == pytest.approx(0, abs=1e-5)
+    affine = run.model.affine
+    for i, body in list(enumerate(driven.affine_bodies))[::4]:
+        center = run.state.positions.numpy()[:, affine.first_control + 4 * i]
         frames = matrix_of(poses[:, robot.link_id(body.name.split("/")[1])])
-        local = np.append(solver.model.affine.properties[i].center_m, 1.0)
+        local = np.append(affine.properties[i].center_m, 1.0)
         np.testing.assert_allclose(center, (frames @ local)[:, :3], atol=1e-6)
 
 
-def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
-    gripper, servo = named("parallel_gripper"), PositionDrive(100.0)
-    chain = load_urdf(write(tmp_path, CHAIN)).touching([])
-    for call, message in (
-        (lambda: drive(gripper, {"slide": servo}), "no joint to drive 'slide'"),
-        (
-            lambda: drive(gripper, servo, [0.05]),
-            r"0\.05 of joint 'slide_left' in row 0 is out of i",
-        ),
-        (lambda: drive(gripper, servo, [0.0, 0.0]), r"start_q must have shape \[1\], got \[2\]"),
-        (
-            lambda: drive(gripper, servo).joint_targets([np.nan]),
-            r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
-        ),
-        (lambda: drive(chain, servo), "link 'arm' moves but has no collision shape"),
-    ):
-        with pytest.raises(InputError, match=message):
-            call()
+test_what_cannot_be_driven_is_refused = refuses(
+    lambda folder, call: call(named("parallel_gripper"), folder),
+    (lambda r, _: drive(r, {"slide": SERVO}), "no joint to drive 'slide'"),
+    (lambda r, _: drive(r, SERVO, [0.05]), r"0\.05 of joint 'slide_left' in row 0 is out of i"),
+    (lambda r, _: drive(r, SERVO, [0, 0.0]), r"start_q must have shape \[1\], got \[2\]"),
+    (
+        lambda r, _: drive(r, SERVO).joint_targets([np.nan]),
+        r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
+    ),
+    (
+        lambda r, _: drive(r, SERVO).poses(2, np.zeros((3, 7))),
+        r"world_from_base must have shape \[7\] or \[2, 7\]",
+    ),
+    (
+        lambda _, folder: drive(load_urdf(write(folder, CHAIN)).touching([]), SERVO),
+        "link 'arm' moves but has no collision shape",
+    ),
+    given="tmp_path",
+)
 
 
 def test_the_closest_inertia_of_a_solid() -> None:
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
-    solid = turn @ np.diag([2.0, 3.0, 4.0]) @ turn.T
-    np.testing.assert_allclose(closest_solid(solid), solid, atol=1e-14)
     # Second moments of (1, 2, 3.2) are 2.1, 1.1 and -0.1: the last one becomes 0.0021.
-    none = turn @ np.diag([1.0, 2.0, 3.2]) @ turn.T
-    wanted = turn @ np.diag([1.1021, 2.1021, 3.2]) @ turn.T
-    np.testing.assert_allclose(closest_solid(none), wanted, atol=1e-14)
+    for given, wanted in (([2.0, 3, 4], [2.0, 3, 4]), ([1, 2, 3.2], [1.1021, 2.1021, 3.2])):
+        found = closest_solid(turn @ np.diag(given) @ turn.T)
+        np.testing.assert_allclose(found, turn @ np.diag(wanted) @ turn.T, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", REAL)
@@ -150,31 +108,21 @@ def test_real_robots_hold_themselves(name: str) -> None:
         with pytest.raises(InputError, match=r"is that of no solid.*closest_inertia=True"):
             drive(robot, drives, start)
     driven = drive(robot, drives, start, closest_inertia=name.startswith("allegro"))
-    scene = scene_of(driven, time(0.05))
-    solver, _, q, of_drives = settled(scene, driven, driven.start_q, 40, None)
+    run = Run(driven_scene(driven, moving(0.05, G)), driven.poses(1))
+    run.step(Control(joint_targets=driven.joint_targets(driven.start_q)), 40)
+    q = run.coordinates(driven)
     moved = robot.forward_kinematics([driven.start_q, driven.start_q + 0.1])
-    moving = np.abs(moved[1] - moved[0]).max(axis=1) > 0
-    stated = [
-        link.mass.mass_kg
-        for link, moves in zip(robot.links, moving, strict=True)
-        if moves and link.mass is not None
-    ]
-    found = sum(solid.mass_kg for solid in solver.model.affine.properties)
-    assert found == pytest.approx(sum(stated))
+    moving_links = np.flatnonzero(np.abs(moved[1] - moved[0]).max(axis=1) > 0)
+    masses = [robot.links[i].mass for i in moving_links]
+    found = sum(solid.mass_kg for solid in run.model.affine.properties)
+    assert found == pytest.approx(sum(mass.mass_kg for mass in masses if mass is not None))
     assert np.abs(q - driven.start_q).max() < 0.2
     weight = torques_of_weight(robot, q)
-    names = [joint.name for joint in driven.joints]
-    efforts = np.zeros(robot.dof)
+    of_drives = dict(zip([joint.name for joint in driven.joints], run.efforts(), strict=True))
     # A joint that mimics another one bears its part of the weight alone.
-    for joint, factors in zip(robot.joints, robot.tree.factors, strict=True):
-        if joint.moves:
-            efforts += factors * of_drives[names.index(joint.name)]
+    factors = zip(robot.joints, robot.tree.factors, strict=True)
+    efforts = sum(factor * of_drives[joint.name] for joint, factor in factors if joint.moves)
     np.testing.assert_allclose(efforts, -weight, atol=2e-3 * np.abs(weight).max() + 1e-6)
-
-
-PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3))
-GEL = SoftBody(PAD, Material(1e5, 0.45), friction_coefficient=0.8)
-SIDES = ("left", "right")
 
 
 @pytest.mark.thorough
@@ -186,12 +134,9 @@ def test_a_gripper_grips_with_the_force_of_its_drives_and_lifts(element: Element
     5 mm."""
     half, largest, envs = 0.01, 3.0, 2
     down = np.array([0, 0, 0.13, 1.0, 0, 0, 0])
-    robot = named("parallel_gripper").placed(down)
-    for side in SIDES:
-        gel = replace(GEL, element=element)
-        robot = robot.mount(f"finger_{side}", gel, on_seat(PAD), side)
+    robot = with_pads(named("parallel_gripper").placed(down), replace(GEL, element=element))
     servo = PositionDrive(2e4, damping=200.0, max_effort=largest)
-    driven = drive(robot, {f"slide_{side}": servo for side in SIDES}, [half + 3.1e-3])
+    driven = drive(robot, {"slide_left": servo, "slide_right": servo}, [half + 3.1e-3])
     box = AffineBody(
         box_mesh((2 * half, 2 * half, 2 * half)),
         density_kg_m3=2000,
@@ -200,38 +145,34 @@ def test_a_gripper_grips_with_the_force_of_its_drives_and_lifts(element: Element
         initial_pose=np.array([0, 0, half + 1e-4, 0, 0, 0, 1]),
     )
     table = Plane(name="table", friction_coefficient=0.3)
-    model = scene_of(driven, time(0.01), [box], [table], envs).finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=5e-5))
-    state = initial_state(model, driven.poses(envs))
+    scene = driven_scene(driven, moving(0.01, G), [box], [table], envs)
+    run = Run(scene, driven.poses(envs), dhat_m=5e-5)
     control = Control(joint_targets=driven.joint_targets(np.zeros((envs, 1))))
-    outputs = Outputs(solver)
-    center = model.affine.first_control + 4 * (len(model.scene.affine_bodies) - 1)
+    outputs, affine = Outputs(run.solver), run.model.affine
+    center = affine.first_control + 4 * (len(scene.affine_bodies) - 1)
 
-    def advance(steps: int, per_step_m: float = 0.0) -> None:
+    def advance(steps: int, per_step_m: float = 0.0) -> np.ndarray:
         for _ in range(steps):
             down[2] += per_step_m
-            report = solver.step(state, replace(control, target_poses=driven.poses(envs, down)))
-            assert report.converged.all(), report.summary()
+            run.step(replace(control, target_poses=driven.poses(envs, down)))
+        wrenches = outputs.update(run.state).soft_wrenches().numpy()
+        np.testing.assert_allclose(-wrenches[..., 2], largest, rtol=1e-3)
+        return wrenches
 
     advance(14)
-    pressed = -outputs.update(state).soft_wrenches().numpy()[..., 2]
-    np.testing.assert_allclose(pressed, largest, rtol=1e-3)
-    stood = state.positions.numpy()[:, center, 2].copy()
+    stood = run.state.positions.numpy()[:, center, 2].copy()
     advance(10, 5e-4)
-    advance(10)
-    wrenches = outputs.update(state).soft_wrenches().numpy()
-    np.testing.assert_allclose(-wrenches[..., 2], largest, rtol=1e-3)
+    wrenches = advance(10)
     # The gels' y axis is -z of the links, which look down.
-    weight = model.affine.properties[-1].mass_kg * G
+    weight = affine.properties[-1].mass_kg * G
     np.testing.assert_allclose(np.abs(wrenches[..., 1].sum(axis=1)), weight, rtol=1e-2)
     # It hangs in the gels, which give way.
-    rose = state.positions.numpy()[:, center, 2] - stood
+    rose = run.state.positions.numpy()[:, center, 2] - stood
     assert (rose > 3e-3).all() and (rose < 5e-3).all()
-    assert solver.joints is not None
-    q = driven.coordinates(solver.joints.coordinates.numpy())
+    q = run.coordinates(driven)
     # The gels are where forward kinematics has their links.
-    frames = GelFrames(model).read(state).numpy()
-    for gel, side in enumerate(SIDES):
+    frames = GelFrames(run.model).read(run.state).numpy()
+    for gel, side in enumerate(("left", "right")):
         link = matrix_of(robot.placed(down).link_poses(f"finger_{side}", q))
         wanted = pose_of(link @ matrix_of(on_seat(PAD)))
         # Fingers move by themselves; the second one's drive has yielded a little less.
@@ -256,13 +197,14 @@ def test_drives_hold_a_hand_and_its_gels_against_their_weight(with_gels: bool) -
     start, stiffness = np.tile([0.1, -0.2, 0.5], 3), 0.5
     driven = drive(robot, PositionDrive(stiffness, damping=0.02), start)
     assert len(driven.affine_bodies) == 9
-    scene = scene_of(driven, time(0.01 if with_gels else 0.02))
-    tight = SolverConfig(absolute_tolerance_n=1e-8)
-    solver, state, q, efforts = settled(scene, driven, start, 80 if with_gels else 60, tight)
-    x, masses = state.positions.numpy()[0], solver.model.masses.numpy()[0]
+    scene = driven_scene(driven, moving(0.01 if with_gels else 0.02, G))
+    run = Run(scene, driven.poses(1), absolute_tolerance_n=1e-8)
+    run.step(Control(joint_targets=driven.joint_targets(start)), 80 if with_gels else 60)
+    q, efforts = run.coordinates(driven), run.efforts()
+    x, masses = run.state.positions.numpy()[0], run.model.masses.numpy()[0]
     of_links, of_gels = torques_of_weight(bare, q), np.zeros(robot.dof)
     for k, name in enumerate(tips):
-        nodes = solver.model.bodies[k].node_slice
+        nodes = run.model.bodies[k].node_slice
         mass = masses[nodes].sum()
         assert mass == pytest.approx(5000 * np.prod(size))
         frame = matrix_of(robot.link_poses(name, q)[0])
@@ -279,30 +221,23 @@ def test_drives_hold_a_hand_and_its_gels_against_their_weight(with_gels: bool) -
 
 def test_what_stays_and_what_moves_carries_its_gels() -> None:
     """A gel on the base keeps its frame; one on a link of several shapes goes with the first."""
-    gripper, servo = named("parallel_gripper"), PositionDrive(100.0)
+    gripper, left = named("parallel_gripper"), "parallel_gripper/finger_left"
     both = gripper.mount("palm", GEL, on_seat(PAD), "of palm").mount("finger_left", GEL, name="pad")
-    driven = drive(both, servo)
+    driven = drive(both, SERVO)
     assert [body.shape is None for body in driven.kinematic_bodies] == [True, False]
-    assert [gel.mount for gel in driven.soft_bodies] == [
-        driven.kinematic_bodies[0].name,
-        "parallel_gripper/finger_left",
-    ]
+    mounts = [gel.mount for gel in driven.soft_bodies]
+    assert mounts == [driven.kinematic_bodies[0].name, left]
     # On a frame without shape or mass, fixed to a finger.
     sensor = replace(gripper.part("tcp"), name="sensor")
     at = np.array([1e-3, 2e-3, 3e-3, 0, 0, 0, 1])
     seated = gripper.attach("finger_left", sensor, at, "left/").mount("left/tcp", GEL)
-    (gel,) = drive(seated, servo).soft_bodies
-    assert gel.mount == "parallel_gripper/finger_left"
+    (gel,) = drive(seated, SERVO).soft_bodies
+    assert gel.mount == left
     np.testing.assert_allclose(gel.mount_pose, at, atol=1e-12)
-
-
-def test_a_base_without_shapes_still_carries() -> None:
-    gripper = named("parallel_gripper").touching(["finger_left", "finger_right"])
-    driven = drive(gripper, PositionDrive(100.0))
+    # A base without shapes.
+    driven = drive(gripper.touching(["finger_left", "finger_right"]), SERVO)
     (frame,) = driven.kinematic_bodies
     assert frame.shape is None
     assert {joint.second for joint in driven.joints} == {frame.name}
     away = np.array([1.0, 2, 3, 0, 0, 0, 1])
     np.testing.assert_allclose(driven.poses(2, away), np.tile(away, (2, 1, 1)), atol=1e-15)
-    with pytest.raises(InputError, match=r"world_from_base must have shape \[7\] or \[2, 7\]"):
-        driven.poses(2, np.zeros((3, 7)))

@@ -7,17 +7,11 @@ import dataclasses
 from typing import Any
 
 from taccel_lab.profile import SensorProfile
-from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, SHAPES
 from taccel_lab.sensors.registry import sensor_family
 
 SIZE = {"length_x_mm": 16.0, "length_y_mm": 14.0, "crown_radius_mm": 40.0, "thickness_mm": 4.0}
-
-
-def crowned(**changes: Any) -> FamilyParameters:
-    """The family whose pad is the gel of ``imported``."""
-    return sensor_family("gelsight").parameters({**SIZE, **changes})
 
 
 def imported(like: str = "flat_pad", size: dict[str, Any] = SIZE, **values: Any) -> SensorProfile:

@@ -15,7 +15,6 @@ from taccel_lab.api.press_run import press
 from taccel_lab.cad.assembly import require_no_overlap
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
-from taccel_lab.presses.press_states import PressMarkers
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.derived import derived_figures, describe_sensor
@@ -23,12 +22,15 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
 from taccel_lab.sensors.workshop import sensor_parts
 from taccel_lab.studies.report.preview import preview_design, write_preview
+from tests.support.sensor_refusals import refuses
 
 BASELINE_MM = 9.0
 PAIR: dict[str, Any] = {"camera_x_mm": [-BASELINE_MM / 2, BASELINE_MM / 2], "marker_pitch_mm": 2.5}
 """Two parallel eyes."""
 DISTANCE_MM, GEL_MM, WINDOW_MM, GEL_INDEX, WINDOW_INDEX = 24.0, 4.0, 6.0, 1.41, 1.49
 """Of ``flat_pad``."""
+AIR_MM = DISTANCE_MM - GEL_MM - WINDOW_MM
+FLAT = sensor_family("flat_pad")
 
 
 @pytest.fixture(scope="module")
@@ -45,62 +47,45 @@ def eye(profile: SensorProfile, name: str) -> GelCamera:
 def tangent_in_air(aside_mm: float, depth_mm: float) -> float:
     """Slope at which an eye sees a point ``aside_mm`` off its axis and ``depth_mm`` in the gel."""
 
-    def reach_mm(sine: float) -> float:
-        gel, window = np.arcsin(sine / GEL_INDEX), np.arcsin(sine / WINDOW_INDEX)
-        air_mm = DISTANCE_MM - GEL_MM - WINDOW_MM
-        return float(
-            air_mm * np.tan(np.arcsin(sine))
-            + WINDOW_MM * np.tan(window)
-            + (GEL_MM - depth_mm) * np.tan(gel)
-            - aside_mm
-        )
+    def missed_mm(sine: float) -> float:
+        slopes = np.tan(np.arcsin(sine / np.array([1.0, WINDOW_INDEX, GEL_INDEX])))
+        return float(slopes @ [AIR_MM, WINDOW_MM, GEL_MM - depth_mm] - aside_mm)
 
-    sine = float(brentq(reach_mm, 0.0, 0.99, xtol=1e-14))  # type: ignore[arg-type]
+    sine = float(brentq(missed_mm, 0.0, 0.99, xtol=1e-14))  # type: ignore[arg-type]
     return float(np.tan(np.arcsin(sine)))
 
 
 @pytest.mark.parametrize("depth_mm", [0.0, 0.5, 1.5])
-def test_the_disparity_of_a_known_height_is_that_of_snells_law(
-    stereo: SensorProfile, depth_mm: float
-) -> None:
-    point = np.array([0.0, 0.0, -depth_mm])
+def test_disparities_of_heights_follow_snells_law(stereo: SensorProfile, depth_mm: float) -> None:
     left, right = (eye(stereo, name) for name in ("main", "camera_2"))
-    seen = left.pixel_from_gel(point), right.pixel_from_gel(point)
+    seen = [camera.pixel_from_gel(np.array([0.0, 0.0, -depth_mm])) for camera in (left, right)]
     focal = left.camera.fx_px
     expected = 2 * focal * tangent_in_air(BASELINE_MM / 2, depth_mm)
     assert seen[0][0] - seen[1][0] == pytest.approx(expected, abs=1e-6)
     assert seen[0][1] == pytest.approx(seen[1][1], abs=1e-9)
     # Near the axis it is the pinhole's f b / d, of the distance at which the gel is seen.
-    apparent = DISTANCE_MM - GEL_MM - WINDOW_MM
-    apparent += (GEL_MM - depth_mm) / GEL_INDEX + WINDOW_MM / WINDOW_INDEX
+    apparent = AIR_MM + (GEL_MM - depth_mm) / GEL_INDEX + WINDOW_MM / WINDOW_INDEX
     assert expected == pytest.approx(focal * BASELINE_MM / apparent, rel=0.02)
 
 
 def test_eyes_that_squint_see_the_middle_in_their_middle() -> None:
     """In air the axis meets the gel at x + d tan(tilt), whatever the other axis does."""
-    family = sensor_family("flat_pad")
-    tilt = float(np.degrees(np.arctan(5 / DISTANCE_MM)))
-    media = {"gel_index": 1.3, "window_index": 1.3}
-    straight = family.parameters({"camera_x_mm": [-5, 5], **media})
-    squint = family.parameters(
-        {
-            "camera_x_mm": [-5, 5],
-            "camera_tilt_x_deg": [tilt, -tilt],
-            "camera_y_mm": 2,
-            "camera_tilt_y_deg": -float(np.degrees(np.arctan(2 / DISTANCE_MM))),
-            **media,
-        }
-    )
-    views = [squint, *squint.views().values()]
-    for side, view in zip((1, -1), views, strict=True):
+    tilt_x, tilt_y = np.degrees(np.arctan(np.array([5, 2]) / DISTANCE_MM)).tolist()
+    common = {"camera_x_mm": [-5, 5], "gel_index": 1.3, "window_index": 1.3}
+    straight = FLAT.parameters(common)
+    tilts = {"camera_tilt_x_deg": [tilt_x, -tilt_x], "camera_tilt_y_deg": -tilt_y}
+    squint = FLAT.parameters({**common, **tilts, "camera_y_mm": 2})
+    for side, view in zip((1, -1), [squint, *squint.views().values()], strict=True):
         design = view.optics()
         assert design is not None
         axis = design.camera.gel_from_camera()[:, 2]
         met = np.array(design.camera.position_mm) + DISTANCE_MM / axis[2] * axis
         assert met == pytest.approx([0, 0, 0], abs=1e-9) and np.sign(axis[0]) == side
     # Their pixel grids meet at the gel's origin where those of straight eyes lie apart.
-    shift = straight.grid().center_u_px - straight.views()["camera_2"].grid().center_u_px
-    toed = squint.grid().center_u_px - squint.views()["camera_2"].grid().center_u_px
+    shift, toed = (
+        view.grid().center_u_px - view.views()["camera_2"].grid().center_u_px
+        for view in (straight, squint)
+    )
     assert abs(toed) < 0.25 * abs(shift)
 
 
@@ -113,45 +98,35 @@ def test_the_catalogues_stereo_sensor_looks_at_its_middle() -> None:
     figures = {name: value for name, (value, _) in derived_figures(parameters).items()}
     assert figures["cameras"] == 2
     assert 50 < float(figures["gel in all images"]) < float(figures["gel in the image"])
-
-
-def test_numbers_of_cameras_agree_and_all_of_them_see_the_gel() -> None:
-    family = sensor_family("flat_pad")
-    assert not family.parameters().views()
-    three = family.parameters({"camera_x_mm": [0, -5, 5], "camera_y_mm": [4, -3, -3]})
+    # Each camera has its values.
+    assert not FLAT.parameters().views()
+    three = FLAT.parameters({"camera_x_mm": [0, -5, 5], "camera_y_mm": [4, -3, -3]})
     assert list(three.views()) == ["camera_2", "camera_3"]
     assert three.views()["camera_3"].values()["camera_x_mm"] == 5.0
-    with pytest.raises(InputError, match=r"camera_x_mm has 2, camera_y_mm has 3"):
-        family.parameters({"camera_x_mm": [0, 1], "camera_y_mm": [0, 1, 2]})
-    with pytest.raises(InputError, match=r"camera_x_mm and camera_tilt_x_deg let .* x = 20 mm"):
-        family.parameters({"camera_x_mm": [0, 20]})
-    with pytest.raises(InputError, match=r"camera_x_mm = 31 is above its bound"):
-        family.parameters({"camera_x_mm": [0, 31]})
-    with pytest.raises(InputError, match=r"camera_x_mm has 65 values; allowed: 1 to 64"):
-        family.parameters({"camera_x_mm": [0] * 65})
 
 
-@pytest.mark.thorough
-def test_an_image_beside_the_gel_is_refused_in_names_that_can_be_set() -> None:
-    with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
-        catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})
+test_numbers_of_cameras_agree_and_all_of_them_see_the_gel = refuses(
+    FLAT.parameters,
+    ({"camera_x_mm": [0, 1], "camera_y_mm": [0, 1, 2]}, "camera_x_mm has 2, camera_y_mm has 3"),
+    ({"camera_x_mm": [0, 20]}, "camera_x_mm and camera_tilt_x_deg let .* x = 20 mm"),
+    ({"camera_x_mm": [0, 31]}, "camera_x_mm = 31 is above its bound"),
+    ({"camera_x_mm": [0] * 65}, "camera_x_mm has 65 values; allowed: 1 to 64"),
+)
 
 
 def test_a_profile_keeps_its_cameras_and_is_a_sensor_by_them(stereo: SensorProfile) -> None:
     assert stereo.view_names() == ("main", "camera_2")
     right = stereo.seen_by("camera_2")
     assert right.optics is not None and right.optics.position_mm[0] == BASELINE_MM / 2
-    again = profile_sensor(stereo).parameters()
+    again, alone = (profile_sensor(profile).parameters() for profile in (stereo, right))
     assert list(again.views()) == ["camera_2"] and again.values()["camera_x_mm"] == [-4.5, 4.5]
-    assert not profile_sensor(right).parameters().views()
-    assert profile_sensor(right).parameters().grid() == right.grid()
+    assert not alone.views() and alone.grid() == right.grid()
 
 
 @pytest.mark.thorough
 def test_cad_and_figures_have_all_cameras() -> None:
-    parameters = sensor_family("flat_pad").parameters(
-        {**PAIR, "camera_tilt_x_deg": [10, -10], "camera_x_mm": [-6, 6]}
-    )
+    tilted = {**PAIR, "camera_tilt_x_deg": [10, -10], "camera_x_mm": [-6, 6]}
+    parameters = FLAT.parameters(tilted)
     assembly = sensor_parts("flat_pad", parameters)
     names = [part.name for part in assembly.parts if part.name.startswith("camera")]
     assert names == ["camera", "camera_2"]
@@ -161,6 +136,9 @@ def test_cad_and_figures_have_all_cameras() -> None:
     found = describe_sensor(parameters)
     assert found["derived"]["cameras"]["value"] == 2
     assert found["views"]["camera_2"]["camera"]["position_mm"][0] == 6.0
+    # An image beside the gel is refused in names that can be set.
+    with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
+        catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})
 
 
 @pytest.fixture(scope="module")
@@ -169,15 +147,14 @@ def pressed(stereo: SensorProfile) -> Press:
 
 
 @pytest.mark.thorough
-def test_dots_in_both_images_of_a_press_give_the_place_of_each(
-    stereo: SensorProfile, pressed: Press
-) -> None:
+def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: Press) -> None:
     """Sight lines of a dot's two pixels meet where the gel's own nodes have the dot."""
     assert list(pressed.outcome.views) == ["camera_2"]
     left, right = (pressed.seen_by(name).markers for name in stereo.view_names())
     assert left is not None and right is not None
-    # Dots at the border lie in one of the images only.
-    both, here, there = np.intersect1d(_keys(left), _keys(right), return_indices=True)
+    # Dots at the border lie in one of the images only; a number for each, from where it is painted.
+    one, other = (np.round(100 * dots.rest_mm[:, :2]) @ [1, 100_000] for dots in (left, right))
+    both, here, there = np.intersect1d(one, other, return_indices=True)
     places = left.places_mm[-1][here]
     assert len(both) >= 9 and places[:, 2].min() < -0.1
     a, u = eye(stereo, "main").sight_lines(left.places_px[-1][here])
@@ -188,16 +165,8 @@ def test_dots_in_both_images_of_a_press_give_the_place_of_each(
         assert a[k] + s * u[k] == pytest.approx(place, abs=1e-5)
 
 
-def _keys(dots: PressMarkers) -> np.ndarray:
-    """A number for each dot, from where it is painted."""
-    column, row = np.round(100 * dots.rest_mm[:, :2]).astype(int).T
-    return 100_000 * row + column
-
-
 @pytest.mark.thorough
-def test_each_camera_has_its_picture_and_heights(
-    pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cameras_are_saved(pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("presses.press_files", "api.press_result"):
         monkeypatch.setattr(f"taccel_lab.{module}.PREDICTED_PX", 64)
     main, right = (pressed.seen_by(name) for name in ("main", "camera_2"))
@@ -206,15 +175,16 @@ def test_each_camera_has_its_picture_and_heights(
     assert not np.array_equal(main.image, right.image)
     assert np.nanmin(main.height_mm) == pytest.approx(np.nanmin(right.height_mm), abs=0.01)
     pressed.save(tmp_path / "out")
-    written = {path.name for path in (tmp_path / "out" / "views" / "camera_2").iterdir()}
+    folder = tmp_path / "out" / "views" / "camera_2"
+    written = {path.name for path in folder.iterdir()}
     assert {"signals.npz", "predicted.png", "height_map.png", "markers.csv"} <= written
-    with np.load(tmp_path / "out" / "views" / "camera_2" / "signals.npz") as arrays:
+    with np.load(folder / "signals.npz") as arrays:
         np.testing.assert_array_equal(arrays["height_m"], 1e-3 * right.height_mm)
 
 
 @pytest.mark.thorough
 def test_a_preview_draws_what_each_camera_sees(tmp_path: Path) -> None:
-    preview = preview_design(sensor_family("flat_pad"), PAIR, presses=(), size_px=64)
+    preview = preview_design(FLAT, PAIR, presses=(), size_px=64)
     files = write_preview(preview, tmp_path)
     assert files["rest_camera_2"].name == "rest_camera_2.png"
     # The pad is symmetric, its lights are not: mirrored eyes see mirrored dots.

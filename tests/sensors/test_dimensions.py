@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,8 +18,7 @@ from taccel_lab.sensors.families.gelsight import FAMILY
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 
-@dataclass(frozen=True)
-class Stated:
+class Stated(NamedTuple):
     """What a source says about a sensor; lengths in mm."""
 
     source: str
@@ -75,23 +74,29 @@ STATED = {
 }  # fmt: skip
 
 
-def nominal(name: str) -> FamilyParameters:
-    return sensor_family(name).parameters()
-
-
-def test_every_built_in_family_is_checked_here() -> None:
-    # These stand for no sensor in particular: their figures are made to measure.
-    assert set(STATED) == set(sensor_families()) - {"flat_pad", "stereo_pad"}
+def nominal(name: str, **values: object) -> FamilyParameters:
+    return sensor_family(name).parameters(values)
 
 
 @pytest.mark.parametrize("name", STATED)
-def test_pad_has_the_stated_size(name: str) -> None:
-    stated, pad = STATED[name], nominal(name).pad()
+def test_pad_and_image_have_the_stated_size(name: str) -> None:
+    # The others stand for no sensor in particular: their figures are made to measure.
+    assert set(STATED) == set(sensor_families()) - {"flat_pad", "stereo_pad"}
+    stated, parameters = STATED[name], nominal(name)
+    pad, grid = parameters.pad(), parameters.grid()
     size = np.ptp(pad.bounds_mm(), axis=0)
     assert size[:2] == pytest.approx(stated.plan, abs=0.005)
     assert size[2] == pytest.approx(stated.height, abs=0.02)
     assert pad.thickness_mm == pytest.approx(stated.apex, abs=0.05)
     assert pad.top_mm(np.zeros(2)) == pytest.approx(0.0, abs=0.02)
+    assert (grid.width_px, grid.height_px) == stated.image
+    assert (grid.mm_per_px_x, grid.mm_per_px_y) == pytest.approx(2 * (stated.mm_per_px,), rel=2e-3)
+    # The fisheye of the DIGIT 360 has no single scale: its image is made, not taken.
+    if name != "digit_360":
+        assert isinstance(parameters, CameraParameters)
+        assert abs(lens_difference(parameters)) < 0.02
+        from_lens = nominal(name, scale_from="focal_px").grid()
+        assert from_lens.mm_per_px_x == pytest.approx(grid.mm_per_px_x, rel=0.02)
 
 
 @pytest.mark.thorough(cases=("digit",))
@@ -100,31 +105,10 @@ def test_gel_has_the_stated_volume(name: str) -> None:
     stated, pad = STATED[name], nominal(name).pad()
     error = 100 * (pad.volume_mm3() / (stated.volume or 0.0) - 1)
     assert abs(error) < stated.volume_percent
-    built = labelled_solid(pad).solid.volume
-    assert built == pytest.approx(pad.volume_mm3(), rel=2e-3)
+    assert labelled_solid(pad).solid.volume == pytest.approx(pad.volume_mm3(), rel=2e-3)
 
 
-@pytest.mark.parametrize("name", STATED)
-def test_image_has_the_stated_size_and_scale(name: str) -> None:
-    stated, grid = STATED[name], nominal(name).grid()
-    assert (grid.width_px, grid.height_px) == stated.image
-    assert grid.mm_per_px_x == pytest.approx(stated.mm_per_px, rel=2e-3)
-    assert grid.mm_per_px_y == pytest.approx(stated.mm_per_px, rel=2e-3)
-
-
-@pytest.mark.parametrize("name", sorted(set(STATED) - {"digit_360"}))
-def test_lens_and_distance_give_the_image_scale(name: str) -> None:
-    """The fisheye of the DIGIT 360 has no single scale: its image is made, not taken."""
-    parameters = nominal(name)
-    assert isinstance(parameters, CameraParameters)
-    assert abs(lens_difference(parameters)) < 0.02
-    from_lens = sensor_family(name).parameters({"scale_from": "focal_px"}).grid()
-    assert from_lens.mm_per_px_x == pytest.approx(parameters.grid().mm_per_px_x, rel=0.02)
-
-
-# GelSight Mini --------------------------------------------------------------------------------
-
-FROM_WALL_MM = [0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0]
+FROM_WALL_MM = np.array([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
 """Distances from the wall along the mid axes, with the heights over the flange measured there."""
 MINI_ALONG_X_MM = [
     2.75, 2.8837, 3.0053, 3.1158, 3.2161, 3.3067, 3.4931, 3.6276, 3.7138, 3.7543, 3.8015, 3.8832,
@@ -136,106 +120,73 @@ MINI_ALONG_Y_MM = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("axis", "half"), [(0, 25.25 / 2), (1, 20.75 / 2)])
-def test_mini_crown_and_rim_are_those_of_the_step_file(axis: int, half: float) -> None:
-    pad = nominal("gelsight_mini").pad()
-    xy = np.zeros((len(FROM_WALL_MM), 2))
-    xy[:, axis] = half - np.array(FROM_WALL_MM)
-    found = 4.0 + pad.top_mm(xy)
-    measured = (MINI_ALONG_X_MM, MINI_ALONG_Y_MM)[axis]
-    assert np.abs(found - measured).max() < 0.01  # asked for: 0.1
-    xy[:, axis] *= -1
-    assert 4.0 + pad.top_mm(xy) == pytest.approx(found, abs=1e-9)
-
-
-def test_mini_markers_are_seven_rows_of_nine() -> None:
-    markers = nominal("gelsight_mini").markers()
-    assert markers is not None
-    assert (markers.rows, markers.columns) == (7, 9)
-    grid = nominal("gelsight_mini").grid()
-    corner = grid.pixel_from_gel(markers.points_mm()[0])
-    # gelsight_ansys_sim: margins of 24 px, at its own 0.0581 mm/px
-    assert corner == pytest.approx([159.5 - 4 * 1.97 / 0.0634, 119.5 - 3 * 1.9 / 0.0634])
-
-
-def test_mini_thickness_leaves_crown_and_rim_alone() -> None:
-    thick = sensor_family("gelsight_mini").parameters({"thickness_mm": 6.0}).pad()
-    xy = np.array([[12.0, 0.0], [5.0, 5.0], [0.0, 10.2]])
-    assert thick.top_mm(xy) == pytest.approx(nominal("gelsight_mini").pad().top_mm(xy))
+def test_mini_crown_and_rim_are_those_of_the_step_file() -> None:
+    pad, thick = (nominal("gelsight_mini", thickness_mm=t).pad() for t in (4.0, 6.0))
+    for half, way, measured in (
+        (25.25 / 2, [1, 0], MINI_ALONG_X_MM),
+        (20.75 / 2, [0, 1], MINI_ALONG_Y_MM),
+    ):
+        xy = (half - FROM_WALL_MM)[:, None] * way
+        found = pad.top_mm(xy)
+        assert np.abs(4.0 + found - measured).max() < 0.01  # asked for: 0.1
+        assert pad.top_mm(-xy) == pytest.approx(found, abs=1e-9)
+        # Its thickness leaves crown and rim alone.
+        assert thick.top_mm(xy) == pytest.approx(found)
     assert thick.bounds_mm()[0, 2] == -6.0
 
 
-# Others ---------------------------------------------------------------------------------------
-
-
-def fitted_radius_mm(x: np.ndarray, z: np.ndarray) -> float:
-    """Radius of the least-squares circle through points of a section (Kasa's linear fit)."""
-    a = np.stack([x, z, np.ones_like(x)], axis=-1)
-    solution = np.linalg.lstsq(a, x**2 + z**2, rcond=None)[0]
-    return float(np.sqrt(solution[2] + (solution[:2] ** 2).sum() / 4))
-
-
-def test_digit_mid_section_has_radius_21_4() -> None:
-    x = np.linspace(-7.5, 7.5, 61)
-    z = nominal("digit").pad().top_mm(np.stack([x, np.zeros_like(x)], axis=-1))
-    assert fitted_radius_mm(x, z) == pytest.approx(21.4, abs=0.3)
-
-
-@pytest.mark.parametrize("radius", [17.0, 30.0, 60.0])
-def test_digit_mid_radius_is_a_parameter(radius: float) -> None:
-    pad = sensor_family("digit").parameters({"mid_radius_mm": radius}).pad()
-    x = np.linspace(-7.5, 7.5, 61)
-    z = pad.top_mm(np.stack([x, np.zeros_like(x)], axis=-1))
-    assert fitted_radius_mm(x, z) == pytest.approx(radius, rel=0.03)
-
-
-@pytest.mark.parametrize(("end", "height"), [(-1, 2.34), (1, 2.65)])
-def test_digit_rolls_off_at_base_and_tip(end: int, height: float) -> None:
-    """digit-design: the centreline, 4.07 over the back, comes down to that where the rim begins."""
-    pad = nominal("digit").pad()
-    inward = np.linspace(0.0, 12.5, 2501)
-    xy = np.stack([0 * inward, end * (12.5 - inward)], axis=-1)
-    over_back = pad.top_mm(xy) + 4.07
-    assert 0.5 < inward[np.argmax(over_back >= height)] < 1.8
-    assert np.abs(over_back[inward > 7.5] - 4.07).max() < 0.25
-
-
-def test_digit_tip_is_a_half_circle_of_radius_9_2() -> None:
-    pad = nominal("digit").pad()
-    angle = np.linspace(0.05, np.pi - 0.05, 25)
-    unit = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    middle = np.array([0.0, 12.5 - 9.2])
-    assert np.isfinite(pad.top_mm(middle + 9.19 * unit)).all()
-    assert np.isnan(pad.top_mm(middle + 9.21 * unit)).all()
-
-
-@pytest.mark.parametrize(("name", "radius"), [("digit_360", 12.5), ("rtac", 15.0)])
-def test_domes_are_spheres(name: str, radius: float) -> None:
-    x = np.linspace(-0.9, 0.9, 31) * radius
-    z = nominal(name).pad().top_mm(np.stack([x, 0 * x], axis=-1))
-    assert x**2 + (z + radius) ** 2 == pytest.approx(radius**2)
-
-
-def test_taccel_pad_is_bevelled_and_stuck_to_its_sides() -> None:
-    pad = nominal("gelsight_40").pad()
-    assert pad.top_mm(np.array([16.9, 0.0])) == pytest.approx(0.0)
-    assert pad.top_mm(np.array([19.999, 0.0])) == pytest.approx(2.971 - 5.925, abs=2e-3)
-    assert pad.values()["bond_sides"] == "yes"
+def test_markers_are_where_the_sources_have_them() -> None:
+    markers, grid = nominal("gelsight_mini").markers(), nominal("gelsight_mini").grid()
+    assert markers is not None
+    assert (markers.rows, markers.columns) == (7, 9)
+    corner = grid.pixel_from_gel(markers.points_mm()[0])
+    # gelsight_ansys_sim: margins of 24 px, at its 0.0581 mm/px
+    assert corner == pytest.approx([159.5 - 4 * 1.97 / 0.0634, 119.5 - 3 * 1.9 / 0.0634])
     markers = nominal("gelsight_40").markers()
     assert markers is not None
     assert np.abs(markers.points_mm()).max() == pytest.approx(13.3)
     assert len(markers.points_mm()) == 64
 
 
-def test_9dtact_has_a_core_and_a_skin() -> None:
-    parameters = nominal("9dtact")
-    pad = parameters.pad()
+def test_digit_mid_section_has_radius_21_4_unless_it_is_set_or_thin() -> None:
+    """By the least-squares circle through points of the section (Kasa's linear fit)."""
+    x = np.linspace(-7.5, 7.5, 61)
+    z = nominal("digit").pad().top_mm(np.stack([x, 0 * x], axis=-1))
+    a, b, c = np.linalg.lstsq(np.stack([x, z, 0 * x + 1], axis=-1), x**2 + z**2, rcond=None)[0]
+    assert np.sqrt(c + (a**2 + b**2) / 4) == pytest.approx(21.4, abs=0.3)
+    assert nominal("digit", mid_radius_mm=30.0).pad().values()["mid_radius_mm"] == 30.0
+    # A thin gel is flatter.
+    thin = [nominal("digit", thickness_mm=t).pad() for t in (4.07, 3.0, 2.0, 1.0)]
+    radii = [pad.values()["mid_radius_mm"] for pad in thin]
+    assert nominal("digit").pad().values()["mid_radius_mm"] == radii[0] == 21.4
+    assert (np.diff(radii) > 0).all()
+    with pytest.raises(InputError, match="thickness_mm must be at least"):
+        nominal("digit", thickness_mm=2.0, thin_crown="kept")
+    flat = nominal("digit", thickness_mm=1.0, mid_radius_mm=0, roll_off=0).pad()
+    assert float(flat.top_mm(np.array([4.0, 4.0]))) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(("end", "height"), [(-1, 2.34), (1, 2.65)])
+def test_digit_rolls_off_at_base_and_tip(end: int, height: float) -> None:
+    """digit-design: the centreline, 4.07 over the back, comes down to that where the rim begins."""
+    inward = np.linspace(0.0, 12.5, 2501)
+    xy = np.stack([0 * inward, end * (12.5 - inward)], axis=-1)
+    over_back = nominal("digit").pad().top_mm(xy) + 4.07
+    assert 0.5 < inward[np.argmax(over_back >= height)] < 1.8
+    assert np.abs(over_back[inward > 7.5] - 4.07).max() < 0.25
+
+
+def test_taccel_pad_is_bevelled_and_9dtact_has_a_core_and_a_skin() -> None:
+    pad = nominal("gelsight_40").pad()
+    assert pad.top_mm(np.array([16.9, 0.0])) == pytest.approx(0.0)
+    assert pad.top_mm(np.array([19.999, 0.0])) == pytest.approx(2.971 - 5.925, abs=2e-3)
+    assert pad.values()["bond_sides"] == "yes"
+    pad = nominal("9dtact").pad()
     assert pad.layer_names == ("gel", "skin")
-    assert len(parameters.layer_materials()) == 2
-    inside = np.array([[0, 0, -2.79], [0, 0, -0.31], [14.7, 0, -1.5], [0, 11.2, -1.5]])
-    outside = np.array([[0, 0, -0.29], [14.8, 0, -1.5], [0, 11.3, -1.5], [15.5, 0, -2.7]])
-    assert pad.layer_of(inside).tolist() == [0] * 4
-    assert pad.layer_of(outside).tolist() == [1] * 4
+    assert len(nominal("9dtact").layer_materials()) == 2
+    inside = [[0, 0, -2.79], [0, 0, -0.31], [14.7, 0, -1.5], [0, 11.2, -1.5]]
+    outside = [[0, 0, -0.29], [14.8, 0, -1.5], [0, 11.3, -1.5], [15.5, 0, -2.7]]
+    assert pad.layer_of(np.array(inside + outside)).tolist() == [0] * 4 + [1] * 4
 
 
 def test_housings_have_the_stated_size() -> None:
@@ -247,30 +198,25 @@ def test_housings_have_the_stated_size() -> None:
     }.items():
         housing = nominal(name).housing()
         assert housing is not None and housing.size_mm == size
-    mini = nominal("gelsight_mini").housing()
-    assert mini is not None and mini.size_mm[2] - mini.front_z_mm == 28.25
+        assert name != "gelsight_mini" or size[2] - housing.front_z_mm == 28.25
 
 
-def gelmap() -> np.ndarray:
-    """Height map of the gel in the package taxim [px], shape [480, 640]."""
+def test_pad_matches_the_gel_map_of_taxim_everywhere() -> None:
+    grid, pad = FAMILY.parameters().grid(), FAMILY.parameters().pad()
+    corner = np.array([grid.x_mm()[-1], grid.y_mm()[-1]])
+    assert -pad.height_mm(corner) == pytest.approx(1.40, abs=0.01)
+    # The deepest labelled press of the data: radius 1.976 mm with a 2 mm ball.
+    assert pad.thickness_mm > 2 * (2 - np.sqrt(2**2 - 1.976**2))
     spec = importlib.util.find_spec("taxim")
     if spec is None or not spec.submodule_search_locations:
         pytest.skip("the package taxim is not installed")
     folder = Path(next(iter(spec.submodule_search_locations)))
-    return np.load(folder / "calib" / "gelsight" / "gelmap.npy").astype(np.float64)
-
-
-def test_pad_matches_the_gel_map_everywhere() -> None:
-    grid, pad = FAMILY.parameters().grid(), FAMILY.parameters().pad()
-    corner = np.array([grid.x_mm()[-1], grid.y_mm()[-1]])
-    assert -pad.height_mm(corner) == pytest.approx(1.40, abs=0.01)
-    measured = gelmap() * grid.mm_per_px_x - pad.thickness_mm
+    gelmap_px = np.load(folder / "calib" / "gelsight" / "gelmap.npy").astype(np.float64)
+    measured = gelmap_px * grid.mm_per_px_x - pad.thickness_mm
     xy = np.stack(np.meshgrid(grid.x_mm(), grid.y_mm()), axis=-1)
     error = pad.height_mm(xy) - measured
     assert np.sqrt((error**2).mean()) < 0.001
     assert np.abs(error).max() < 0.012
-    # The deepest labelled press of the data: radius 1.976 mm with a 2 mm ball.
-    assert pad.thickness_mm > 2 * (2 - np.sqrt(2**2 - 1.976**2))
 
 
 def test_material_is_in_si() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -38,21 +40,17 @@ def step(tmp_path: Path) -> Path:
 
 
 @pytest.mark.thorough
-def test_an_imported_block_is_meshed_and_all_files_are_written(
-    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_block_is_imported(step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path / "cache"))
-    told: list[tuple[str, int, int]] = []
-    result = import_design(
-        step, SELECTION, tmp_path / "out", 1.5, progress=lambda *step: told.append(step)
-    )
+    done: list[tuple[str, int, int]] = []
+    progress = lambda *step: done.append(step)  # noqa: E731
+    result = import_design(step, SELECTION, tmp_path / "out", 1.5, progress=progress)
     assert set(result.files) == {
         "mesh", "quality", "gel", "faces", "preview", "profile", "step", "stl", "3mf", "dxf",
         "mould_cavity", "mould_lid", "mould_3mf", "mould_report", "drawing", "drawing_pdf",
     }  # fmt: skip
-    for path in result.files.values():
-        assert path.exists(), path
-    assert told[:3] == [("import", 0, 1), ("import", 1, 1), ("mesh", 0, 1)]
+    assert all(path.exists() for path in result.files.values())
+    assert done[:3] == [("import", 0, 1), ("import", 1, 1), ("mesh", 0, 1)]
     written = json.loads(result.files["gel"].read_text())
     assert written["file"] == "mine.step" and written["thickness_mm"] == pytest.approx(3.0)
     assert written["selection"]["window"] == ["rect:5x4"]
@@ -60,14 +58,13 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
     assert written["assumed"]["right"] == "+x of the file becomes the gel's x"
     assert np.array(written["gel_from_file"]["rotation_and_scale"]) == pytest.approx(np.eye(3))
     assert written["gel_from_file"]["shift_mm"] == pytest.approx([-6, -3.5, -3], abs=1e-6)
-    mesh = read_mesh_vtu(result.files["mesh"])
+    mesh, quality = read_mesh_vtu(result.files["mesh"]), result.quality
     assert mesh.volumes_m3().sum() * 1e9 == pytest.approx(8 * 7 * 3, rel=5e-3)
-    areas = result.quality.region_areas_mm2
+    areas = quality.region_areas_mm2
     assert areas["window"] == pytest.approx(20, rel=0.2)
     assert areas["window"] + areas["bond"] == pytest.approx(56, rel=0.02)
     assert areas["contact"] == pytest.approx(56, rel=0.02)
-    assert result.quality.min_dihedral_deg >= 10
-    assert result.quality.back_plane_error_mm < 1e-6
+    assert quality.min_dihedral_deg >= 10 and quality.back_plane_error_mm < 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -92,8 +89,9 @@ def test_an_imported_gel_has_a_profile(imported: ImportResult) -> None:
     for key, block in profile.blocks().items():
         kind = "designed" if key in ("sensor", "gel") else "assumed"
         assert block.provenance.kind == kind, key
-    assert "like gelsight_mini with young_modulus_mpa = 0.2" in profile.sensor.provenance.source
-    assert list(profile.sensor.provenance.inputs) == ["my gel.step"]
+    provenance = profile.sensor.provenance
+    assert "like gelsight_mini with young_modulus_mpa = 0.2" in provenance.source
+    assert list(provenance.inputs) == ["my gel.step"]
 
 
 @pytest.mark.thorough
@@ -101,16 +99,16 @@ def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResu
     """The catalogue's flat pad of the same size, edges sharp: a ball of 2 mm, 0.4 mm deep."""
     values = {"length_x_mm": 14, "length_y_mm": 12, "thickness_mm": 4, "corner_radius_mm": 0.3}
     parameters = sensor_family("flat_pad").parameters({**values, "width_px": 160, "height_px": 120})
-    physics, ball = PHYSICS[Accuracy.DEFAULT], parse_indenter("sphere:2")
-    material = profile_material(imported.profile.material, imported.mesh)
+    ball, at_mm, profile = parse_indenter("sphere:2"), (1.0, -0.5), imported.profile
+    material = profile_material(profile.material, imported.mesh)
     forces = []
     for mesh in (
-        profile_press_mesh(imported.profile, (1.0, -0.5), ball.contact(0.4)),
-        pad_press_mesh(parameters.pad(), (1.0, -0.5), ball.contact(0.4)),
+        profile_press_mesh(profile, at_mm, ball.contact(0.4)),
+        pad_press_mesh(parameters.pad(), at_mm, ball.contact(0.4)),
     ):
         outcome = simulate_press(
-            mesh, material, ball, (1.0, -0.5), PressPath(0.4), imported.profile.grid(),
-            friction_coefficient=0.5, physics=physics,
+            mesh, material, ball, at_mm, PressPath(0.4), profile.grid(),
+            friction_coefficient=0.5, physics=PHYSICS[Accuracy.DEFAULT],
         )  # fmt: skip
         forces.append(outcome.figures()["force_n"])
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
@@ -126,31 +124,23 @@ def test_the_mesh_of_a_press_is_fine_at_the_tool_alone(
 ) -> None:
     """No run of fTetWild makes the gel's mesh of another, so it is held against what is asked for
     at the tool, of a contact of this radius or half width, and against the gel's own far away."""
-    contact = parse_indenter(tool).contact(0.3)
-    mesh = profile_press_mesh(imported.profile, (0.0, 0.0), contact)
+    mesh = profile_press_mesh(imported.profile, (0.0, 0.0), parse_indenter(tool).contact(0.3))
     # An edge's 6 mm asked for 33,000 to 39,400 in ten runs.
     assert imported.mesh.tet_count < mesh.tet_count < most
+    corners = 1e3 * mesh.nodes_m[mesh.tets]
+    longest_mm = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=-1).max(axis=(1, 2))
     size_mm = 1.8 * radius_mm * 0.3
-    from_middle_mm = np.linalg.norm(middles_mm(mesh), axis=1)
+    from_middle_mm = np.linalg.norm(corners.mean(axis=1), axis=1)
     at_tool = from_middle_mm < 0.75 * size_mm  # One holds the middle, and its own is so close.
     asked_mm = size_mm + np.maximum(from_middle_mm - 0.3 * radius_mm, 0.0)
     assert at_tool.any()
-    assert (longest_edges_mm(mesh) <= asked_mm)[at_tool].all()
+    assert (longest_mm <= asked_mm)[at_tool].all()
     assert spacing_beside_mm(mesh) > 0.85 * spacing_beside_mm(imported.mesh)
-
-
-def middles_mm(mesh: TetMesh) -> np.ndarray:
-    return 1e3 * mesh.nodes_m[mesh.tets].mean(axis=1)
-
-
-def longest_edges_mm(mesh: TetMesh) -> np.ndarray:
-    corners = 1e3 * mesh.nodes_m[mesh.tets]
-    return np.linalg.norm(corners[:, :, None] - corners[:, None], axis=-1).max(axis=(1, 2))
 
 
 def spacing_beside_mm(mesh: TetMesh) -> float:
     """Edge of regular tets as large as those more than 5 mm beside tools along y."""
-    beside = np.abs(middles_mm(mesh)[:, 0]) > 5.0
+    beside = np.abs(mesh.nodes_m[mesh.tets].mean(axis=1)[:, 0]) > 5e-3
     return 1e3 * float(np.median(np.cbrt(6 * np.sqrt(2) * mesh.volumes_m3()[beside])))
 
 
@@ -159,34 +149,46 @@ def test_presses_beside_an_imported_gel_are_refused(imported: ImportResult) -> N
         profile_press_mesh(imported.profile, (30.0, 0.0), 0.5)
 
 
-def test_what_the_file_says_cannot_be_set(step: Path, tmp_path: Path) -> None:
-    for name, words in (("thickness_mm", "gives the gel's shape"), ("no_such", "no_such")):
-        with pytest.raises(InputError, match=words):
-            import_design(step, SELECTION, tmp_path / "out", overrides={name: 3.0}, parts=())
-        assert not (tmp_path / "out").exists()
+WINDOW = {"window_thickness_mm": 9.5}
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"overrides": {"thickness_mm": 3.0}}, "gives the gel's shape"),
+        ({"overrides": {"no_such": 3.0}}, "no_such"),
+        ({"overrides": {"camera_distance_mm": 3}}, "camera_distance_mm = 3 is below its bound"),
+        (
+            {"overrides": {**WINDOW, "camera_distance_mm": 12.4}},
+            "puts the camera inside the gel or the window",
+        ),
+        ({"overrides": {"marker_radius_mm": 0.6, "marker_pitch_mm": 1.0}}, "marker"),
+        ({"parts": ("assembly",)}, "no part of an imported gel 'assembly'; known: pad"),
+        ({"selection": FaceSelection(bond=("name:glue",))}, "matches none"),
+    ],
+)
 def test_what_needs_no_mesh_is_refused_before_it(
-    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any],
+    words: str,
+    step: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def mesh(*_: object, **__: object) -> None:
-        raise AssertionError("nobody waits minutes for a mesh of this")
-
-    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", mesh)
-    # The file's gel is 3 mm thick and counts, that of the family 4.
-    window = {"window_thickness_mm": 9.5}
-    with pytest.raises(AssertionError, match="minutes"):
-        import_design(
-            step, SELECTION, tmp_path / "out", overrides={**window, "camera_distance_mm": 12.6}
-        )
-    for overrides, words in (
-        ({"camera_distance_mm": 3}, "camera_distance_mm = 3 is below its bound"),
-        ({**window, "camera_distance_mm": 12.4}, "puts the camera inside the gel or the window"),
-        ({"marker_radius_mm": 0.6, "marker_pitch_mm": 1.0}, "marker"),
-    ):
-        with pytest.raises(InputError, match=words):
-            import_design(step, SELECTION, tmp_path / "out", overrides=overrides, parts=())
+    nobody = Mock(side_effect=AssertionError("nobody waits minutes for a mesh of this"))
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", nobody)
+    given = {"selection": SELECTION, "out_dir": tmp_path / "out", "parts": ()}
+    with pytest.raises(InputError, match=words):
+        import_design(step, **{**given, **changes})
     assert not (tmp_path / "out").exists()
+
+
+def test_the_files_thickness(step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file's gel is 3 mm thick, that of the family 4: the camera is outside of it."""
+    meshed = Mock(side_effect=AssertionError("minutes"))
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", meshed)
+    overrides = {**WINDOW, "camera_distance_mm": 12.6}
+    with pytest.raises(AssertionError, match="minutes"):
+        import_design(step, SELECTION, tmp_path / "out", overrides=overrides)
 
 
 def test_what_is_stated_is_not_assumed() -> None:
@@ -194,11 +196,3 @@ def test_what_is_stated_is_not_assumed() -> None:
     assert set(stated.assumed()) == {"right", "origin"}
     assert stated.assumed()["right"].startswith("+y ")
     assert FaceSelection(normal="+z").assumed()["right"].startswith("+x ")
-
-
-def test_an_imported_gel_has_no_assembly(step: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no part of an imported gel 'assembly'; known: pad"):
-        import_design(step, SELECTION, tmp_path / "out", parts=("assembly",))
-    with pytest.raises(InputError, match="matches none"):
-        import_design(step, FaceSelection(bond=("name:glue",)), tmp_path / "out")
-    assert not (tmp_path / "out").exists()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import judge_parameters
 from tests.fuzz.samples.profiles import with_force
 from tests.support.sample_blocks import ASSUMED, CALIBRATED
+from tests.support.sensor_refusals import refuses
 
 CHANGES: dict[str, Callable[[float], float]] = {
     "x1000": lambda value: 1e3 * value,
@@ -94,41 +96,41 @@ def changed(value: Any, path: tuple[Any, ...], new: float) -> Any:
     return type(value)((*value[: path[0]], inner, *value[path[0] + 1 :]))
 
 
+def arrays_of(profile: SensorProfile, key: str) -> Any:
+    """Arrays that a block describes, None without."""
+    return getattr(profile, ARRAY_FIELDS[key]) if key in ARRAY_FIELDS else None
+
+
 def accepted(profile: SensorProfile) -> Iterator[tuple[str, float, str]]:
     """Every change of a number that the profile takes: name, value and change."""
     for key, block in profile.blocks().items():
         table = block.model_dump(mode="python")
-        arrays = getattr(profile, ARRAY_FIELDS[key]) if key in ARRAY_FIELDS else None
-        for path, value in numbers(table):
-            for change, by in CHANGES.items():
-                new = by(value)
-                if isinstance(value, int) and math.isfinite(new):
-                    new = int(new)
-                if new == value:  # Of 0 there is one.
-                    continue
-                try:
-                    found = profile.with_block(type(block)(**changed(table, path, new)), arrays)
-                except InputError:
-                    continue
-                if not judge_parameters(found.sensor).faults:
-                    yield ".".join(map(str, (key, *path))), value, change
+        for (path, value), (change, by) in product(numbers(table), CHANGES.items()):
+            new = by(value)
+            if isinstance(value, int) and math.isfinite(new):
+                new = int(new)
+            if new == value:  # Of 0 there is one.
+                continue
+            try:
+                other = type(block)(**changed(table, path, new))
+                found = profile.with_block(other, arrays_of(profile, key))
+            except InputError:
+                continue
+            if not judge_parameters(found.sensor).faults:
+                yield ".".join(map(str, (key, *path))), value, change
 
 
 def with_responses(profile: SensorProfile) -> SensorProfile:
-    blocks = (
-        DepthResponseBlock(
-            drop_levels=(4.0, 10.0, 60.0), depth_mm=(0.1, 0.3, 1.5), reading_sigma_mm=0.02,
-            zero_sigma_mm=0.01, depth_share=0.03, provenance=CALIBRATED,
-        ),
-        PerturbationBlock(
-            gain_rgb=(0.05, 0.04, 0.05), pivot_rgb=(90.0, 100.0, 80.0), offset_rgb=(2.0, 2.0, 1.0),
-            gradient_rgb=(1.0, 1.0, 1.0), noise_levels=1.5, mm_per_px_relative=0.01, center_px=3.0,
-            young_modulus_relative=0.2, friction_coefficient=0.1, provenance=ASSUMED,
-        ),
+    depth = DepthResponseBlock(
+        drop_levels=(4.0, 10.0, 60.0), depth_mm=(0.1, 0.3, 1.5), reading_sigma_mm=0.02,
+        zero_sigma_mm=0.01, depth_share=0.03, provenance=CALIBRATED,
     )  # fmt: skip
-    for block in blocks:
-        profile = profile.with_block(block)
-    return profile
+    perturbation = PerturbationBlock(
+        gain_rgb=(0.05, 0.04, 0.05), pivot_rgb=(90.0, 100.0, 80.0), offset_rgb=(2.0, 2.0, 1.0),
+        gradient_rgb=(1.0, 1.0, 1.0), noise_levels=1.5, mm_per_px_relative=0.01, center_px=3.0,
+        young_modulus_relative=0.2, friction_coefficient=0.1, provenance=ASSUMED,
+    )  # fmt: skip
+    return profile.with_block(depth).with_block(perturbation)
 
 
 @pytest.mark.thorough
@@ -156,51 +158,45 @@ def test_every_number_of_a_profile_has_bounds(name: str, tmp_path: Path) -> None
      ("poisson_ratio", 0.7), ("width_px", 10**400), ("width_px", "many")],
 )  # fmt: skip
 def test_parameters_keep_the_bounds_of_their_family(name: str, value: Any) -> None:
-    profile = catalogue_profile("gelsight_mini")
-    sensor = profile.sensor
-    parameters = {**sensor.parameters, name: value}
-    (fault,) = judge_parameters(sensor.replace(parameters=parameters)).faults
+    sensor = catalogue_profile("gelsight_mini").sensor
+    (fault,) = judge_parameters(
+        sensor.replace(parameters={**sensor.parameters, name: value})
+    ).faults
     assert re.match(rf"sensor\.parameters\.{name} = .*; allowed: ", fault)
-
-
-def test_parameters_of_other_families_are_not_judged() -> None:
-    profile = catalogue_profile("gelsight_mini")
+    # Those of other families are not judged.
     for changes in ({"family": "mine"}, {"parameters": {"gone_mm": -5.0}}):
-        assert judge_parameters(profile.sensor.replace(**changes)).faults == ()
+        assert judge_parameters(sensor.replace(**changes)).faults == ()
 
 
-def _evidence(**tables: Any) -> Provenance:
-    return ASSUMED.model_copy(update=tables)
+def evidence(**tables: Any) -> dict[str, Provenance]:
+    return {"provenance": ASSUMED.model_copy(update=tables)}
 
 
-@pytest.mark.parametrize(
-    ("key", "changes", "words"),
-    [
-        ("camera", {"mm_per_px_x": 0.9}, "mm_per_px_x: the image is .* mm long along x, the gel"),
-        ("camera", {"center_u_px": -40.0}, r"sees the gel's origin .* px from camera\.center_u_px"),
-        ("optics", {"fx_px": 2500.0}, "at the gel a pixel is .* mm wide"),
-        ("optics", {"rotation": (1.0, 0.0, 0.0, 0.0)}, "looks away from the gel"),
-        ("optics", {"raw_width_px": 0}, "both are known or both 0"),
-        ("optics", {"distortion": (-40.0, 0.0, 0.0, 0.0)}, "distortion: folds or bends"),
-        ("markers", {"offset_mm": (60.0, 0.0)}, "no dot lies on the gel"),
-        ("housing", {"wall_mm": 15.0}, r"wall_mm: at most 12 mm, half of the box"),
-        ("perturbation", {"center_px": 900.0}, "at most 160 px, half the image"),
-        ("depth_response", {"depth_mm": (0.1, 0.3, 40.0)}, "twice the gel's thickness"),
-        ("depth_response", {"reading_sigma_mm": 2.0}, "the deepest touch"),
-        ("window", {"outer_radius_mm": 9.0}, "a plate has no outer_radius_mm"),
-        ("coating", {"thickness_mm": 4.9}, "coating.thickness_mm: at most the gel's"),
-        ("gel", {"provenance": _evidence(spread={"thickness_mm": -1.0})}, "at least 0"),
-        ("gel", {"provenance": _evidence(spread={"thickness_mm": 900.0})}, "the range of"),
-        ("gel", {"provenance": _evidence(interval={"thickness_mm": (0.01, 0.02)})}, "a decade"),
-        ("gel", {"provenance": _evidence(residuals={"off_deg": 900.0})}, "off_deg: must lie in"),
-    ],
-)  # fmt: skip
-def test_blocks_have_to_agree(key: str, changes: dict[str, Any], words: str) -> None:
+def changed_block(key: str, changes: dict[str, Any]) -> None:
     profile = with_responses(catalogue_profile("gelsight_mini"))
-    field = ARRAY_FIELDS.get(key)
-    arrays = None if field is None else getattr(profile, field)
-    with pytest.raises(InputError, match=words):
-        profile.with_block(profile.blocks()[key].replace(**changes), arrays)
+    profile.with_block(profile.blocks()[key].replace(**changes), arrays_of(profile, key))
+
+
+test_blocks_have_to_agree = refuses(
+    changed_block,
+    ("camera", {"mm_per_px_x": 0.9}, "mm_per_px_x: the image is .* mm long along x, the gel"),
+    ("camera", {"center_u_px": -40.0}, r"sees the gel's origin .* px from camera\.center_u_px"),
+    ("optics", {"fx_px": 2500.0}, "at the gel a pixel is .* mm wide"),
+    ("optics", {"rotation": (1.0, 0.0, 0.0, 0.0)}, "looks away from the gel"),
+    ("optics", {"raw_width_px": 0}, "both are known or both 0"),
+    ("optics", {"distortion": (-40.0, 0.0, 0.0, 0.0)}, "distortion: folds or bends"),
+    ("markers", {"offset_mm": (60.0, 0.0)}, "no dot lies on the gel"),
+    ("housing", {"wall_mm": 15.0}, r"wall_mm: at most 12 mm, half of the box"),
+    ("perturbation", {"center_px": 900.0}, "at most 160 px, half the image"),
+    ("depth_response", {"depth_mm": (0.1, 0.3, 40.0)}, "twice the gel's thickness"),
+    ("depth_response", {"reading_sigma_mm": 2.0}, "the deepest touch"),
+    ("window", {"outer_radius_mm": 9.0}, "a plate has no outer_radius_mm"),
+    ("coating", {"thickness_mm": 4.9}, "coating.thickness_mm: at most the gel's"),
+    ("gel", evidence(spread={"thickness_mm": -1.0}), "at least 0"),
+    ("gel", evidence(spread={"thickness_mm": 900.0}), "the range of"),
+    ("gel", evidence(interval={"thickness_mm": (0.01, 0.02)}), "a decade"),
+    ("gel", evidence(residuals={"off_deg": 900.0}), "off_deg: must lie in"),
+)
 
 
 def test_lights_shine_on_the_gel_from_beside_it() -> None:
@@ -211,6 +207,5 @@ def test_lights_shine_on_the_gel_from_beside_it() -> None:
         ({"direction": tuple(-np.array(first.direction))}, "led.0: shines away from all"),
         ({"position_mm": (0.0, 0.0, -12.0)}, "led.0.position_mm: stands between camera and gel"),
     ):
-        block = profile.lights.replace(led=(first.replace(**changes), *others))
         with pytest.raises(InputError, match=words):
-            profile.with_block(block)
+            profile.with_block(profile.lights.replace(led=(first.replace(**changes), *others)))

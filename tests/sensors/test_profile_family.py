@@ -16,8 +16,9 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
-from taccel_lab.profile import Provenance, load_profile, save_profile
+from taccel_lab.profile import Provenance, SensorProfile, load_profile, save_profile
 from taccel_lab.scene import Element
+from taccel_lab.sensors import SensorFamily, sensor_families
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor
 from taccel_lab.sensors.registry import (
     known_sensor,
@@ -31,11 +32,14 @@ from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.presses.press_batch import press_jobs, simulate
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
-from tests.sensors.imported_profiles import SIZE, crowned, imported
+from tests.sensors.imported_profiles import SIZE, imported
 from tests.studies.coarse_presses import coarse
 from tests.support.finite_element_press import SURFACE_PHYSICS
 from tests.support.synthetic_presses import synthetic_captures, write_captures
 from tests.support.variants import variants
+
+MINE = {"young_modulus_mpa": 0.2, "width_px": 96, "height_px": 72}
+OTHER_SIZE = {**SIZE, "crown_radius_mm": 30.0}
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +47,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """As import-step leaves it: an output with the profile in it."""
     out = tmp_path_factory.mktemp("sensors") / "out"
     out.mkdir()
-    save_profile(imported(young_modulus_mpa=0.2, width_px=96, height_px=72), out / "profile")
+    save_profile(imported(**MINE), out / "profile")
     return out
 
 
-def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def family_of(profile: SensorProfile, folder: Path) -> SensorFamily:
+    """The profile's folder as a sensor."""
+    save_profile(profile, folder / "saved")
+    return sensor_family(str(folder / "saved"))
+
+
+def test_folder_and_file_are_one_sensor(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = folder / "profile"
     for name in (folder, inside, inside / "profile.toml"):
         assert sensor_family(str(name)).name == str(inside)
@@ -67,8 +75,7 @@ def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
 def test_a_profile_of_a_hardness_keeps_its_ratio(tmp_path: Path, ratio: float | None) -> None:
     values = {"shore_00": 40.0} | ({} if ratio is None else {"poisson_ratio": ratio})
     profile = catalogue_profile("digit", values)
-    save_profile(profile, tmp_path / "profile")
-    material = sensor_family(str(tmp_path / "profile")).parameters().material()
+    material = family_of(profile, tmp_path).parameters().material()
     assert material.poisson_ratio == profile.material.poisson_ratio == (ratio or 0.499)
     assert material.young_interval_pa is not None
 
@@ -78,17 +85,13 @@ def test_a_branch_is_a_parameter_and_a_measured_one_stays(tmp_path: Path) -> Non
     (branch,) = profile.material.branches
     assert (branch.relative_modulus, branch.time_s) == (0.3, 2.0)
     assert not catalogue_profile("digit").material.branches
-    measured = profile.material.replace(
-        provenance=Provenance(kind="measured", method="relaxometer", source="bench"),
-        branches=(branch.replace(time_s=5.0),),
-    )
-    save_profile(profile.with_block(measured), tmp_path / "profile")
-    found = sensor_family(str(tmp_path / "profile")).parameters().material()
+    bench = Provenance(kind="measured", method="relaxometer", source="bench")
+    measured = profile.material.replace(provenance=bench, branches=(branch.replace(time_s=5.0),))
+    found = family_of(profile.with_block(measured), tmp_path).parameters().material()
     assert found.branches == ((0.3, 5.0),)
     two = measured.replace(branches=(branch, branch.replace(time_s=20.0)))
-    save_profile(profile.with_block(two), tmp_path / "profile")
     with pytest.raises(InputError, match="2 branches"):
-        sensor_family(str(tmp_path / "profile"))
+        family_of(profile.with_block(two), tmp_path)
 
 
 def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
@@ -113,50 +116,32 @@ def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
     assert again.parameters().values() == defaults.values() and again.identity == family.identity
 
 
-@pytest.mark.parametrize(
-    "like",
-    ["digit", "digit_360", "flat_pad", "gelsight", "gelsight_40", "gelsight_mini", "gelsight_r15",
-     "gelsight_wedge", "9dtact", "rtac", "stereo_pad"],
-)  # fmt: skip
+@pytest.mark.parametrize("like", sorted(sensor_families()))
 def test_a_gel_can_be_like_every_sensor_of_the_catalogue(like: str) -> None:
     found = profile_parameters(imported(like))
     assert found.optics() is not None
     assert found.grid() == sensor_family(like).parameters().grid()
 
 
-def test_what_was_measured_is_where_a_study_begins(folder: Path, tmp_path: Path) -> None:
+def test_what_was_measured_or_designed_is_where_studies_begin(folder: Path, tmp_path: Path) -> None:
     profile = load_profile(folder / "profile")
     measured = Provenance(
-        kind="calibrated",
-        method="presses",
-        source="a press",
-        inputs={"press.csv": "0" * 64},
-        residuals={"rms_relative": 0.01},
-        valid_region={"depth_mm": (0.0, 1.0)},
-    )
+        kind="calibrated", method="presses", source="a press", inputs={"press.csv": "0" * 64},
+        residuals={"rms_relative": 0.01}, valid_region={"depth_mm": (0.0, 1.0)},
+    )  # fmt: skip
     stiff = profile.material.replace(young_modulus_pa=3.1e5, provenance=measured)
-    save_profile(replace(profile, material=stiff), tmp_path / "stiff")
-    parameters = sensor_family(str(tmp_path / "stiff")).parameters()
-    assert parameters.material().young_modulus_pa == pytest.approx(3.1e5)
-
-
-def test_a_profile_of_the_catalogue_is_that_sensor_with_its_values(tmp_path: Path) -> None:
-    save_profile(catalogue_profile("gelsight", {"thickness_mm": 5.0}), tmp_path / "thick")
-    family = sensor_family(str(tmp_path / "thick"))
+    found = family_of(profile.with_block(stiff), tmp_path).parameters()
+    assert found.material().young_modulus_pa == pytest.approx(3.1e5)
+    # A profile of the catalogue is that sensor with its values.
+    family = family_of(catalogue_profile("gelsight", {"thickness_mm": 5.0}), tmp_path)
     assert family.parameters().pad().thickness_mm == 5.0
     assert family.parameters({"thickness_mm": 4.5}).pad().thickness_mm == 4.5
 
 
 STUDY = """
-[study]
-name = "mine"
-sensor = "./out"
-metrics = ["stiffness_secant"]
-load_n = 0.05
-[sweep]
-kind = "grid"
-[parameters.young_modulus_mpa]
-values = [0.1, 0.2]
+study = { name = "mine", sensor = "./out", metrics = ["stiffness_secant"], load_n = 0.05 }
+sweep.kind = "grid"
+parameters.young_modulus_mpa.values = [0.1, 0.2]
 """
 
 
@@ -164,8 +149,7 @@ values = [0.1, 0.2]
 def test_a_study_takes_the_folder_beside_its_file(folder: Path) -> None:
     path = folder.parent / "study.toml"
     path.write_text(STUDY)
-    study = make_study(load_spec(path), default_kit())
-    designs = study.points()
+    designs = make_study(load_spec(path), default_kit()).points()
     assert len({point.id for point in designs}) == 2
     ball = coarse("sphere", depth_fraction=0.1, steps=2)
     ball = replace(ball, physics=replace(ball.physics, element=Element.LINEAR))
@@ -180,9 +164,7 @@ def test_a_study_takes_the_folder_beside_its_file(folder: Path) -> None:
 
 
 def test_a_study_of_another_gel_has_other_designs(folder: Path, tmp_path: Path) -> None:
-    other = imported(size={**SIZE, "crown_radius_mm": 30.0}, young_modulus_mpa=0.2, width_px=96,
-                     height_px=72)  # fmt: skip
-    save_profile(other, tmp_path / "out" / "profile")
+    save_profile(imported(size=OTHER_SIZE, **MINE), tmp_path / "out" / "profile")
     ids = []
     for place in (folder.parent, tmp_path):
         (place / "ids.toml").write_text(STUDY)
@@ -205,32 +187,30 @@ def test_a_curved_pad_and_its_mesh_press_alike() -> None:
     """The parametric pad, and its mesh as an imported gel: forces of one ball."""
     ball = coarse("sphere", depth_fraction=0.1, steps=2, mesh=SURFACE_PHYSICS.mesh)
     forces = []
-    for parameters in (crowned(), profile_parameters(imported())):
+    for parameters in (sensor_family("gelsight").parameters(SIZE), profile_parameters(imported())):
         (job,) = press_jobs(ball, parameters)
         job = replace(job, poisson_ratios=(0.46,), friction=0.0)
         forces.append(simulate([job])[0].record.normal_n)
     assert forces[1] == pytest.approx(forces[0], rel=0.05)
 
 
-def captures_of(folder: Path, name: str) -> Path:
+def captures_of(folder: Path, sensor: str) -> Path:
     captures, _ = synthetic_captures(count=4)
-    write_captures(folder / name.replace("/", "_"), captures)
-    folder /= name.replace("/", "_")
+    write_captures(folder, captures)
     manifest = folder / "captures.toml"
     lines = [line for line in manifest.read_text().splitlines() if not line.startswith("sensor")]
-    manifest.write_text("\n".join([f'sensor = "{name}"', *lines]))
+    manifest.write_text("\n".join([f'sensor = "{sensor}"', *lines]))
     return folder
 
 
 def test_captures_name_the_folder_as_their_sensor(folder: Path, tmp_path: Path) -> None:
-    captures = load_capture_folder(captures_of(tmp_path, str(folder)))
+    captures = load_capture_folder(captures_of(tmp_path / "mine", str(folder)))
     assert captures.sensor == str(folder / "profile")
-    base = base_profile(None, captures)
-    assert base.sensor.name == "mine" and base_profile(folder / "profile", captures) is not None
+    assert base_profile(None, captures).sensor.name == "mine"
+    assert base_profile(folder / "profile", captures) is not None
     facts = sensor_facts(captures.sensor)
     assert facts is not None and facts.thickness_mm == pytest.approx(4.0, abs=0.05)
-    another = imported(size={**SIZE, "crown_radius_mm": 30.0})
     with pytest.raises(InputError, match="another gel"):
-        base_profile(another, captures)
+        base_profile(imported(size=OTHER_SIZE), captures)
     with pytest.raises(InputError, match="no folder of a profile"):
-        load_capture_folder(captures_of(tmp_path, "../nowhere"))
+        load_capture_folder(captures_of(tmp_path / "other", "../nowhere"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,19 +17,16 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.sensors.starters import ABOUT, NOT_YOUR_UNIT, STARTERS, is_starter
 
-NAMES = sorted(path.name for path in STARTERS.iterdir() if path.is_dir())
-MOST_BYTES = 320_000
-
-
-def test_which_there_are() -> None:
-    assert NAMES == ["9dtact", "gelsight_mini"]
-    assert sorted(read_toml(ABOUT)) == NAMES and set(NAMES) < set(sensor_families())
+NAMES = ["9dtact", "gelsight_mini"]
 
 
 @pytest.mark.thorough(cases=("9dtact",))
 @pytest.mark.parametrize("name", NAMES)
 def test_it_is_small_marked_and_licensed(name: str) -> None:
-    assert sum(path.stat().st_size for path in (STARTERS / name).iterdir()) < MOST_BYTES
+    assert NAMES == sorted(read_toml(ABOUT))
+    assert NAMES == sorted(path.name for path in STARTERS.iterdir() if path.is_dir())
+    assert set(NAMES) < set(sensor_families())
+    assert sum(path.stat().st_size for path in (STARTERS / name).iterdir()) < 320_000
     about = read_toml(ABOUT)[name]
     text = (STARTERS / about["license_text"]).read_text()
     assert about["license"] == "MIT" and about["copyright"] in text
@@ -38,14 +36,11 @@ def test_it_is_small_marked_and_licensed(name: str) -> None:
     assert NOT_YOUR_UNIT in profile._repr_html_()
     design = catalogue_profile(name)
     assert not is_starter(design) and design.background is None
-    stamped = design.material.provenance.model_copy(
-        update={"created": profile.material.provenance.created}
-    )
+    created = {"created": profile.material.provenance.created}
+    stamped = design.material.provenance.model_copy(update=created)
     assert profile.material == design.material.model_copy(update={"provenance": stamped})
-    assert (profile.camera.width_px, profile.camera.height_px) == (
-        design.camera.width_px,
-        design.camera.height_px,
-    )
+    assert profile.camera.width_px == design.camera.width_px
+    assert profile.camera.height_px == design.camera.height_px
     # A changed design is no stock sensor.
     assert not is_starter(tl.load_sensor(name, {"thickness_mm": 3}))
 
@@ -54,6 +49,12 @@ def test_its_mark_survives_saving(tmp_path: Path) -> None:
     tl.save_profile(tl.load_sensor("9dtact"), tmp_path / "profile")
     again = tl.load_sensor(tmp_path / "profile")
     assert is_starter(again) and tl.validate_profile(tmp_path / "profile") == []
+    # A calibration does not begin with blocks of another unit.
+    cv2.imwrite(str(tmp_path / "background.png"), np.full((240, 320, 3), 120, np.uint8))
+    manifest = 'schema_version = 2\nsensor = "gelsight_mini"\nbackground = "background.png"\n'
+    (tmp_path / "captures.toml").write_text(manifest)
+    base = base_profile(tl.load_sensor("gelsight_mini"), load_capture_folder(tmp_path))
+    assert not is_starter(base) and base.color is None and base.background is None
 
 
 @pytest.mark.thorough(cases=("gelsight_mini",))
@@ -67,18 +68,6 @@ def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     assert np.abs(nothing.rise_m).max() < 0.1e-3
     assert NOT_YOUR_UNIT in repr(nothing)
     assert nothing.figures(profile.grid())["warnings"][0] == NOT_YOUR_UNIT
-
-
-def test_a_calibration_does_not_begin_with_blocks_of_another_unit(tmp_path: Path) -> None:
-    import cv2
-
-    rgb = np.full((240, 320, 3), 120, np.uint8)
-    cv2.imwrite(str(tmp_path / "background.png"), rgb)
-    (tmp_path / "captures.toml").write_text(
-        'schema_version = 2\nsensor = "gelsight_mini"\nbackground = "background.png"\n'
-    )
-    base = base_profile(tl.load_sensor("gelsight_mini"), load_capture_folder(tmp_path))
-    assert not is_starter(base) and base.color is None and base.background is None
 
 
 @pytest.mark.thorough

@@ -14,9 +14,9 @@ import pytest
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import measure_quality, require_quality
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.cli import app
 from taccel_lab.sensors import sensor_family
 from taccel_lab.sensors.registry import catalogue
+from tests.support.commands import done, refusal
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "examples" / "my_sensor"
 
@@ -42,19 +42,15 @@ def template(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("template")
-def test_template_is_in_the_catalogue_and_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_template_is_listed_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert not catalogue().broken
-    assert app.main(["sensors", "list"]) == 0
-    assert "my_sensor" in capsys.readouterr().out
+    assert "my_sensor" in done(capsys, "sensors", "list").out
     picture = tmp_path / "my_sensor.png"
-    assert app.main(["sensors", "show", "my_sensor", "--picture", str(picture)]) == 0
-    printed = capsys.readouterr().out
+    printed = done(capsys, "sensors", "show", "my_sensor", "--picture", picture).out
     assert "edge_mm" in printed and "our drawing 1207" in printed
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert app.main(["sensors", "show", "my_sensor", "--set", "edge_mm=1", "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    words = ["sensors", "show", "my_sensor", "--set", "edge_mm=1", "--json"]
+    shown = json.loads(done(capsys, *words).out)
     assert shown["pad"]["values"]["rim_mm"] == 1.0
     assert shown["markers"]["columns"] == 11 and shown["markers"]["rows"] == 8
     assert len(shown["optics"]["lights"]) == 4
@@ -74,5 +70,5 @@ def test_template_is_built_and_meshed() -> None:
 
 @pytest.mark.usefixtures("template")
 def test_bad_values_name_the_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["sensors", "show", "my_sensor", "--set", "edge_mm=2.5"]) == 2
-    assert "edge_mm = 2.5 is above its bound; allowed: 0.2 to 1.8 mm" in capsys.readouterr().err
+    words = refusal(capsys, "sensors", "show", "my_sensor", "--set", "edge_mm=2.5")
+    assert "edge_mm = 2.5 is above its bound; allowed: 0.2 to 1.8 mm" in words

@@ -23,7 +23,7 @@ def edit(folder: Path, **tables: Any) -> None:
         if value is None:
             del document[key]
         elif isinstance(value, dict):
-            document[key] |= value
+            document[key] = {**document.get(key, {}), **value}
         else:
             document[key] = value
     path.write_text(tomli_w.dumps(document), encoding="utf-8")
