@@ -121,7 +121,9 @@ def boards(tmp_path: Path) -> Path:
     drawn["gel"] = dot_pattern(9, 7), 2.0, on_gel
     parameters = np.array([270.0, 268.0, 158.0, 121.0, -0.1])
     for name, (pattern, pitch_mm, pose) in drawn.items():
-        image = render_board(LENSES["k1"], parameters, pose, (320, 240), pattern, pitch_mm, samples=2)
+        image = render_board(
+            LENSES["k1"], parameters, pose, (320, 240), pattern, pitch_mm, samples=2
+        )
         noisy = quantise(add_noise(image, 1.5, np.random.default_rng(len(name) + 4)))
         cv2.imwrite(str(folder / f"{name}.png"), noisy[..., ::-1])
     names = ", ".join(f'"view_{k}.png"' for k in range(len(tilts)))

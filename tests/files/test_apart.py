@@ -47,8 +47,16 @@ def test_results_come_back_from_a_process_that_stays() -> None:
 @pytest.mark.parametrize(
     ("call", "kind", "words"),
     [
-        ((os.abort,), InputError, rf"{NUMPY} crashed on it \(the process was ended by signal 6\)\. T"),
-        ((os._exit, 7), InputError, rf"{NUMPY} crashed on it \(the process ended with code 7\)\. Th"),
+        (
+            (os.abort,),
+            InputError,
+            rf"{NUMPY} crashed on it \(the process was ended by signal 6\)\. T",
+        ),
+        (
+            (os._exit, 7),
+            InputError,
+            rf"{NUMPY} crashed on it \(the process ended with code 7\)\. Th",
+        ),
         ((bytearray, 8 << 30), InputError, "needs more than 2 GiB of memory"),
         ((readers.refuse,), InputError, "^a.ply has no faces$"),
         # One that does not pickle.

@@ -50,7 +50,9 @@ def solid(path: Path) -> None:
     if path.suffix == ".dxf":
         export.write_dxf(LabelledSolid(part.solid, [Region.SIDE] * 6), path)
     else:
-        export.write_3mf([part], path) if path.suffix == ".3mf" else export.write_part_step(part, path)
+        export.write_3mf([part], path) if path.suffix == ".3mf" else export.write_part_step(
+            part, path
+        )
 
 
 def sheet(path: Path) -> None:

@@ -99,7 +99,10 @@ def test_damaged_gmsh_files(old: bytes, new: bytes, says: str, tmp_path: Path) -
 
 
 def test_what_holds_no_tets_is_refused(tmp_path: Path) -> None:
-    for name, says in (("gel.vtu", "holds no tets"), ("gel.txt", r"only \.msh, \.vtu, \.vtk files")):
+    for name, says in (
+        ("gel.vtu", "holds no tets"),
+        ("gel.txt", r"only \.msh, \.vtu, \.vtk files"),
+    ):
         (tmp_path / name).write_text("<VTKFile>")
         with pytest.raises(InputError, match=says):
             read_tet_file(tmp_path / name)

@@ -262,7 +262,9 @@ def test_dialects(tmp_path: Path, text: str) -> None:
 
 
 def test_cells_in_quotes_and_bytes_that_are_no_utf_8(tmp_path: Path) -> None:
-    table = read_table(written(tmp_path, "csv", b'file,note\n"a,b.png","say ""hi"""\nf\xfcr.png,\x85\n'))
+    table = read_table(
+        written(tmp_path, "csv", b'file,note\n"a,b.png","say ""hi"""\nf\xfcr.png,\x85\n')
+    )
     rows = [[row.text(0), row.text(1)] for row in table.rows()]
     assert rows == [["a,b.png", 'say "hi"'], ["für.png", ""]]
 

@@ -19,7 +19,7 @@ class Reader:
 
     make: Callable[[Path], None]
     """Writes a sound sample into an empty folder."""
-    call: Callable[[Path, Path], None]
+    call: Callable[[Path, Path], object]
     """Reads the sample in the first folder; writes, if at all, the second, which is not there."""
     files: tuple[str, ...] = ("*",)
     """Patterns of the files that are damaged."""
