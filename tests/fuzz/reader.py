@@ -25,8 +25,6 @@ class Reader:
     """Patterns of the files that are damaged."""
     seal: Callable[[Path], None] | None = None
     """Makes hashes that a sample states those of the damaged files."""
-    options: tuple[str, ...] = ()
-    """Options that it is called with: a refusal may be about one of them instead of a file."""
     named: tuple[str, ...] = ()
     """Patterns of files that the user names: these may be links, and what they lead to is read."""
     counts: bool = False

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from pathlib import Path
@@ -16,8 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tests.files.bombs.written import Make, written
-
-TOUCH = "observation.images.touch"
+from tests.fuzz.samples.recordings import TOUCH, set_of, write_frames, write_table
 
 
 def hdf5(shape: tuple[int, ...], kind: Any, **layout: Any) -> Make:
@@ -78,74 +76,58 @@ def hdf5_shared(folder: Path) -> Path:
     return path
 
 
-def _info(folder: Path, version: str, kind: str) -> Path:
-    features = {TOUCH: {"dtype": kind, "shape": [24, 32, 3]}}
-    about = {"codebase_version": version, "total_frames": 1 << 40, "fps": 30, "features": features}
-    (folder / "set" / "meta").mkdir(parents=True)
-    (folder / "set" / "meta" / "info.json").write_text(json.dumps(about))
-    return folder / "set"
+def _set(folder: Path, version: str, kind: str) -> Path:
+    return set_of(folder, version, kind, 1 << 40, 30)
 
 
-def _placed(path: Path) -> Path:
-    """The path, in a folder that is there."""
-    path.parent.mkdir(parents=True)
-    return path
+def _still(path: Path, count: int) -> None:
+    write_frames(path, (90,) * count, (64, 48), 30)
 
 
 def lerobot_rows(folder: Path) -> Path:
     """A hundred thousand rows that are one image of a dictionary."""
-    root, count = _info(folder, "v3.0", "image"), 1 << 17
+    root, count = _set(folder, "v3.0", "image"), 1 << 17
     first, zeros = np.zeros(count, np.int32), pa.array(np.zeros(count, np.int64))
     columns = [
         pa.DictionaryArray.from_arrays(first, pa.array([value])) for value in (_large(), "x")
     ]
     cell = pa.StructArray.from_arrays(columns, ["bytes", "path"])
     table = pa.table({"episode_index": zeros, "frame_index": zeros, TOUCH: cell})
-    path = _placed(root / "data" / "chunk-000" / "file-000.parquet")
+    (root / "data" / "chunk-000").mkdir(parents=True)
+    path = root / "data" / "chunk-000" / "file-000.parquet"
     pq.write_table(table, path, row_group_size=count)
     return root
 
 
 def lerobot_lengths(folder: Path) -> Path:
     """Episodes of a hundred thousand frames each, and a video of two."""
-    root, of, count = _info(folder, "v3.0", "video"), f"videos/{TOUCH}/", 1000
+    root, of, count = _set(folder, "v3.0", "video"), f"videos/{TOUCH}/", 1000
     columns: dict[str, Any] = {"episode_index": list(range(count)), "length": [1 << 17] * count}
     columns |= {f"{of}{name}_index": [0] * count for name in ("chunk", "file")}
     columns[f"{of}from_timestamp"] = [0.0] * count
-    pq.write_table(pa.table(columns), _placed(root / "meta/episodes/chunk-000/file-000.parquet"))
-    video(_placed(root / "videos" / TOUCH / "chunk-000" / "file-000.mp4"), 2)
+    write_table(root / "meta/episodes/chunk-000/file-000.parquet", **columns)
+    _still(root / of / "chunk-000" / "file-000.mp4", 2)
     return root
 
 
 def lerobot_times(folder: Path) -> Path:
     """A table of times of 67 million rows."""
-    root, zeros = _info(folder, "v2.1", "video"), np.zeros(1 << 22, np.int64)
+    root, zeros = _set(folder, "v2.1", "video"), np.zeros(1 << 22, np.int64)
     columns = {"episode_index": zeros, "frame_index": zeros, "timestamp": zeros.astype(float)}
     part = pa.table(columns)
-    path = _placed(root / "data" / "chunk-000" / "episode_000000.parquet")
+    path = root / "data" / "chunk-000" / "episode_000000.parquet"
+    path.parent.mkdir(parents=True)
     with pq.ParquetWriter(path, part.schema, compression="zstd") as file:
         for _ in range(16):
             file.write_table(part)
-    video(_placed(root / "videos/chunk-000" / TOUCH / "episode_000000.mp4"), 2)
+    _still(root / "videos/chunk-000" / TOUCH / "episode_000000.mp4", 2)
     return root
-
-
-def video(path: Path, count: int, size: tuple[int, int] = (64, 48)) -> Path:
-    import av
-
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        for _ in range(count):
-            still = np.full((size[1], size[0], 3), 90, np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(still, "rgb24")))
-        container.mux(stream.encode())
-    return path
 
 
 def mp4_samples(folder: Path) -> Path:
     """A video whose table of samples states four thousand million of them, of one size."""
-    data = bytearray(video(folder / "v.mp4", 3).read_bytes())
+    _still(folder / "v.mp4", 3)
+    data = bytearray((folder / "v.mp4").read_bytes())
     sizes, times = data.index(b"stsz"), data.index(b"stts")
     for at, value in (
         (times + 8, 0x7FFFFFFF), (times + 12, 0x7FFFFFFF), (sizes + 8, 1), (sizes + 12, 0x7FFFFFFF),
