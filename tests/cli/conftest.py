@@ -119,34 +119,19 @@ def no_work(monkeypatch: pytest.MonkeyPatch, forbid: Callable[[str], None]) -> N
     forbid("taccel_lab.cad.parts.pad_solid.labelled_solid")
 
 
-STUDY = """[study]
-name = "Thickness"
-sensor = "gelsight"
-metrics = ["stiffness", "range"]
-[parameters.thickness_mm]
-values = [4.0, 5.0, 6.0]
-[sweep]
-kind = "grid"
-[output]
-meshes = false
-pictures = false
-"""
-DATASET = """[dataset]
-name = "one"
-episodes = 1
-view = 0.2
-accuracy = "fast"
-[[sensors]]
-profile = "flat_pad"
-[[objects]]
-tool = "sphere:2"
-[[motions]]
-kind = "press"
-depth_mm = [0.1, 0.1]
-[output]
-channels = ["depth_mm", "patch_forces_n"]
-size_px = [32, 24]
-"""
+STUDY = (
+    '[study]\nname = "Thickness"\nsensor = "gelsight"\nmetrics = ["stiffness", "range"]\n'
+    "[parameters.thickness_mm]\nvalues = [4.0, 5.0, 6.0]\n"
+    '[sweep]\nkind = "grid"\n'
+    "[output]\nmeshes = false\npictures = false\n"
+)
+DATASET = (
+    '[dataset]\nname = "one"\nepisodes = 1\nview = 0.2\naccuracy = "fast"\n'
+    '[[sensors]]\nprofile = "flat_pad"\n'
+    '[[objects]]\ntool = "sphere:2"\n'
+    '[[motions]]\nkind = "press"\ndepth_mm = [0.1, 0.1]\n'
+    '[output]\nchannels = ["depth_mm", "patch_forces_n"]\nsize_px = [32, 24]\n'
+)
 
 
 @pytest.fixture(scope="session")
