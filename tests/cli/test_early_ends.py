@@ -86,7 +86,6 @@ def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch, error: Excep
 PROGRAM = """
 import atexit, os, signal, sys
 from contextlib import suppress
-from pathlib import Path
 from taccel_lab.cli import app
 from taccel_lab.files.output_folder import atomic_directory
 
