@@ -170,8 +170,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def places(room: Path) -> dict[str, str]:
-    """Sound inputs by the words that stand for them in tables of commands."""
+def places(room: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Sound inputs by the words that stand for them in tables of commands; fakes press a study."""
+    use(monkeypatch)
     return {
         "PROFILE": str(room / "profile"),
         "CAPTURES": str(room / "captures"),

@@ -35,7 +35,7 @@ def interrupt(*_: object, **__: object) -> None:
 
 @pytest.fixture(scope="module")
 def words(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[object]]:
-    """The command of one demo; it shows a press of any accuracy, as ``test_press`` has its files."""
+    """The command of a demo; its press may have any accuracy, as ``test_press`` has the files."""
     root = tmp_path_factory.mktemp("demo")
     captures = write_captures(root / "captures")
     options = "--depth-mm 0.4 --only background color"
