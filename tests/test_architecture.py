@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,28 +20,24 @@ PACKAGES = ("taccel_lab", "sensors", "calibration", "cad")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 HEAVY = (
-    "OCP",
-    "build123d",
-    "cv2",
-    "kornia",
-    "matplotlib",
-    "nlopt",
-    "optuna",
-    "pytetwild",
-    "pyvista",
-    "scipy",
-    "torch",
-    "trimesh",
-    "vtk",
-    "warp",
-    "yourdfpy",
-)
+    "OCP", "build123d", "cv2", "kornia", "matplotlib", "nlopt", "optuna", "pytetwild", "pyvista",
+    "scipy", "torch", "trimesh", "vtk", "warp", "yourdfpy",
+)  # fmt: skip
 MAX_LINES = 450
 LICENCE_LINE = "# SPDX-License-Identifier: Apache-2.0\n"
 
 
-def name_of(path: Path) -> str:
-    return str(path.relative_to(ROOT))
+def texts(paths: list[Path] = SOURCES) -> Iterator[tuple[str, str]]:
+    """Names and texts of files."""
+    for path in paths:
+        yield str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done
 
 
 LIBRARY_WRITERS = re.compile(
@@ -50,25 +47,19 @@ LIBRARY_WRITERS = re.compile(
     r"\(\s*(?!(?:file|buffer|sink|stream|table, file|table, sink|listed, file|tasks, file)\b)"
 )
 """Calls by which a library writes into a path."""
-READS_HDF5 = "taccel_lab/files/hdf5_images.py"
 
 
 @pytest.mark.thorough
 def test_libraries_write_into_memory() -> None:
     """``write_by`` puts what they wrote into the file: of a full disk they tell as they like."""
-    assert LIBRARY_WRITERS.search("    np.savez(path, a=a)") and LIBRARY_WRITERS.search(
-        "figure.savefig(\n    path)"
-    )
+    for call in ("    np.savez(path, a=a)", "figure.savefig(\n    path)"):
+        assert LIBRARY_WRITERS.search(call)
     assert not LIBRARY_WRITERS.search("write_by(path, partial(np.savez, a=a)); np.save(file, a)")
-    found = {
-        name_of(path): [hit.group(0) for hit in LIBRARY_WRITERS.finditer(text)]
-        for path in SOURCES
-        if name_of(path) != READS_HDF5
-        for text in [path.read_text(encoding="utf-8")]
-    }
-    assert not {name: hits for name, hits in found.items() if hits}
     paths = re.compile(r"\.(?:save|write|saveas|export)\(str\(")
-    assert not [name_of(path) for path in SOURCES if paths.search(path.read_text(encoding="utf-8"))]
+    for name, text in texts():
+        hits = [hit[0] for hit in LIBRARY_WRITERS.finditer(text)]
+        assert not hits or name == "taccel_lab/files/hdf5_images.py", (name, hits)
+        assert not paths.search(text), name
 
 
 def test_there_is_something_to_check() -> None:
@@ -79,38 +70,28 @@ def test_there_is_something_to_check() -> None:
 def test_files_are_short_and_headed() -> None:
     """All of them in one test, which names those that are not."""
     wrong = {}
-    for path in SOURCES + TESTS:
-        text = path.read_text(encoding="utf-8")
+    for name, text in texts(SOURCES + TESTS):
         # Nothing is parsed: 1,600 syntax trees take 30 s.
         code = text.removeprefix(LICENCE_LINE).lstrip()
-        wrong[name_of(path)] = [
-            what
-            for what, found in {
-                "no licence in its first line": not text.startswith(LICENCE_LINE),
-                f"{MAX_LINES} lines or more": text.count("\n") >= MAX_LINES,
-                "no module docstring": bool(code) and not re.match('r?"""', code),
-            }.items()
-            if found
-        ]
+        said = {
+            "no licence in its first line": not text.startswith(LICENCE_LINE),
+            f"{MAX_LINES} lines or more": text.count("\n") >= MAX_LINES,
+            "no module docstring": bool(code) and not re.match('r?"""', code),
+        }
+        wrong[name] = [what for what, found in said.items() if found]
     assert not {name: what for name, what in wrong.items() if what}
 
 
 def test_imports_are_light() -> None:
     names = "taccel_lab, taccel_lab.profile, taccel_lab.geometry, taccel_lab.cli.app"
     code = f"import {names}, sys\nprint(*sorted(set({HEAVY!r}) & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == []
+    assert python(code).stdout.split() == []
 
 
 @pytest.mark.thorough
 def test_blocks_of_images_load_no_solver() -> None:
     code = "import sys, taccel_lab.calibration.calibrate\nprint(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert "taccel_lab.solvers.solver_ipc" not in done.stdout.split()
+    assert "taccel_lab.solvers.solver_ipc" not in python(code).stdout.split()
 
 
 _BARE = """
@@ -142,9 +123,7 @@ BARE_ROOMS = {
 @pytest.mark.thorough
 @pytest.mark.parametrize(("modules", "absent"), BARE_ROOMS.items(), ids=["core", "calibration"])
 def test_what_a_bare_machine_runs_needs_no_more(modules: str, absent: list[str]) -> None:
-    code = _BARE.format(absent=absent, modules=modules)
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    python(_BARE.format(absent=absent, modules=modules))
 
 
 def test_public_names_exist() -> None:
@@ -157,11 +136,8 @@ def test_public_names_exist() -> None:
     from taccel_lab.scene import Scene as OfItsPackage
 
     assert Scene is OfItsPackage
-    assert [c.__name__ for c in (SignalTactile, SolverIPC, State)] == [
-        "SignalTactile",
-        "SolverIPC",
-        "State",
-    ]
+    names = [c.__name__ for c in (SignalTactile, SolverIPC, State)]
+    assert names == ["SignalTactile", "SolverIPC", "State"]
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = taccel_lab.nonsense
 
@@ -169,13 +145,10 @@ def test_public_names_exist() -> None:
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 
 
-def kernels_of(path: Path) -> list[str]:
-    """Names of the kernels that a file defines, also inside of functions."""
-    return re.findall(r"@wp\.kernel.*\n *def (\w+)", path.read_text(encoding="utf-8"))
-
-
 def test_a_profiler_can_tell_every_kernel_from_the_others() -> None:
-    names = Counter(name for path in SOURCES for name in kernels_of(path))
+    """Also those that are defined inside of functions."""
+    kernel = re.compile(r"@wp\.kernel.*\n *def (\w+)")
+    names = Counter(name for _, text in texts() for name in kernel.findall(text))
     assert len(names) > 200
     assert not [name for name, count in names.items() if count > 1]
 
@@ -232,35 +205,25 @@ WRITERS = {
     "taccel_lab/exporters/gs_sdk.py": "yaml",
     "taccel_lab/exporters/tacto.py": "yaml",
 }
-MENTIONED = re.compile(rf"\b(?:{'|'.join(TEXT_FORMATS)})\b")
 _PARSERS = {"load", "loads", "safe_load", "reader", "DictReader"}
 
 
 @pytest.mark.thorough
 def test_text_formats_are_read_in_one_place() -> None:
     """Elsewhere they are written, or read from files of our own: their readers know the limits."""
-    known = {**OWN_FILES, **WRITERS}
-    for path in SOURCES:
-        name = name_of(path)
-        text = path.read_text(encoding="utf-8")
-        if name.startswith(("taccel_lab/files/", "taccel_lab/benchmarks/")) or not MENTIONED.search(
-            text
-        ):
+    known, mentioned = {**OWN_FILES, **WRITERS}, re.compile(rf"\b(?:{'|'.join(TEXT_FORMATS)})\b")
+    for name, text in texts():
+        if name.startswith(("taccel_lab/files/", "taccel_lab/benchmarks/")):
             continue
-        for node in ast.walk(ast.parse(text)):
-            modules = {
-                *([alias.name for alias in node.names] if isinstance(node, ast.Import) else []),
-                *([node.module] if isinstance(node, ast.ImportFrom) else []),
-            }
-            used = modules & (TEXT_FORMATS - {"json"})
+        for node in ast.walk(ast.parse(text)) if mentioned.search(text) else ():
+            imports = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            imports += [node.module] if isinstance(node, ast.ImportFrom) else []
+            used = {*imports} & (TEXT_FORMATS - {"json"})
             assert used <= {known.get(name)}, f"{name} imports {used}: use taccel_lab.files"
-            if (
-                isinstance(node, ast.Attribute)
-                and node.attr in _PARSERS
-                and isinstance(node.value, ast.Name)
-                and node.value.id in TEXT_FORMATS
-            ):
-                assert OWN_FILES.get(name) == node.value.id, f"{name} parses {node.value.id}"
+            match node:
+                case ast.Attribute(value=ast.Name(id=module), attr=call):
+                    if module in TEXT_FORMATS and call in _PARSERS:
+                        assert OWN_FILES.get(name) == module, f"{name} parses {module}"
 
 
 SERVING, WRITING = "taccel_lab/report/live_page.py", "taccel_lab/report/page_text.py"
@@ -274,7 +237,6 @@ PAGE_WORDS = {
 @pytest.mark.thorough
 def test_pages_are_served_and_written_in_one_place() -> None:
     """Behind the guard of pages; what they show is escaped there."""
-    for path in SOURCES:
-        text, name = path.read_text(encoding="utf-8"), name_of(path)
+    for name, text in texts():
         for word, place in PAGE_WORDS.items():
             assert not re.search(word, text) or name == place, f"{name}: {word} is for {place}"

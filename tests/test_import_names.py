@@ -10,6 +10,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,13 +38,13 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
         (folder / f"{package}.py").write_text('MINE = "the user\'s own"\n')
     script = folder / "my_script.py"
     script.write_text(SCRIPT.format(names=", ".join(PACKAGES), root=str(root)))
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(root)])},
-        capture_output=True,
-        text=True,
-        cwd=folder,
-    )
+    return run(script, cwd=folder, env=os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{root}"})
+
+
+def run(*words: object, **options: Any) -> str:
+    """What this Python prints."""
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, **options)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -61,9 +62,7 @@ def test_a_users_own_modules_do_no_harm_to_a_checkout(tmp_path: Path) -> None:
 
 def build(checkout: Path, folder: Path, target: str) -> Path:
     """An archive of a checkout, unpacked."""
-    command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(folder)]
-    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    run("-m", "hatchling", "build", "-t", target, "-d", folder, cwd=checkout)
     (path,) = folder.glob("*.whl")
     with zipfile.ZipFile(path) as archive:
         assert len(archive.namelist()) == len(set(archive.namelist()))
@@ -103,12 +102,8 @@ def test_the_wheel_of_a_checkout_without_links_is_whole(
     """Windows checks a link out as a file that holds its target; some archives drop it."""
     checkout = tmp_path / "checkout"
     for name in ("taccel_lab", *ROOMS):
-        shutil.copytree(
-            ROOT / name,
-            checkout / name,
-            symlinks=True,
-            ignore=shutil.ignore_patterns("__pycache__"),
-        )
+        left_out = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, checkout / name, symlinks=True, ignore=left_out)
     for name in ROOMS:
         link = checkout / "taccel_lab" / name
         link.unlink()
@@ -138,11 +133,9 @@ print(importlib.util.find_spec("taccel_lab.cad.parameters").origin)
     spec = importlib.util.find_spec("editables")
     assert spec is not None and spec.origin is not None
     shutil.copytree(Path(spec.origin).parent, site / "editables")
-    done = subprocess.run(
-        [sys.executable, "-S", "-I", "-c", code], cwd=folder, capture_output=True, text=True
+    assert run("-S", "-I", "-c", code, cwd=folder).strip() == str(
+        ROOT / "taccel_lab" / "cad" / "parameters.py"
     )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(ROOT / "taccel_lab" / "cad" / "parameters.py")
 
 
 @pytest.mark.thorough

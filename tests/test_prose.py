@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -35,15 +36,22 @@ MOST_WORDS, MOST_WORDS_OF_A_TASK = 60_000, 800
 MESSAGE_WORDS = 25
 PACKAGES = ("taccel_lab", "cad", "calibration", "sensors")
 CODE_AND_TABLES = re.compile(r"^```.*?^```|^\|[^\n]*$", flags=re.DOTALL | re.MULTILINE)
-COMMANDS = [
-    pytest.param(command, id=" ".join(words))
+GROUPS = [entry for entry in command_tree().values() if isinstance(entry, Group)]
+COMMANDS = {
+    f"{name} {word}".strip(): command
     for name, entry in command_tree().items()
-    for words, command in (
-        [([name, word], inner) for word, inner in entry.commands.items()]
-        if isinstance(entry, Group)
-        else [([name], entry)]
-    )
-]
+    for word, command in (entry.commands if isinstance(entry, Group) else {"": entry}).items()
+}
+
+
+def of_sources(told: Callable[[str], Iterable[str]]) -> list[str]:
+    """What is told of each file of ours."""
+    paths = [path for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")]
+    return [f"{path.relative_to(ROOT)}: {word}" for path in paths for word in told(read(path))]
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -53,29 +61,27 @@ COMMANDS = [
 )
 def test_pages_are_plain(page: Path) -> None:
     history = () if page.stem in EVIDENCE else HISTORY
-    assert not faults(page.read_text(encoding="utf-8"), *history)
+    assert not faults(read(page), *history)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_is_plain(command: type) -> None:
-    assert not [fault for text in help_of(command) for fault in faults(text)]
+def test_help_is_plain(command: str) -> None:
+    assert not [fault for text in help_of(COMMANDS[command]) for fault in faults(text)]
 
 
 def test_help_of_groups_is_plain() -> None:
-    groups = [entry.help for entry in command_tree().values() if isinstance(entry, Group)]
-    assert not [fault for text in (DESCRIPTION, *groups) for fault in faults(text)]
+    texts = (DESCRIPTION, *(group.help for group in GROUPS))
+    assert not [fault for text in texts for fault in faults(text)]
 
 
 def test_messages_are_plain() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {fault}"
-        for folder in PACKAGES
-        for path in (ROOT / folder).rglob("*.py")
-        for message in messages(path.read_text(encoding="utf-8"))
-        # What is wrong, and what is allowed: each a sentence.
-        for fault in faults(re.sub(r"[;:] ", ".\n\n", message), words=MESSAGE_WORDS)
-    ]
-    assert not found
+    """What is wrong, and what is allowed: each a sentence."""
+
+    def wrong(source: str) -> Iterator[str]:
+        for message in messages(source):
+            yield from faults(re.sub(r"[;:] ", ".\n\n", message), words=MESSAGE_WORDS)
+
+    assert not of_sources(wrong)
 
 
 @pytest.mark.thorough
@@ -91,32 +97,28 @@ def test_docstrings_of_public_names_are_plain() -> None:
 
 @pytest.mark.thorough
 def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {line}"
-        for folder in PACKAGES
-        for path in (ROOT / folder).rglob("*.py")
-        for line in prepositions(path.read_text(encoding="utf-8"))
-    ]
-    assert not found
+    assert not of_sources(prepositions)
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "notebooks").glob("*.py")), ids=lambda path: path.name
-)
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.py")), ids=lambda p: p.name)
 def test_notebooks_are_plain(path: Path) -> None:
-    assert not faults(notebook_markdown(path.read_text(encoding="utf-8")), *HISTORY)
+    assert not faults(notebook_markdown(read(path)), *HISTORY)
 
 
-def test_pages_together_are_short() -> None:
-    count = sum(len(path.read_text(encoding="utf-8").split()) for path in PAGES)
-    assert count <= MOST_WORDS
+def test_pages_are_short() -> None:
+    assert sum(len(read(path).split()) for path in PAGES) <= MOST_WORDS
+    index = read(ROOT / "docs" / "index.md")
+    (names,) = re.findall(r":caption: How to\n:maxdepth: 1\n\n(.*?)\n```", index, flags=re.DOTALL)
+    for name in names.split():
+        text = re.sub(CODE_AND_TABLES, "", read(ROOT / "docs" / f"{name}.md"))
+        assert len(text.split()) <= MOST_WORDS_OF_A_TASK, name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_pages_begin_with_a_command_and_a_picture(page: Path) -> None:
     without = ("install", "notebooks", "python", "remarks")
     if page.parent.name == "docs" and page.stem not in without:
-        head = " ".join(page.read_text(encoding="utf-8").split()[:250])
+        head = " ".join(read(page).split()[:250])
         assert "```" in head and re.search(r"!\[.*?\]\(images/", head)
 
 
@@ -134,11 +136,3 @@ def test_the_linter_finds_what_it_should() -> None:
     assert list(prepositions(said)) == ["As JSON.", "Of a press."]
     assert begins_with_a_verb("Return it.") and not begins_with_a_verb("The image.")
     assert sentences("One `a. B` here. Two, e.g. three.") == ["One CODE here.", "Two, e.g. three."]
-
-
-def test_pages_of_one_task_are_short() -> None:
-    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-    (names,) = re.findall(r":caption: How to\n:maxdepth: 1\n\n(.*?)\n```", index, flags=re.DOTALL)
-    for name in names.split():
-        text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-        assert len(re.sub(CODE_AND_TABLES, "", text).split()) <= MOST_WORDS_OF_A_TASK, name

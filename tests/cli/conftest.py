@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of bad input share: sound inputs to spoil, earlier outputs, and no work done.
-
-Every case runs the whole command line with an earlier output as target, which may not change by a
-byte; one case of each command also with a target that is not there, of which nothing may remain.
-No simulation, fit or mesh may begin.
-"""
+"""What tests of commands share: a runner, and a folder of sound inputs that no refusal changes."""
 
 from __future__ import annotations
 
@@ -17,16 +12,26 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import pyvista
 
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.profile import save_profile
+from taccel_lab.studies.spec.study import Kit
 from tests.calibration.judged_once import detect_once, judge_slopes_once
-from tests.sensors.imported_profiles import imported
+from tests.calibration.record.sessions import source
+from tests.fuzz.samples.profiles import with_force
 from tests.support.commands import Done, done, refusal
-from tests.support.small_captures import never, write_captures, write_profile
-from tests.support.synthetic_presses import synthetic_captures
-from tests.support.synthetic_presses import write_captures as save_captures
+from tests.support.fake_kit import METRICS, PRESSES, evaluate
+from tests.support.small_captures import (
+    everything_below,
+    never,
+    write_captures,
+    write_image,
+    write_profile,
+)
+from tests.support.synthetic_presses import GRID, flat_profile
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -77,6 +82,15 @@ class Cli:
         """The sentence with which it refuses bad input, in one line."""
         return refusal(self.capsys, *command.split(), *words)
 
+    def refuses(self, says: list[str], command: str, *words: object) -> None:
+        """One sentence with all of ``says``, nothing printed, nothing changed in this folder."""
+        before = everything_below(Path.cwd())
+        found = self(command, *words, code=2)
+        told = " ".join(found.err.split())
+        assert "error: " in told and "Traceback" not in told and found.out == ""
+        assert all(part in told for part in says), told
+        assert everything_below(Path.cwd()) == before
+
 
 @pytest.fixture
 def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
@@ -105,47 +119,89 @@ def no_work(monkeypatch: pytest.MonkeyPatch, forbid: Callable[[str], None]) -> N
     forbid("taccel_lab.cad.parts.pad_solid.labelled_solid")
 
 
-@pytest.fixture(scope="session")
-def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("originals")
-    write_captures(folder / "captures")
-    write_profile(folder / "profile")
-    return folder
-
-
-STUDY = """
-[study]
-name = "two"
-sensor = "flat_pad"
-metrics = ["pixel_size"]
-[sweep]
-kind = "grid"
-[parameters.mm_per_px]
-values = [0.05, 0.06]
-"""
+STUDY = (
+    '[study]\nname = "Thickness"\nsensor = "gelsight"\nmetrics = ["stiffness", "range"]\n'
+    "[parameters.thickness_mm]\nvalues = [4.0, 5.0, 6.0]\n"
+    '[sweep]\nkind = "grid"\n'
+    "[output]\nmeshes = false\npictures = false\n"
+)
+DATASET = (
+    '[dataset]\nname = "one"\nepisodes = 1\nview = 0.2\naccuracy = "fast"\n'
+    '[[sensors]]\nprofile = "flat_pad"\n'
+    '[[objects]]\ntool = "sphere:2"\n'
+    '[[motions]]\nkind = "press"\ndepth_mm = [0.1, 0.1]\n'
+    '[output]\nchannels = ["depth_mm", "patch_forces_n"]\nsize_px = [32, 24]\n'
+)
 
 
 @pytest.fixture(scope="session")
-def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Sound inputs by the words that stand for them in tables of commands."""
-    folder = tmp_path_factory.mktemp("places")
-    save_profile(imported(), folder / "profile")
-    captures = save_captures(folder / "captures", synthetic_captures(count=3)[0])
-    (folder / "study.toml").write_text(STUDY)
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sound inputs of all commands, an earlier output, and files of somebody else."""
+    room = tmp_path_factory.mktemp("room")
+    write_captures(room / "captures")
+    write_profile(room / "profile")
+    save_profile(flat_profile(GRID), room / "bare")
+    (room / "touch").mkdir()
+    with_force(room / "touch")
+    source(room / "set", 2)
+    for name in ("empty", "mine", "records", "boardless"):
+        (room / name).mkdir()
+    (room / "mine" / "notes.txt").write_text("mine")
+    for name in ("plain/bg", "plain/a", "plain/b", "boardless/b"):
+        (room / name).parent.mkdir(exist_ok=True)
+        write_image(room / f"{name}.png", np.full((48, 64, 3), 90, np.uint8))
+    (room / "boardless" / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "gelsight"\nbackground = "b.png"\n[[boards]]\n'
+        'kind = "chessboard"\ncolumns = 7\nrows = 5\nimages = ["b.png"]\n'
+    )
+    (room / "records" / "press.csv").write_text("depth_mm,force_n\n0.2,0.1\n0.5,0.4\n0.8,0.9\n")
+    (room / "records" / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "gelsight_mini"\n[[records]]\nfile = "press.csv"\n'
+        'kind = "indentation"\ntool = { kind = "sphere", radius_mm = 5.0 }\n'
+    )
+    pyvista.Plane(i_size=3, j_size=3).triangulate().save(room / "plane.stl")
+    (room / "study.toml").write_text(STUDY)
+    (room / "rang.toml").write_text(STUDY.replace('"range"', '"rang"'))
+    (room / "set.toml").write_text(DATASET)
+    (room / "sizes.toml").write_text(DATASET + "sizes_px = [3, 4]\n")
+    with atomic_directory(room / "earlier") as earlier:
+        (earlier / "press.json").write_text("{}")
+    return room
+
+
+@pytest.fixture
+def places(room: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Sound inputs by the words that stand for them in tables of commands; fakes press a study."""
+    use(monkeypatch)
     return {
-        "PROFILE": str(folder / "profile"),
-        "CAPTURES": str(captures),
-        "IMAGE": str(captures / "background.png"),
-        "STUDY": str(folder / "study.toml"),
+        "PROFILE": str(room / "profile"),
+        "CAPTURES": str(room / "captures"),
+        "IMAGE": str(room / "captures" / "background.png"),
+        "STUDY": str(room / "study.toml"),
     }
 
 
 @pytest.fixture
-def here(originals: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_work: None) -> Path:
-    """A working folder with sound ``captures`` and ``profile`` and earlier outputs."""
-    shutil.copytree(originals, tmp_path, dirs_exist_ok=True)
-    with atomic_directory(tmp_path / "earlier") as earlier:
-        (earlier / "press.json").write_text("{}")
-    shutil.copytree(originals / "profile", tmp_path / "earlier_profile")
+def here(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with copies of ``captures`` and ``profile`` and earlier outputs of both."""
+    for name, copy in (("captures",) * 2, ("profile",) * 2, ("profile", "earlier_profile")):
+        shutil.copytree(room / name, tmp_path / copy)
+    shutil.copytree(room / "earlier", tmp_path / "earlier")
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study file in a folder of its own; fakes press, in this process."""
+    use(monkeypatch)
+    monkeypatch.setattr("taccel_lab.studies.evaluate.runner.default_processes", lambda device: 0)
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "thickness.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def use(monkeypatch: pytest.MonkeyPatch, how: Callable[..., Any] = evaluate) -> None:
+    """Let fakes press for a study."""
+    monkeypatch.setattr("taccel_lab.api.study.default_kit", lambda: Kit(PRESSES, METRICS, how))

@@ -4,21 +4,31 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from taccel_lab.cli import doctor
+from tests.cli.conftest import Cli
 
 ROOT = Path(__file__).parents[2]
+Broken = Callable[..., list[dict[str, Any]]]
 
 
-def test_this_installation_is_sound(capsys: pytest.CaptureFixture[str]) -> None:
-    doctor.Doctor(json=True).run()
-    report = json.loads(capsys.readouterr().out)
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch) -> Broken:
+    def packages(*pairs: tuple[str, str]) -> list[dict[str, Any]]:
+        """Findings where these are the requirements."""
+        monkeypatch.setattr(doctor, "requirements", lambda: iter(pairs))
+        return list(doctor.check_packages())
+
+    return packages
+
+
+def test_this_installation_is_sound(cli: Cli) -> None:
+    report = cli.json("doctor")
     assert report["problems"] == []
     assert {package["name"] for package in report["packages"]} >= {"warp-lang", "torch", "numpy"}
     assert report["machine"]["cores"] >= 1
@@ -27,15 +37,11 @@ def test_this_installation_is_sound(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(device["problem"] is None for device in devices)
 
 
-def test_requirements_are_those_of_the_project() -> None:
-    names = dict(doctor.requirements())
-    assert names["numpy>=2.1,<3"] == ""
-    assert names["mujoco>=4,<5"] == "peers"
-
-
-def test_requirements_of_an_installed_wheel(
+def test_requirements_are_those_of_the_project_or_of_the_installed_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    names = dict(doctor.requirements())
+    assert (names["numpy>=2.1,<3"], names["mujoco>=4,<5"]) == ("", "peers")
     # Not ours: other projects leave such files in site-packages.
     (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
     lines = ["numpy<3,>=2.1", "taxim==1.4.1; extra == 'demo'"]
@@ -43,49 +49,32 @@ def test_requirements_of_an_installed_wheel(
     assert list(doctor.requirements(tmp_path)) == [("numpy<3,>=2.1", ""), ("taxim==1.4.1", "demo")]
 
 
-def broken(pairs: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    def requirements() -> Iterator[tuple[str, str]]:
-        yield from pairs
-
-    monkeypatch.setattr(doctor, "requirements", requirements)
-    return list(doctor.check_packages())
-
-
-def test_missing_and_outdated_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    absent, old, extra = broken(
-        [("no-such-thing>=1", ""), ("numpy<1", ""), ("nor-this", "dev")], monkeypatch
-    )
+def test_missing_and_outdated_packages(broken: Broken) -> None:
+    absent, old, extra = broken(("no-such-thing>=1", ""), ("numpy<1", ""), ("nor-this", "dev"))
     assert absent["problem"] == "not installed"
     assert old["problem"] == f"version {importlib.metadata.version('numpy')} is outside <1"
     assert extra["extra"] == "dev" and extra["problem"] == "not installed"
-    report = doctor.collect()
-    assert len(report["problems"]) == 2
+    assert len(doctor.collect()["problems"]) == 2
 
 
 def test_a_missing_system_library_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    broken: Broken, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(doctor, "SYSTEM_LIBRARIES", ("libnowhere.so.7",))
+        broken(("numpy>=2", ""))
+        assert "broken: libnowhere.so.7" in cli("doctor", code=1).out
+
     def fail(name: str) -> None:
         raise ImportError("libGL.so.1: cannot open shared object file")
 
     monkeypatch.setattr(doctor.importlib, "import_module", fail)
-    (package,) = broken([("numpy>=2", "")], monkeypatch)
+    (package,) = broken(("numpy>=2", ""))
     assert package["problem"] == "import numpy fails: libGL.so.1: cannot open shared object file"
     with pytest.raises(SystemExit) as caught:
         doctor.Doctor(full=True).run()
     assert caught.value.code == 1
-    assert "broken: numpy" in capsys.readouterr().out
-
-
-def test_a_library_of_the_system_is_looked_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(doctor, "SYSTEM_LIBRARIES", ("libnowhere.so.7",))
-    broken([("numpy>=2", "")], monkeypatch)
-    with pytest.raises(SystemExit) as caught:
-        doctor.Doctor().run()
-    assert caught.value.code == 1
-    assert "broken: libnowhere.so.7" in capsys.readouterr().out
+    assert "broken: numpy" in cli.capsys.readouterr().out
 
 
 def test_developers_packages_are_left_to_full() -> None:
@@ -94,7 +83,6 @@ def test_developers_packages_are_left_to_full() -> None:
 
 
 def test_demo_captures_are_found_or_reported_absent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACCEL_LAB_DATA", str(ROOT))
-    assert doctor.find_data()["TACCEL_LAB_DATA"] == str(ROOT)
-    monkeypatch.setenv("TACCEL_LAB_DATA", str(ROOT / "absent"))
-    assert doctor.find_data()["TACCEL_LAB_DATA"] is None
+    for place, found in ((ROOT, str(ROOT)), (ROOT / "absent", None)):
+        monkeypatch.setenv("TACCEL_LAB_DATA", str(place))
+        assert doctor.find_data()["TACCEL_LAB_DATA"] == found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,14 @@ from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.evaluate.study_folder import STUDY_MARKER
 from tests.cli.conftest import Cli
+from tests.support.small_captures import everything_below
 from tests.support.synthetic_presses import GRID, flat_profile
 
+FILES = {
+    "capture guide": "capture guide gelsight --out OUT/x.toml",
+    "sensors show": "sensors show flat_pad --picture OUT/x.png",
+}
+"""Commands whose output is a file, which lies anywhere by its own name."""
 COMMANDS = {
     "press": "press gelsight --depth-mm 0.5 --out OUT",
     "preview": "preview gelsight --out OUT",
@@ -29,38 +36,47 @@ COMMANDS = {
     "export": "export PROFILE --to taxim --out OUT",
     "capture check": "capture check CAPTURES --report OUT",
     "capture import": "capture import CAPTURES OUT --layout plain",
-    "capture guide": "capture guide gelsight --out OUT/x.toml",
-    "sensors show": "sensors show flat_pad --picture OUT/x.png",
     "profile report": "profile report PROFILE --out OUT",
     "depth": "depth PROFILE IMAGE --out OUT",
-    "demo": "demo --out OUT",
+    "demo": "demo --captures CAPTURES --out OUT",
     "task run": "task run touch-insertion --out OUT",
+    **FILES,
 }
 
 
 def words_of(command: str, places: dict[str, str], out: Path | str, tmp_path: Path) -> list[str]:
     """A command's words, with what it reads and where it writes."""
-    words = COMMANDS[command].split()
-    known = {**places, "OUT": str(out), "FREE": str(tmp_path / "free")}
-    for name, value in known.items():
-        words = [word.replace(name, value) for word in words]
-    return words
+    words = COMMANDS[command]
+    for name, value in {**places, "OUT": str(out), "FREE": str(tmp_path / "free")}.items():
+        words = words.replace(name, value)
+    return words.split()
 
 
 @pytest.mark.thorough(cases=("press-/proc/x",))
-@pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside"])
+@pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside", "FOREIGN"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_before_any_work(
-    command: str, bad: str, places: dict[str, str], tmp_path: Path, cli: Cli
+    command: str,
+    bad: str,
+    places: dict[str, str],
+    tmp_path: Path,
+    cli: Cli,
+    forbid: Callable[[str], None],
 ) -> None:
+    if bad == "FOREIGN" and command in FILES:
+        pytest.skip("a file may lie among others")
+    for name in ("sensors.profile.load_sensor", "sensors.design.gel_mesh"):
+        forbid(f"taccel_lab.{name}")
     (tmp_path / "file").write_text("mine")
-    out = bad.replace("FILE", str(tmp_path / "file"))
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "notes.txt").write_text("mine")
+    before = everything_below(tmp_path)
+    out = bad if bad.startswith("/") else str(tmp_path / bad.lower())
     started = time.process_time()
     noted = cli(*words_of(command, places, out, tmp_path), code=2).err
     assert time.process_time() - started < 15
     assert out.partition("/inside")[0] in noted.replace("\n", ""), noted
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-    assert (tmp_path / "file").read_text() == "mine"
+    assert everything_below(tmp_path) == before
 
 
 @pytest.mark.parametrize("command", ["export", "capture check", "depth"])
@@ -72,12 +88,8 @@ def test_a_link_to_itself_is_no_folder(
     assert "a link that leads back to itself" in told
 
 
-FOLDERS = sorted({*COMMANDS} - {"capture guide", "sensors show"})
-"""Commands whose output is a folder; a single file lies anywhere by its own name."""
-
-
 @pytest.mark.parametrize("sign", WHOLES)
-@pytest.mark.parametrize("command", FOLDERS)
+@pytest.mark.parametrize("command", sorted({*COMMANDS} - {*FILES}))
 def test_nothing_is_written_into_another_product(
     command: str, sign: str, places: dict[str, str], tmp_path: Path, cli: Cli
 ) -> None:
@@ -105,10 +117,13 @@ def test_products_are_known_by_their_own_files_and_files_of_others_with_their_na
 def test_report_of_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "unit3" / "deep").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "unit3" / "deep")
-    assert report_folder(Path("."), None) == tmp_path / "unit3" / "deep_report"
-    assert report_folder(Path(".."), None) == tmp_path / "unit3_report"
-    assert report_folder(Path("a/b"), None) == Path("a/b_report")
-    assert report_folder(Path("."), Path("r")) == Path("r")
+    for profile, report, found in (
+        (".", None, tmp_path / "unit3" / "deep_report"),
+        ("..", None, tmp_path / "unit3_report"),
+        ("a/b", None, Path("a/b_report")),
+        (".", Path("r"), Path("r")),
+    ):
+        assert report_folder(Path(profile), report) == found
     with pytest.raises(InputError, match="cannot be a profile folder"):
         report_folder(Path("/"), None)
 
@@ -121,8 +136,6 @@ def test_a_report_inside_the_profile_is_refused_before_any_work(
     assert "would be inside the profile" in cli.refusal("calibrate background", *words)
     assert not (tmp_path / "profile").exists()
 
-
-# What is read --------------------------------------------------------------------------------
 
 READERS = [
     "capture check BAD",

@@ -4,16 +4,13 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import io
 import json
 import os
 import re
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,10 +20,10 @@ from rich.table import Table
 
 import taccel_lab.cli
 from taccel_lab import progress as progress
-from taccel_lab.cli import app
 from taccel_lab.cli.console import be_quiet, notes, results, say_first_look, working
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.processes.start_warp import first_step
+from tests.cli.test_app import commands, python
 from tests.support.commands import run
 from tests.support.variants import variants
 
@@ -52,13 +49,10 @@ def test_brackets_are_printed(
 
 def test_nothing_is_noted_when_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     be_quiet(True)
-    try:
-        notes().print("how far it is")
-        results().print("what was found")
-    finally:
-        be_quiet(False)
-    told = capsys.readouterr()
-    assert told.err == "" and told.out == "what was found\n"
+    notes().print("how far it is")
+    results().print("what was found")
+    be_quiet(False)
+    assert capsys.readouterr() == ("what was found\n", "")
 
 
 def test_no_command_prints_in_a_way_of_its_own_or_in_markup() -> None:
@@ -72,9 +66,6 @@ def test_no_command_prints_in_a_way_of_its_own_or_in_markup() -> None:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 colours = r"\[/|\[(bold|dim|italic|red|green|yellow|cyan|blue|magenta)\b"
                 assert not re.search(colours, node.value), f"{path.name}:{node.lineno}"
-
-
-# Stages --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -124,8 +115,6 @@ def test_the_first_press_of_a_machine_says_what_takes_so_long(
     assert first_step() == "first step"
 
 
-# JSON ----------------------------------------------------------------------------------------
-
 CHEAP = {
     "capture check": "CAPTURES",
     "capture devices": "",
@@ -145,14 +134,7 @@ CHEAP = {
     "task list": "",
 }
 """Words behind commands that are done within seconds, or refuse them for a reason of their own."""
-
-
-def json_commands() -> Iterator[str]:
-    for name, found in app.command_tree().items():
-        inner = found.commands if isinstance(found, app.Group) else {"": found}
-        for word, command in inner.items():
-            if "json" in {f.name for f in dataclasses.fields(command)}:  # type: ignore[arg-type]
-                yield f"{name} {word}".strip()
+NO_JSON = ("bench", "view")
 
 
 @pytest.mark.thorough(cases=("capture check", "preview"))
@@ -161,9 +143,8 @@ def test_what_is_printed_is_json(
     command: str, places: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     known = {**places, "OUT": str(tmp_path / "out")}
-    code = run(
-        *command.split(), *(known.get(word, word) for word in CHEAP[command].split()), "--json"
-    )
+    words = [known.get(word, word) for word in CHEAP[command].split()]
+    code = run(*command.split(), *words, "--json")
     said, noted = capfd.readouterr()
     if code in (0, 1):
         json.loads(said)
@@ -171,7 +152,7 @@ def test_what_is_printed_is_json(
         assert said == "" and noted
 
 
-@pytest.mark.parametrize("command", list(json_commands()))
+@pytest.mark.parametrize("command", [name for name, _ in commands() if name not in NO_JSON])
 def test_a_command_that_fails_prints_nothing(
     command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,14 +176,11 @@ print("afterwards")
 
 
 def test_whoever_writes_beside_it_is_sent_to_standard_error() -> None:
-    done = subprocess.run([sys.executable, "-c", BESIDE], capture_output=True, text=True)
+    done = python(BESIDE)
     assert done.returncode == 0 and done.stdout.endswith("afterwards\n")
     assert json.loads(done.stdout.removesuffix("afterwards\n")) == {"a": 1}
     for words in ("a table", "a library in C", "a process of ours", "a banner"):
         assert words in done.stderr
-
-
-# Pictures ------------------------------------------------------------------------------------
 
 
 def test_a_first_look_stays_where_it_is_told(
@@ -248,12 +226,9 @@ def test_a_picture_stands_before_anything_is_compiled_or_built(
     command: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """In a fresh process, which is interrupted there: nothing is left then."""
-    out = tmp_path / "deep" / "out"
-    run = subprocess.run(
-        [sys.executable, "-c", FIRST, *command.split(), "gelsight_mini", "--out", str(out)],
-        capture_output=True, text=True, check=False,
-        env={**os.environ, "TACCEL_LAB_CACHE": str(tmp_path_factory.mktemp("cache"))},
-    )  # fmt: skip
+    words = [*command.split(), "gelsight_mini", "--out", tmp_path / "deep" / "out"]
+    cache = str(tmp_path_factory.mktemp("cache"))
+    run = python(FIRST, *words, env={**os.environ, "TACCEL_LAB_CACHE": cache})
     assert run.returncode == 130, run.stderr
     lines = [line for line in run.stdout.splitlines() if line.split()[0].isupper()]
     assert lines[:2] == ["LOADED", "BUILT"]

@@ -82,19 +82,3 @@ def test_record(cli: Cli, tmp_path: Path) -> None:
     assert len(replay.times_s) == 4 and replay.rgb.max() > 0
     moved = [np.ptp(body.vertices_m, axis=0).max() for body in replay.bodies]
     assert max(moved) > 1e-4
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["run", "juggle"], "there is no task 'juggle'; there are"),
-        (["run", "peg-insertion", "--seeds", "0"], "seeds must lie in 1..100000, got 0"),
-        (["run", "peg-insertion", "--environments", "0"], "environments must lie in 1..100000"),
-        (["record", "peg-insertion", "--seed", "-1"], "seed must lie in 0..99999, got -1"),
-        (["run", "peg-insertion", "--device", "tpu"], "tpu"),
-        (["run", "nowhere.toml"], "nowhere.toml"),
-    ],
-)
-def test_bad_input(words: list[str], message: str, cli: Cli, tmp_path: Path) -> None:
-    assert message in cli.refusal("task", *words, "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()

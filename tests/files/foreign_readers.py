@@ -6,27 +6,8 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from typing import Any
-
-import numpy as np
 
 from taccel_lab.errors import InputError
-
-
-def double(value: np.ndarray) -> np.ndarray:
-    return 2 * value
-
-
-def process_number() -> int:
-    return os.getpid()
-
-
-def crash() -> None:
-    os.abort()
-
-
-def leave() -> None:
-    os._exit(7)
 
 
 def refuse() -> None:
@@ -35,10 +16,6 @@ def refuse() -> None:
 
 def mistake() -> None:
     raise KeyError("vertex")
-
-
-def sleep() -> None:
-    time.sleep(60)
 
 
 def spin() -> None:
@@ -55,10 +32,6 @@ def items_of_work(count: int) -> Iterator[int]:
         yield number
 
 
-def take_memory() -> int:
-    return len(bytearray(8 << 30))
-
-
 _read: list[int] = []
 """Grows with each file that this process reads by ``harm``."""
 
@@ -73,34 +46,17 @@ def harm(how: str) -> int:
     return os.getpid()
 
 
-def harmed_stream(how: str) -> Iterator[int]:
+def harmed(how: str, *before: int) -> Iterator[int]:
+    """Items that come whole, until one is harmed."""
+    yield from before
     yield harm(how)
 
 
-def harmed_late(how: str) -> Iterator[int]:
-    """Items that come whole, until one is harmed."""
-    yield 1
-    yield 2
-    harm(how)
-    yield 3
-
-
-def count(n: int) -> Iterator[int]:
+def count_and(n: int, end: str) -> Iterator[int]:
     yield from range(n)
-
-
-def count_and_crash(n: int) -> Iterator[int]:
-    yield from range(n)
-    os.abort()
-
-
-def count_and_refuse(n: int) -> Iterator[int]:
-    yield from range(n)
+    if end == "crashed":
+        os.abort()
     raise InputError("v.avi is cut short")
-
-
-def same(value: Any) -> Any:
-    return value
 
 
 def times(n: int) -> Iterator[float]:

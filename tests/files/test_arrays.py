@@ -40,12 +40,13 @@ def header(shape: str, descr: str = "'<f8'") -> str:
     return f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n"
 
 
-def npz(*members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+def npz(content: bytes, *more: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """An archive of ``a.npy`` and more members."""
     buffer = io.BytesIO()
     with warnings.catch_warnings(), zipfile.ZipFile(buffer, "w", method) as archive:
         warnings.simplefilter("ignore")  # Of one name twice.
-        for name, content in members:
-            archive.writestr(name, content)
+        for name, data in (("a.npy", content), *more):
+            archive.writestr(name, data)
     return buffer.getvalue()
 
 
@@ -61,7 +62,7 @@ def test_good_files_are_read_as_numpy_does(save: object, tmp_path: Path) -> None
             np.testing.assert_array_equal(array, expected[name])
     second = io.BytesIO()
     np.lib.format.write_array(second, ARRAYS["image"], version=(2, 0))
-    (tmp_path / "two.npz").write_bytes(npz(("a.npy", second.getvalue())))
+    (tmp_path / "two.npz").write_bytes(npz(second.getvalue()))
     np.testing.assert_array_equal(read_npz(tmp_path / "two.npz")["a"], ARRAYS["image"])
 
 
@@ -102,7 +103,7 @@ def test_only_what_is_needed_is_looked_at(tmp_path: Path) -> None:
 )
 def test_damaged_arrays_are_sentences(content: bytes, words: str, tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    path.write_bytes(npz(("a.npy", content)))
+    path.write_bytes(npz(content))
     with pytest.raises(InputError, match=words):
         read_npz(path)
 
@@ -122,22 +123,22 @@ GOOD = npy(header("(100,)"), bytes(800))
         (b"", "no zip archive"),
         (b"PK no archive", "no zip archive"),
         (GOOD, "a single array"),
-        (npz(("a.npy", GOOD))[:-30], "no zip archive"),
-        (npz(("a.npy", GOOD))[30:], "a"),
-        (npz(("a.npy", GOOD), ("a.npy", GOOD)), "holds a twice"),
-        (npz(("a.npy", GOOD), ("read.me", b"")), "'read.me', which is no array"),
-        (npz(("a.npy", GOOD), method=zipfile.ZIP_LZMA), "another method"),
-        (npz(("a.npy", GOOD), method=zipfile.ZIP_BZIP2), "another method"),
+        (npz(GOOD)[:-30], "no zip archive"),
+        (npz(GOOD)[30:], "a"),
+        (npz(GOOD, ("a.npy", GOOD)), "holds a twice"),
+        (npz(GOOD, ("read.me", b"")), "'read.me', which is no array"),
+        (npz(GOOD, method=zipfile.ZIP_LZMA), "another method"),
+        (npz(GOOD, method=zipfile.ZIP_BZIP2), "another method"),
         # In the zip's list: flags at 8, method at 10, packed size at 20, size at 24.
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 8, b"\x01\x00"), "encrypted"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 10, b"\x63\x00"), "another method"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 6, b"\xff\x00"), "zip file version"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 20, b"\x05\x00"), "is not a readable"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 24, b"\x05\x00"), "is not a readable"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 24, b"\xff\xff\xff\xef"), "to 3.75 GiB"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x01\x02", 16, b"\xff\xff"), "CRC"),
-        (changed(npz(("a.npy", GOOD)), b"PK\x05\x06", 12, b"\xff\xff\xff\x7f"), "list of contents"),
-        (npz(("a.npy", GOOD), method=zipfile.ZIP_STORED).replace(b"NUMPY", b"NUMPI"), "damaged"),
+        (changed(npz(GOOD), b"PK\x01\x02", 8, b"\x01\x00"), "encrypted"),
+        (changed(npz(GOOD), b"PK\x01\x02", 10, b"\x63\x00"), "another method"),
+        (changed(npz(GOOD), b"PK\x01\x02", 6, b"\xff\x00"), "zip file version"),
+        (changed(npz(GOOD), b"PK\x01\x02", 20, b"\x05\x00"), "is not a readable"),
+        (changed(npz(GOOD), b"PK\x01\x02", 24, b"\x05\x00"), "is not a readable"),
+        (changed(npz(GOOD), b"PK\x01\x02", 24, b"\xff\xff\xff\xef"), "to 3.75 GiB"),
+        (changed(npz(GOOD), b"PK\x01\x02", 16, b"\xff\xff"), "CRC"),
+        (changed(npz(GOOD), b"PK\x05\x06", 12, b"\xff\xff\xff\x7f"), "list of contents"),
+        (npz(GOOD, method=zipfile.ZIP_STORED).replace(b"NUMPY", b"NUMPI"), "damaged"),
     ],
 )  # fmt: skip
 def test_damaged_archives_are_sentences(content: bytes, words: str, tmp_path: Path) -> None:

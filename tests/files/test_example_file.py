@@ -27,25 +27,18 @@ def test_a_name_is_that_of_an_example(
     assert found.samefile(ROOT / room / "examples" / f"{name}.toml")
 
 
-def test_a_file_comes_before_an_example_and_other_paths_stay(
+def test_a_file_comes_before_an_example_and_a_folder_hides_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "insertion.toml").touch()
-    for path in (Path("insertion.toml"), tmp_path / "softest_gel.toml", Path("mine/softest_gel")):
+    (tmp_path / "other").mkdir()
+    others = ("insertion.toml", tmp_path / "softest_gel.toml", "mine/softest_gel", "other")
+    for path in map(Path, others):
         assert file_or_example(path, "studies") == path
-
-
-def test_a_folder_hides_no_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name in ("insertion", "other"):
-        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "other")
+    Path("insertion").mkdir()
     assert file_or_example(Path("insertion"), "studies").parent == ROOT / "studies" / "examples"
-    assert file_or_example(Path("other"), "studies") == Path("other")
-
-
-def test_a_wrong_name_lists_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"mini_touch does not exist.*known: force_mini, mini_to"):
         file_or_example(Path("mini_touch"), "datasets")
 

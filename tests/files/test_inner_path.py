@@ -5,24 +5,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import signal
 import socket
-import subprocess
-import sys
-import time
 from collections.abc import Callable
-from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.files import apart
 from taccel_lab.files.arrays import read_npz
 from taccel_lab.files.documents import read_json, read_toml, read_yaml
 from taccel_lab.files.images import read_grey, read_image
@@ -35,7 +27,6 @@ from taccel_lab.files.regular_file import (
 )
 from taccel_lab.files.videos import count_frames, read_frames
 from taccel_lab.printable import printable
-from tests.files import foreign_readers as readers
 from tests.support.strangers import LURES, REFUSED, SECRET, lure
 from tests.test_architecture import SOURCES
 
@@ -55,31 +46,28 @@ def test_no_name_leads_out(parts: list[str], separator: str) -> None:
         assert path.resolve().is_relative_to(folder.resolve())
 
 
-def test_names_that_no_file_can_have(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cannot be followed: .*too long"):
-        inner_path(tmp_path, "x" * 5000)
-    with pytest.raises(InputError, match=r"file names cannot have '\\ud800'"):
-        inner_path(tmp_path, "a\ud800b.png")
-
-
 @pytest.mark.parametrize("name", ["a.png", "a/b.png", "..a", "a..b/c", "./a", "~", "a b"])
 def test_ordinary_names_are_fine(tmp_path: Path, name: str) -> None:
     assert inner_path(tmp_path, name) == tmp_path / name
 
 
-def test_links(tmp_path: Path) -> None:
+def test_links_and_names_that_no_file_can_have(tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
     (tmp_path / "secret").write_text("not yours")
-    (folder / "out").symlink_to(tmp_path / "secret")
-    (folder / "up").symlink_to(tmp_path)
-    (folder / "round").symlink_to(folder / "round")
-    (folder / "within").symlink_to(folder / "file")
-    for name in ("out", "up/secret", "up"):
-        with pytest.raises(InputError, match="is a link out of"):
+    for link, target in (
+        ("out", tmp_path / "secret"), ("up", tmp_path), ("round", folder / "round"),
+        ("within", folder / "file"),
+    ):  # fmt: skip
+        (folder / link).symlink_to(target)
+    for name, words in (
+        *((name, "is a link out of") for name in ("out", "up/secret", "up")),
+        ("round", "cannot be followed"),
+        ("x" * 5000, r"cannot be followed: .*too long"),
+        ("a\ud800b.png", r"file names cannot have '\\ud800'"),
+    ):
+        with pytest.raises(InputError, match=words):
             inner_path(folder, name)
-    with pytest.raises(InputError, match="cannot be followed"):
-        inner_path(folder, "round")
     assert inner_path(folder, "within") == folder / "within"
     # The folder itself may be reached by a link.
     (tmp_path / "shortcut").symlink_to(folder)
@@ -217,191 +205,3 @@ def test_every_reader_takes_regular_files_alone(
     if read in (read_image, read_grey):
         with pytest.raises(InputError, match=r"is empty \(0 bytes\)"):
             read(tmp_path / "empty")
-
-
-NUMPY = f"numpy {version('numpy')}"
-read_apart = partial(apart.read_apart, by="numpy")
-stream_apart = partial(apart.stream_apart, by="numpy")
-
-
-def test_results_come_back_from_a_process_that_stays() -> None:
-    value = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_array_equal(read_apart("a", readers.double, value), 2 * value)
-    first, second = (read_apart("a", readers.process_number) for _ in range(2))
-    assert first == second != os.getpid()
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("read", "words"),
-    [(readers.crash, f"{NUMPY} crashed on it (the process was ended by signal 6). The file"),
-     (readers.leave, f"{NUMPY} crashed on it (the process ended with code 7). The file"),
-     (readers.refuse, "^a.ply has no faces$"),
-     (readers.take_memory, "needs more than 2 GiB of memory")],
-)  # fmt: skip
-def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
-    read: Callable[[], None], words: str
-) -> None:
-    with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")) as caught:
-        read_apart("x.ply", read)
-    assert "the file is damaged" not in str(caught.value)
-    assert read_apart("a", readers.double, 2) == 4
-
-
-@pytest.mark.thorough
-def test_a_reader_that_never_ends_takes_what_its_file_is_worth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(apart, "CPU_S", 1.0)
-    path = tmp_path / "a.ply"
-    path.write_bytes(bytes(1000))
-    said = rf"{path}: the reader did not finish within 1 s of the processor"
-    with pytest.raises(InputError, match=said):
-        read_apart(str(path), readers.spin)
-    # Each item anew; so does each file.
-    assert list(stream_apart(str(path), readers.items_of_work, 4)) == [0, 1, 2, 3]
-    assert read_apart("a", readers.double, 2) == 4
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("how", ["crash", "memory"])
-def test_a_file_is_not_blamed_for_what_earlier_files_left(how: str) -> None:
-    first, second = (read_apart("a", readers.harm, how) for _ in range(2))
-    assert first != second
-    (third,) = stream_apart("v", readers.harmed_stream, how)
-    assert third != second
-    # Nor for what they took from the memory that its later items need: each item comes once.
-    assert list(stream_apart("v", readers.harmed_late, how)) == [1, 2, 3]
-    # Nor for a process that ended while it waited, as where a system runs out of memory.
-    os.kill(read_apart("a", readers.process_number), signal.SIGKILL)
-    assert read_apart("a", readers.double, 2) == 4
-
-
-def test_a_library_of_its_own_pool_leaves_the_other_processes_alone() -> None:
-    common, own = (read_apart("a", readers.process_number, pool=pool) for pool in ("", "own"))
-    assert common != own
-    assert read_apart("a", readers.process_number) == common
-    assert read_apart("a", readers.process_number, pool="own") == own
-
-
-def test_arrays_come_back_where_there_are_no_files_in_memory(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delattr(os, "memfd_create", raising=False)
-    monkeypatch.setattr(apart, "_readers", apart._Readers())
-    value = np.arange(1 << 20, dtype=np.float64).reshape(1024, 1024)
-    try:
-        for factor in (1, 2):
-            np.testing.assert_array_equal(
-                read_apart("a", readers.double, factor * value), 2 * factor * value
-            )
-    finally:
-        apart._readers.end()
-
-
-def test_relative_paths_are_those_of_the_caller(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for folder in (tmp_path, Path("/")):
-        monkeypatch.chdir(folder)
-        assert read_apart("a", os.getcwd) == str(folder)
-
-
-def test_a_reader_that_hangs_is_ended() -> None:
-    start = time.monotonic()
-    with pytest.raises(InputError, match=r"^x\.ply: the reader did not finish within 0\.3 s"):
-        read_apart("x.ply", readers.sleep, limit_s=0.3)
-    assert time.monotonic() - start < 60  # It would sleep as long.
-    assert read_apart("a", readers.double, 2) == 4
-
-
-def test_a_mistake_of_ours_stays_one_and_tells_its_traceback() -> None:
-    with pytest.raises(KeyError) as caught:
-        read_apart("x.ply", readers.mistake)
-    assert "in mistake" in caught.value.__notes__[0]
-
-
-@pytest.mark.thorough
-def test_streams() -> None:
-    assert list(stream_apart("v", readers.count, 5)) == [0, 1, 2, 3, 4]
-    assert list(stream_apart("v", readers.count, 0)) == []
-    for read, words in ((readers.count_and_crash, "crashed"), (readers.count_and_refuse, "short")):
-        seen = []
-        with pytest.raises(InputError, match=words):
-            for item in stream_apart("v", read, 3):
-                seen.append(item)
-        assert seen == [0, 1, 2]
-
-
-def test_a_stream_is_read_one_ahead_and_no_further() -> None:
-    """However slow the one who takes the items is."""
-    stream = stream_apart("v", readers.times, 6)
-    asked, made = [], []
-    for _ in range(6):
-        asked.append(time.monotonic())
-        made.append(next(stream))
-        time.sleep(0.1)
-    # While one is taken the next is made, and the one behind that not before this was asked for.
-    assert all(later > before for before, later in zip(asked[:-2], made[2:], strict=True))
-
-
-@pytest.mark.thorough
-def test_arrays_of_all_shapes_come_back() -> None:
-    values = {
-        "empty": np.zeros((0, 3)),
-        "turned": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-        "strided": np.arange(100)[::7],
-        "large": np.arange(5_000_000),
-        "small": np.arange(3, dtype=np.uint8),
-    }
-    for _ in range(2):
-        found = read_apart("a", readers.same, values)
-        assert found.keys() == values.keys()
-        for key, value in values.items():
-            np.testing.assert_array_equal(found[key], value)
-            assert found[key].flags.writeable
-
-
-def test_an_error_that_does_not_pickle_is_told() -> None:
-    with pytest.raises(RuntimeError, match="_OwnError: 3 and 4"):
-        read_apart("x.ply", readers.own_error)
-    assert read_apart("a", readers.double, 2) == 4
-
-
-@pytest.mark.thorough
-def test_streams_side_by_side_and_left_early() -> None:
-    one, two = stream_apart("v", readers.count, 10**6), stream_apart("w", readers.count, 3)
-    assert [next(one), next(two), next(one), next(two)] == [0, 0, 1, 1]
-    one.close()
-    assert list(two) == [2]
-    assert read_apart("a", readers.double, 2) == 4
-
-
-@pytest.mark.thorough
-def test_a_plain_script_needs_no_guard_and_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import tests.files.foreign_readers as r\n"
-        "from taccel_lab.files.apart import read_apart\n"
-        "print(read_apart('a', r.process_number, by='numpy'), flush=True)\n"
-        "read_apart('a', r.sleep, by='numpy')\n",
-        encoding="utf-8",
-    )
-    run = subprocess.Popen(
-        [sys.executable, str(script)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        # Shells start what runs in the background with Ctrl-C ignored, which is inherited.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    assert run.stdout is not None
-    child = int(run.stdout.readline())
-    time.sleep(0.5)  # until it waits for the sleeper, as somebody who grows impatient
-    run.send_signal(signal.SIGINT)
-    assert run.wait(50) != 0
-    with pytest.raises(ProcessLookupError):
-        while True:
-            os.kill(child, 0)
-            time.sleep(0.05)

@@ -19,7 +19,13 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.files import output_folder
-from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+from taccel_lab.files.output_folder import (
+    atomic_directory,
+    may_hold,
+    require_growable,
+    require_replaceable,
+    sweep_up,
+)
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 
 
@@ -40,53 +46,16 @@ def write(target: Path, text: str) -> None:
         (folder / "a.txt").write_text(text)
 
 
-def test_folder_appears_at_the_end(tmp_path: Path) -> None:
-    target = tmp_path / "deep" / "er" / "out"
-    with atomic_directory(target) as folder:
-        (folder / "a.txt").write_text("new")
-        assert not target.exists()
-        assert folder.parent == target.parent
-    assert tree(target) == {OUTPUT_MARKER: "", "a.txt": "new"}
-    assert os.listdir(target.parent) == ["out"]
-    assert stat.S_IMODE(target.stat().st_mode) == 0o755
+def begin(target: Path | str) -> None:
+    """Ask for an output, before anything is written."""
+    atomic_directory(target).__enter__()
 
 
-def test_earlier_output_is_replaced_as_a_whole(tmp_path: Path) -> None:
-    target = tmp_path / "out"
-    with atomic_directory(target) as folder:
-        (folder / "old.txt").write_text("old")
-    with atomic_directory(target) as folder:
-        (folder / "a.txt").write_text("new")
-        assert (target / "old.txt").read_text() == "old"
-    assert tree(tmp_path) == {"out": "folder", f"out/{OUTPUT_MARKER}": "", "out/a.txt": "new"}
-
-
-@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-@pytest.mark.parametrize("earlier", [False, True])
-def test_failure_leaves_nothing(tmp_path: Path, error: type[BaseException], earlier: bool) -> None:
-    target = tmp_path / "out"
-    if earlier:
-        write(target, "old")
-    before = tree(tmp_path)
-    with pytest.raises(error), atomic_directory(target) as folder:
-        (folder / "half.txt").write_text("half")
-        (folder / "sub").mkdir()
-        raise error
-    assert tree(tmp_path) == before
-
-
-def test_failure_leaves_no_empty_parents(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    with pytest.raises(RuntimeError), atomic_directory(tmp_path / "mine" / "a" / "b" / "out"):
-        raise RuntimeError
-    assert tree(tmp_path) == {"mine": "folder"}
-
-
-def test_parents_that_others_use_meanwhile_stay(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), atomic_directory(tmp_path / "a" / "b" / "out"):
-        (tmp_path / "a" / "theirs.txt").write_text("theirs")
-        raise RuntimeError
-    assert tree(tmp_path) == {"a": "folder", "a/theirs.txt": "theirs"}
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    """An earlier output, which holds ``a.txt``."""
+    write(tmp_path / "out", "old")
+    return tmp_path / "out"
 
 
 @pytest.fixture(params=[True, False], ids=["one step", "two steps"])
@@ -97,13 +66,43 @@ def at_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     return request.param
 
 
+def test_a_folder_appears_at_the_end_and_replaces_an_earlier_one_as_a_whole(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "er" / "out"
+    with atomic_directory(target) as folder:
+        (folder / "old.txt").write_text("old")
+        assert not target.exists() and folder.parent == target.parent
+    assert tree(target) == {OUTPUT_MARKER: "", "old.txt": "old"}
+    assert stat.S_IMODE(target.stat().st_mode) == 0o755
+    with atomic_directory(target) as folder:
+        (folder / "a.txt").write_text("new")
+        assert (target / "old.txt").read_text() == "old"
+    assert tree(target) == {OUTPUT_MARKER: "", "a.txt": "new"}
+    assert os.listdir(target.parent) == ["out"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("place", ["out", "mine/a/b/out"])
+def test_failure_leaves_nothing(target: Path, error: type[BaseException], place: str) -> None:
+    """Neither half of a file nor a new parent, but what others put there meanwhile."""
+    root = target.parent
+    (root / "mine").mkdir()
+    before = tree(root)
+    with pytest.raises(error), atomic_directory(root / place) as folder:
+        (folder / "half.txt").write_text("half")
+        (folder / "sub").mkdir()
+        raise error
+    assert tree(root) == before
+    with pytest.raises(error), atomic_directory(root / "a" / "b" / "out"):
+        (root / "a" / "theirs.txt").write_text("theirs")
+        raise error
+    assert tree(root) == {**before, "a": "folder", "a/theirs.txt": "theirs"}
+
+
 @pytest.mark.parametrize("failing_call", [1, 2, 3])
 def test_earlier_output_survives_a_failed_exchange(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing_call: int
+    target: Path, monkeypatch: pytest.MonkeyPatch, failing_call: int
 ) -> None:
-    target = tmp_path / "out"
-    write(target, "old")
-    before = tree(tmp_path)
+    before = tree(target.parent)
     rename, calls = os.rename, []
 
     def sometimes(source: Path, destination: Path) -> None:
@@ -117,9 +116,9 @@ def test_earlier_output_survives_a_failed_exchange(
     with pytest.raises(OSError, match="No space left"):
         write(target, "new")
     require_replaceable(target)
-    after = tree(tmp_path)
     # The third call only clears away: the new one stands then.
-    assert after == (before if failing_call < 3 else {**before, "out/a.txt": "new"})
+    new = {"out/a.txt": "new"} if failing_call == 3 else {}
+    assert tree(target.parent) == {**before, **new}
 
 
 def _killed(when: int, at_once: bool, target: Path) -> int:
@@ -160,24 +159,21 @@ def _killed(when: int, at_once: bool, target: Path) -> int:
 def test_killed_anywhere_the_next_run_finds_the_earlier_or_the_new_one(
     tmp_path: Path, at_once: bool
 ) -> None:
-    found = set()
-    for when in range(1, 60):
+    old = {OUTPUT_MARKER: "", "a.txt": "old"}
+    new = {OUTPUT_MARKER: "", "a.txt": "new", "sub": "folder", "sub/b.txt": "new"}
+    found, code, when = set(), 9, 0
+    while code:
+        when += 1
+        assert when < 60, "the writer never came to its end"
         target = tmp_path / str(when) / "out"
         write(target, "old")
         code = _killed(when, at_once, target)
-        if at_once:
-            assert (target / "a.txt").exists(), f"nothing at {when}"
+        assert not at_once or (target / "a.txt").exists(), f"nothing at {when}"
         require_replaceable(target)
         assert os.listdir(target.parent) == ["out"], f"left over at {when}"
         written = tree(target)
-        old = {OUTPUT_MARKER: "", "a.txt": "old"}
-        new = {OUTPUT_MARKER: "", "a.txt": "new", "sub": "folder", "sub/b.txt": "new"}
         assert written in (old, new)
         found.add(written["a.txt"])
-        if code == 0:
-            break
-    else:
-        pytest.fail("the writer never came to its end")
     assert when > 6 and found == {"old", "new"}
 
 
@@ -193,24 +189,14 @@ def test_a_folder_that_is_being_written_is_not_swept_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("at_once")
-def test_writers_side_by_side(tmp_path: Path) -> None:
-    target = tmp_path / "out"
-    errors: list[BaseException] = []
-
+def test_writers_side_by_side(target: Path) -> None:
     def writer(number: int) -> None:
-        try:
-            for _ in range(20):
-                write(target, str(number))
-        except BaseException as error:
-            errors.append(error)
+        for _ in range(20):
+            write(target, str(number))
 
-    threads = [threading.Thread(target=writer, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert errors == []
-    assert os.listdir(tmp_path) == ["out"]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(writer, range(4)))
+    assert os.listdir(target.parent) == ["out"]
     require_replaceable(target)
 
 
@@ -248,13 +234,11 @@ READER = """
 """
 
 
-def test_a_reader_always_finds_an_output(tmp_path: Path) -> None:
-    target, stop = tmp_path / "out", tmp_path / "stop"
-    write(target, "first")
-    command = [sys.executable, "-c", textwrap.dedent(READER), str(target), str(stop)]
+def test_a_reader_always_finds_an_output(target: Path) -> None:
+    stop = target.with_name("stop")
+    command = [sys.executable, "-c", textwrap.dedent(READER), target, stop]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as reader:
-        assert reader.stdout is not None
-        assert reader.stdout.readline() == "goes on\n"
+        assert reader.stdout is not None and reader.stdout.readline() == "goes on\n"
         for number in range(60):
             write(target, str(number))
         stop.touch()
@@ -271,29 +255,25 @@ def test_files_added_or_changed_since_are_kept(tmp_path: Path, name: str, when: 
         write(folder / "press", "an output within")
     require_replaceable(target)
 
-    def add() -> None:
+    def add() -> dict[str, str]:
         (target / name).parent.mkdir(exist_ok=True)
         (target / name).write_text("mine")
+        return tree(target)
 
     if when == "before":
-        add()
-        before = tree(tmp_path)
+        before = add()
         with pytest.raises(InputError, match=rf"changed since: {name}; move them"):
             require_replaceable(target)
     with pytest.raises(InputError, match=name), atomic_directory(target) as folder:
         (folder / "a.txt").write_text("new")
         if when == "meanwhile":
-            add()
-            before = tree(target)
-    assert (tree(tmp_path) if when == "before" else tree(target)) == before
+            before = add()
+    assert tree(target) == before
     assert os.listdir(tmp_path) == ["out"]
 
 
 @pytest.mark.timeout(20)
-def test_a_pipe_in_an_output_is_foreign_and_not_waited_for(tmp_path: Path) -> None:
-    target = tmp_path / "out"
-    with atomic_directory(target) as folder:
-        (folder / "a.txt").write_text("old")
+def test_a_pipe_in_an_output_is_foreign_and_not_waited_for(target: Path) -> None:
     (target / "a.txt").unlink()
     os.mkfifo(target / "a.txt")
     with pytest.raises(InputError, match=r"a\.txt; move them"):
@@ -309,19 +289,17 @@ def test_many_foreign_files_are_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"files": 3}', "[" * 100_000])
-def test_a_damaged_marker_vouches_for_nothing(tmp_path: Path, text: str) -> None:
-    write(tmp_path / "out", "old")
-    (tmp_path / "out" / OUTPUT_MARKER).write_text(text)
+def test_a_damaged_marker_vouches_for_nothing(target: Path, text: str) -> None:
+    (target / OUTPUT_MARKER).write_text(text)
     with pytest.raises(InputError, match=r"a\.txt"):
-        write(tmp_path / "out", "new")
-    assert (tmp_path / "out" / "a.txt").read_text() == "old"
+        write(target, "new")
+    assert (target / "a.txt").read_text() == "old"
 
 
-def test_what_file_browsers_leave_behind_is_nobodys(tmp_path: Path) -> None:
-    write(tmp_path / "out", "old")
-    (tmp_path / "out" / ".DS_Store").write_text("")
-    write(tmp_path / "out", "new")
-    assert (tmp_path / "out" / "a.txt").read_text() == "new"
+def test_what_file_browsers_leave_behind_is_nobodys(target: Path) -> None:
+    (target / ".DS_Store").write_text("")
+    write(target, "new")
+    assert (target / "a.txt").read_text() == "new"
 
 
 def test_the_folder_that_a_link_leads_to_is_written(tmp_path: Path) -> None:
@@ -334,26 +312,35 @@ def test_the_folder_that_a_link_leads_to_is_written(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "disk") == ["results"]
 
 
-@pytest.mark.parametrize("place", ["/proc/taccel/out", "/sys/taccel/out"])
-def test_what_cannot_be_written_is_refused_before_any_work(place: str) -> None:
-    with pytest.raises(InputError, match=f"{place} cannot be written: "):
-        require_replaceable(place)
-
-
-def test_a_mounted_drive_is_refused() -> None:
-    with pytest.raises(InputError, match="/proc is a mounted drive"):
-        require_replaceable("/proc")
-
-
-@pytest.mark.parametrize("foreign", ["a.txt", ".hidden", "sub/deep.txt"])
-def test_foreign_files_are_refused_before_any_work(tmp_path: Path, foreign: str) -> None:
-    target = tmp_path / "out"
-    (target / foreign).parent.mkdir(parents=True)
-    (target / foreign).write_text("mine")
+@pytest.mark.parametrize(
+    ("place", "says", "ways"),
+    [
+        ("/proc/taccel/out", "/proc/taccel/out cannot be written: ", (require_replaceable,)),
+        ("/sys/taccel/out", "/sys/taccel/out cannot be written: ", (require_replaceable,)),
+        ("/proc", "/proc is a mounted drive", (require_replaceable,)),
+        ("/proc/x", "/proc/x cannot be written", (require_growable,)),
+        *(
+            (f"{name}/", "did not write, or", (require_replaceable, begin))
+            for name in ("mine", "hidden", "deep")
+        ),
+        *(
+            (f"file{below}", "file is a file; an output folder is needed",
+             (require_replaceable, begin, require_growable))
+            for below in ("", "/out", "/a/b")
+        ),
+        ("mine/..", "holds files that taccel-lab did not write", (require_replaceable,)),
+    ],
+)  # fmt: skip
+def test_other_places_are_refused_before_any_work(
+    place: str, says: str, ways: tuple[Callable[[str], None], ...], tmp_path: Path
+) -> None:
+    for name in ("mine/a.txt", "hidden/.hidden", "deep/sub/deep.txt", "file"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("mine")
     before = tree(tmp_path)
-    for attempt in (require_replaceable, lambda path: atomic_directory(path).__enter__()):
-        with pytest.raises(InputError, match=r"out holds files that taccel-lab did not write, or"):
-            attempt(target)
+    for ask in ways:
+        with pytest.raises(InputError, match=says):
+            ask(str(tmp_path / place) if place[0] != "/" else place)
         assert tree(tmp_path) == before
 
 
@@ -363,6 +350,10 @@ def test_empty_and_absent_folders_are_fine(tmp_path: Path) -> None:
         require_replaceable(tmp_path / name)
         write(tmp_path / name, "new")
         require_replaceable(tmp_path / name)
+    before = tree(tmp_path)
+    for name in ("empty", "new/one"):
+        require_growable(tmp_path / name)
+    assert tree(tmp_path) == before
 
 
 @pytest.mark.usefixtures("at_once")
@@ -380,48 +371,25 @@ def test_a_check_of_its_own(tmp_path: Path) -> None:
     assert tree(target) == {"profile.toml": "new"}
     with pytest.raises(InputError, match="/profile holds more"), atomic_directory(target, check):
         (target / "mine.txt").write_text("meanwhile")
-    assert tree(tmp_path) == {
-        "profile": "folder",
-        "profile/mine.txt": "meanwhile",
-        "profile/profile.toml": "new",
-    }
+    assert os.listdir(tmp_path) == ["profile"]
+    assert tree(target) == {"mine.txt": "meanwhile", "profile.toml": "new"}
 
 
-@pytest.mark.parametrize("name", ["file", "file/out", "file/a/b"])
-def test_a_file_in_the_way_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / "file").write_text("mine")
-    for attempt in (require_replaceable, lambda path: atomic_directory(path).__enter__()):
-        with pytest.raises(InputError, match=r"file is a file; an output folder is needed"):
-            attempt(tmp_path / name)
-    assert tree(tmp_path) == {"file": "mine"}
-
-
-@pytest.mark.parametrize("name", [".", "", "../here", "sub/.."])
+@pytest.mark.parametrize("name", [".", "", "../here"])
 def test_folder_names_without_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    here = tmp_path / "here"
-    here.mkdir()
-    if name == "sub/..":
-        (here / "sub").mkdir()
-    monkeypatch.chdir(here)
-    if name == "sub/..":
-        with pytest.raises(InputError, match="did not write"):
-            require_replaceable(name)
-        return
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     write(Path(name), "new")
     assert tree(tmp_path) == {"here": "folder", f"here/{OUTPUT_MARKER}": "", "here/a.txt": "new"}
 
 
 def test_a_folder_that_comes_between_is_not_taken_for_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    target: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """File systems give the number of a folder that is gone to the next one."""
-    target = tmp_path / "out"
-    with atomic_directory(target) as folder:
-        (folder / "a.txt").write_text("one")
-    real = output_folder.foreign_files
-    looked = []
+    real, looked = output_folder.foreign_files, []
 
     def overtaken(folder: Path) -> list[str]:
         looked.append(folder)
@@ -440,3 +408,24 @@ def test_a_folder_that_comes_between_is_not_taken_for_the_one_before(
 
     monkeypatch.setattr(output_folder, "foreign_files", overtaken)
     require_replaceable(target)
+
+
+def test_a_folder_that_another_run_begins_at_this_moment_is_not_foreign(tmp_path: Path) -> None:
+    assert may_hold(tmp_path / "new", "sign") and may_hold(tmp_path, "sign")
+    (tmp_path / ".sign.half").write_text("half")
+    assert may_hold(tmp_path, "sign")
+    (tmp_path / "notes").write_text("mine")
+    assert not may_hold(tmp_path, "sign")
+    (tmp_path / "sign").write_text("whole")
+    assert may_hold(tmp_path, "sign")
+
+
+def test_what_ended_processes_left_is_swept_up(tmp_path: Path) -> None:
+    """Not what a living one is writing, nor a folder of somebody else."""
+    (tmp_path / ".a.taccel-lab-new-1" / "data").mkdir(parents=True)
+    (tmp_path / "mine.taccel-lab-new-1").mkdir()
+    with atomic_directory(tmp_path / "b") as staging:
+        sweep_up(tmp_path)
+        assert staging.is_dir()
+    assert sorted(os.listdir(tmp_path)) == ["b", "mine.taccel-lab-new-1"]
+    sweep_up(tmp_path / "none")

@@ -20,42 +20,43 @@ TAGS = np.array([2, 4, 6, 8, 10])
 TET = TAGS[[0, 1, 2, 3]]
 
 
+TRIANGLE = TET[:3]
+
+
+def gmsh(version: str, nodes: bytes, elements: bytes) -> bytes:
+    """A file of Gmsh's; ``version`` says whether numbers stand in words or in bytes."""
+    mark = struct.pack("<i", 1) + b"\n" if " 1 " in version else b""
+    return b"$MeshFormat\n%s\n%s$EndMeshFormat\n$Nodes\n%s\n$EndNodes\n$Elements\n%s\n%s" % (
+        version.encode(), mark, nodes, elements, b"$EndElements\n"
+    )  # fmt: skip
+
+
+def words(numbers: np.ndarray) -> str:
+    return "\n".join(" ".join(map(str, row)) for row in numbers)
+
+
 def text_2() -> bytes:
-    nodes = "\n".join(f"{t} {x} {y} {z}" for t, (x, y, z) in zip(TAGS, NODES, strict=True))
-    tet, triangle = " ".join(map(str, TET)), " ".join(map(str, TET[:3]))
-    return (
-        f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n5\n{nodes}\n$EndNodes\n"
-        f"$Elements\n2\n1 2 2 0 1 {triangle}\n2 4 2 0 1 {tet}\n$EndElements\n"
-    ).encode()
+    nodes = "\n".join(f"{t} {words([p])}" for t, p in zip(TAGS, NODES, strict=True))
+    elements = f"2\n1 2 2 0 1 {words([TRIANGLE])}\n2 4 2 0 1 {words([TET])}"
+    return gmsh("2.2 0 8", f"5\n{nodes}".encode(), elements.encode())
 
 
 def bytes_2() -> bytes:
     nodes = b"".join(struct.pack("<i3d", t, *p) for t, p in zip(TAGS, NODES, strict=True))
-    elements = struct.pack("<3i", 2, 1, 2) + struct.pack("<6i", 1, 0, 1, *TET[:3])
-    elements += struct.pack("<3i", 4, 1, 2) + struct.pack("<7i", 2, 0, 1, *TET)
-    head = b"$MeshFormat\n2.2 1 8\n" + struct.pack("<i", 1) + b"\n$EndMeshFormat\n"
-    head += b"$Nodes\n5\n" + nodes + b"\n$EndNodes\n"
-    return head + b"$Elements\n2\n" + elements + b"\n$EndElements\n"
+    numbers = 2, 1, 2, 1, 0, 1, *TRIANGLE, 4, 1, 2, 2, 0, 1, *TET
+    return gmsh("2.2 1 8", b"5\n" + nodes, b"2\n" + struct.pack("<19i", *numbers))
 
 
 def text_4() -> bytes:
-    tags = "\n".join(map(str, TAGS))
-    nodes = "\n".join(f"{x} {y} {z}" for x, y, z in NODES)
-    tet, triangle = " ".join(map(str, TET)), " ".join(map(str, TET[:3]))
-    return (
-        f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 5 2 10\n3 0 0 5\n{tags}\n{nodes}\n"
-        f"$EndNodes\n$Elements\n2 2 1 2\n2 0 2 1\n1 {triangle}\n3 0 4 1\n2 {tet}\n$EndElements\n"
-    ).encode()
+    nodes = f"1 5 2 10\n3 0 0 5\n{words(TAGS[:, None])}\n{words(NODES)}"
+    elements = f"2 2 1 2\n2 0 2 1\n1 {words([TRIANGLE])}\n3 0 4 1\n2 {words([TET])}"
+    return gmsh("4.1 0 8", nodes.encode(), elements.encode())
 
 
 def bytes_4() -> bytes:
-    nodes = struct.pack("<4Q", 1, 5, 2, 10) + struct.pack("<3i", 3, 0, 0)
-    nodes += struct.pack("<Q", 5) + TAGS.astype("<u8").tobytes() + NODES.astype("<f8").tobytes()
-    elements = struct.pack("<4Q", 1, 1, 1, 1) + struct.pack("<3i", 3, 0, 4)
-    elements += struct.pack("<Q", 1) + struct.pack("<5Q", 1, *TET)
-    head = b"$MeshFormat\n4.1 1 8\n" + struct.pack("<i", 1) + b"\n$EndMeshFormat\n"
-    head += b"$Nodes\n" + nodes + b"\n$EndNodes\n"
-    return head + b"$Elements\n" + elements + b"\n$EndElements\n"
+    nodes = struct.pack("<4Q3iQ", 1, 5, 2, 10, 3, 0, 0, 5) + TAGS.astype("<u8").tobytes()
+    elements = struct.pack("<4Q3iQ5Q", 1, 1, 1, 1, 3, 0, 4, 1, 1, *TET)
+    return gmsh("4.1 1 8", nodes + NODES.astype("<f8").tobytes(), elements)
 
 
 @pytest.mark.parametrize("content", [text_2, bytes_2, text_4, bytes_4])
@@ -77,33 +78,34 @@ def test_tets_of_vtk_are_turned_right_and_others_left_out(suffix: str, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("old", "new", "says"),
     [
-        (lambda d: d.replace(b"4.1 0", b"4.0 0"), r"version 4\.0 of Gmsh's format; 2\.2 and 4\.1"),
-        (lambda d: d.replace(b"$EndElements", b"$End"), r"\$Elements is missing"),
-        (lambda d: d.replace(b"2 4 6 8", b"2 4 6 7"), "tets of nodes that it does not have"),
-        (lambda d: d.replace(b"3 0 4 1", b"3 0 4 9"), "numbers do not fit its counts"),
-        (lambda d: d.replace(b"1 5 2 10", b"9999999999999 5 2 10"), "do not fit its counts"),
-        (lambda d: d.replace(b"3 0 4 1", b"3 0 99 1"), "elements of Gmsh's type 99"),
-        (lambda d: d.replace(b"3 0 4 1", b"3 0 3 1"), "has no tets: mesh its volume"),
-        (lambda d: d.replace(b"0.0 0.0 1.0", b"0.0 nan 1.0"), "1 of 5 nodes have NaN"),
-        (lambda d: d.replace(b"0.0 0.0 1.0", b"0.0 x 1.0"), "do not fit its counts"),
+        (b"4.1 0", b"4.0 0", r"version 4\.0 of Gmsh's format; 2\.2 and 4\.1"),
+        (b"$EndElements", b"$End", r"\$Elements is missing"),
+        (b"2 4 6 8", b"2 4 6 7", "tets of nodes that it does not have"),
+        (b"3 0 4 1", b"3 0 4 9", "numbers do not fit its counts"),
+        (b"1 5 2 10", b"9999999999999 5 2 10", "do not fit its counts"),
+        (b"3 0 4 1", b"3 0 99 1", "elements of Gmsh's type 99"),
+        (b"3 0 4 1", b"3 0 3 1", "has no tets: mesh its volume"),
+        (b"0.0 0.0 1.0", b"0.0 nan 1.0", "1 of 5 nodes have NaN"),
+        (b"0.0 0.0 1.0", b"0.0 x 1.0", "do not fit its counts"),
     ],
 )
-def test_damaged_gmsh_files(change: Callable[[bytes], bytes], words: str, tmp_path: Path) -> None:
+def test_damaged_gmsh_files(old: bytes, new: bytes, says: str, tmp_path: Path) -> None:
     path = tmp_path / "gel.msh"
-    path.write_bytes(change(text_4()))
-    with pytest.raises(InputError, match=rf"gel\.msh.*{words}"):
+    path.write_bytes(text_4().replace(old, new))
+    with pytest.raises(InputError, match=rf"gel\.msh.*{says}"):
         read_tet_file(path)
 
 
 def test_what_holds_no_tets_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "gel.vtu").write_text("<VTKFile>")
-    with pytest.raises(InputError, match="holds no tets"):
-        read_tet_file(tmp_path / "gel.vtu")
-    (tmp_path / "gel.txt").write_text("")
-    with pytest.raises(InputError, match=r"only \.msh, \.vtu, \.vtk files"):
-        read_tet_file(tmp_path / "gel.txt")
+    for name, says in (
+        ("gel.vtu", "holds no tets"),
+        ("gel.txt", r"only \.msh, \.vtu, \.vtk files"),
+    ):
+        (tmp_path / name).write_text("<VTKFile>")
+        with pytest.raises(InputError, match=says):
+            read_tet_file(tmp_path / name)
 
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.5]])
@@ -136,7 +138,7 @@ VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
 
 @pytest.mark.thorough(cases=("data4-vtk .* crashed on it",))
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "says"),
     [
         (b"# vtk DataFile Version 5.1", "not a readable mesh file"),
         (VTK_HEAD, "holds no tets"),
@@ -144,7 +146,6 @@ VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS x"), "holds no tets"),
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS -4"), "vtk .* crashed on it"),
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS " + b"9" * 30), "holds no tets"),
-        (VTK_GOOD.replace(b"POINTS 4", b"POINTS 99999999"), "holds no tets"),
         (VTK_GOOD.replace(b"double", b"half\xff"), "holds no tets"),
         (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 2 3"), "holds no tets"),
         (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 1 0"), "holds no tets"),
@@ -155,8 +156,8 @@ VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
         (vtk("4.2", [0, 1, 2, 3], np.full((4, 3), np.inf)), "NaN or infinite"),
     ],
 )
-def test_damaged_legacy_files_are_refused(data: bytes, words: str, tmp_path: Path) -> None:
+def test_damaged_legacy_files_are_refused(data: bytes, says: str, tmp_path: Path) -> None:
     path = tmp_path / "mesh.vtk"
     path.write_bytes(data)
-    with pytest.raises(InputError, match=rf"mesh\.vtk.*{words}"):
+    with pytest.raises(InputError, match=rf"mesh\.vtk.*{says}"):
         read_tet_file(path)

@@ -68,15 +68,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=2000, help="examples of each reader")
     parser.add_argument("--first", type=int, help="first seed; the time when left out")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument(
-        "--limit-s", type=float, default=LIMIT_S, help="seconds for some twenty examples"
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path("out/explore"), help="folder for seeds of faults"
-    )
-    parser.add_argument(
-        "--choose", action="store_true", help="also print seeds worth keeping, one a mutation"
-    )
+    parser.add_argument("--limit-s", type=float, default=LIMIT_S, help="for some twenty examples")
+    parser.add_argument("--output", type=Path, default=Path("out/explore"), help="for bad seeds")
+    parser.add_argument("--choose", action="store_true", help="also print seeds worth keeping")
     return parser.parse_args()
 
 
@@ -111,9 +105,8 @@ def _conclude(everything: list[Outcome], path: Path) -> int:
         groups.setdefault((fault.reader, fault.kind, fault.where), []).append(fault)
     for (reader, kind, where), group in sorted(groups.items(), key=lambda item: -len(item[1])):
         seeds = ", ".join(str(fault.seed) for fault in group[:5])
-        print(
-            f"{reader}: {len(group)} x {kind} {where} (seeds {seeds}): {group[0].message[:200]!r}"
-        )
+        said = repr(group[0].message[:200])
+        print(f"{reader}: {len(group)} x {kind} {where} (seeds {seeds}): {said}")
     print(f"seeds: {path}{_HOW_TO_KEEP}")
     return 1
 

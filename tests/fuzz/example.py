@@ -118,7 +118,7 @@ class Bench:
         kind, message, where = _called(reader, guard)
         taken = 0 if seed is None else memory.taken()
         if kind == "refused":
-            kind, message = _judged_message(message, (*sample, "given", *reader.options))
+            kind, message = _judged_message(message, (*sample, "given"))
         elif kind == "accepted" and (secrets := guard.copied_secrets()):
             kind, message = "outside", f"copied from outside: {', '.join(secrets)}"
         if kind == "refused" and guard.out.exists():

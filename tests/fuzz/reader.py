@@ -19,14 +19,12 @@ class Reader:
 
     make: Callable[[Path], None]
     """Writes a sound sample into an empty folder."""
-    call: Callable[[Path, Path], None]
+    call: Callable[[Path, Path], object]
     """Reads the sample in the first folder; writes, if at all, the second, which is not there."""
     files: tuple[str, ...] = ("*",)
     """Patterns of the files that are damaged."""
     seal: Callable[[Path], None] | None = None
     """Makes hashes that a sample states those of the damaged files."""
-    options: tuple[str, ...] = ()
-    """Options that it is called with: a refusal may be about one of them instead of a file."""
     named: tuple[str, ...] = ()
     """Patterns of files that the user names: these may be links, and what they lead to is read."""
     counts: bool = False

@@ -16,31 +16,49 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 
+from taccel_lab.benchmarks.compare import Compare
+from taccel_lab.benchmarks.results import benchmark_page, read_result
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.cli.app import Command
+from taccel_lab.calibration.capture import load_capture_folder, load_captures
+from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.calibration.capture.camera.replay import open_replay
+from taccel_lab.calibration.capture.load import cut_short
+from taccel_lab.calibration.live import recorded
+from taccel_lab.calibration.pressure import touch
+from taccel_lab.cli import app
+from taccel_lab.cli.capture import CaptureCheckCommand, CaptureImport, CaptureRectify
+from taccel_lab.cli.catalogue import RobotShow
+from taccel_lab.cli.dataset import DatasetCheck, DatasetMake
+from taccel_lab.cli.design import ImportGel
+from taccel_lab.cli.profile import ProfileShow, ProfileValidate
+from taccel_lab.cli.read import Depth, Read
+from taccel_lab.cli.study import StudyCommand
 from taccel_lab.datasets.motion import Placing
 from taccel_lab.errors import InputError
+from taccel_lab.exporters.taxim_table import TABLE_FILE, read_table
+from taccel_lab.files.file_cache import CACHE_VARIABLE
+from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import TetMesh
-from taccel_lab.presses import Indenter
+from taccel_lab.learning.force.training_file import TrainingFile
+from taccel_lab.presses import Indenter, parse_indenter
+from taccel_lab.signals.texture import Texture
+from taccel_lab.studies import report
+from taccel_lab.studies.evaluate.runner import default_kit
+from taccel_lab.studies.spec.study import read_study
+from taccel_lab.tasks.catalogue import read_task
+from taccel_lab.viewer.press_folder import read_press, summary
 from tests.calibration.judged_once import detect_once
 from tests.fuzz.reader import Reader, Refused
-from tests.fuzz.samples import (
-    captures,
-    layouts,
-    profiles,
-    recordings,
-    results,
-    shapes,
-    touches,
-)
+from tests.fuzz.samples import captures, layouts, profiles, recordings, results, shapes, touches
+
+Call = Callable[[Path, Path], object]
 
 
-def _run(command: Command) -> None:
+def _run(command: app.Command) -> None:
     """The command as the command line runs it."""
-    from taccel_lab.cli import app
-
     said, earlier = io.StringIO(), sys.stderr
     sys.stderr = said
     try:
@@ -57,43 +75,27 @@ def _run(command: Command) -> None:
 
 
 def _show_profile(given: Path, out: Path) -> None:
-    from taccel_lab.cli.profile import ProfileShow, ProfileValidate
-
     _run(ProfileShow(given / "profile"))
     _run(ProfileShow(given / "profile", json=True))
     _run(ProfileValidate(given / "profile"))
 
 
-def _read_depth(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.pressure import touch as reading_files
-    from taccel_lab.cli.read import Depth
+# Figures take a hundred times as long as all else.
 
-    command = Depth(
-        given / "profile",
-        (given / "press.png",),
-        out,
-        background=given / "background.png",
-        mask=given / "mask.png",
-        method="depth",
-    )
-    # The figure takes a hundred times as long as all else.
-    with patch.multiple(reading_files, draw_reading=lambda *_: None, save_figure=lambda *_: None):
-        _run(command)
+
+def _read_depth(given: Path, out: Path) -> None:
+    pictures = {name: given / f"{name}.png" for name in ("background", "mask")}
+    with patch.multiple(touch, draw_reading=lambda *_: None, save_figure=lambda *_: None):
+        _run(Depth(given / "profile", (given / "press.png",), out, method="depth", **pictures))
 
 
 def _read_recorded(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.live import recorded
-    from taccel_lab.cli.read import Read
-
     background = given / "background.png"
     with patch.multiple(recorded, draw_recorded=lambda _: None, save_figure=lambda *_: None):
         _run(Read(given / "profile", given / "press.png", out, background=background))
 
 
 def _load_captures(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.capture import load_capture_folder
-    from taccel_lab.calibration.capture.load import cut_short
-
     folder = load_capture_folder(given)
     if folder.presses and folder.background is not None:
         for press in folder.ball_presses().presses:
@@ -121,91 +123,52 @@ def _work_once() -> None:
     patch.setattr(Placing, "mesh", mesh_once)
 
 
-def _check_captures(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture import CaptureCheckCommand
-
-    _work_once()
-    _run(CaptureCheckCommand(given, json=True))
-
-
-def _check_draft(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture import CaptureCheckCommand
-
-    _work_once()
-    _run(CaptureCheckCommand(given))
-
-
-def _rectify(given: Path, out: Path) -> None:
-    from taccel_lab.cli.capture import CaptureRectify
-
-    _run(CaptureRectify(given / "raw", given / "maps.npz", out))
-
-
-def _importer(layout: str, **options: str | float) -> Callable[[Path, Path], None]:
+def _check(json: bool) -> Call:
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.cli.capture import CaptureImport
-
-        _run(CaptureImport(given, out, layout=layout, **options))
+        _work_once()
+        _run(CaptureCheckCommand(given, json=json))
 
     return call
 
 
-def _import_pack(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.capture import load_captures
+def _rectify(given: Path, out: Path) -> None:
+    _run(CaptureRectify(given / "raw", given / "maps.npz", out))
 
-    load_captures(given / "dataPack.npz").presses[0].image()
+
+def _importer(layout: str, **options: str | float) -> Call:
+    return lambda given, out: _run(CaptureImport(given, out, layout=layout, **options))
 
 
 def _plan_study(given: Path, out: Path) -> None:
-    from taccel_lab.studies.evaluate.runner import default_kit
-    from taccel_lab.studies.spec.study import read_study
-
     planned = read_study(given / "study.toml", default_kit())
     if planned.spec.sweep.kind in ("grid", "random"):
         planned.points()
 
 
 def _report_study(given: Path, out: Path) -> None:
-    from taccel_lab.cli.study import StudyCommand
-    from taccel_lab.studies import report
-
     with patch.object(report, "write_study_report", lambda _: {"verdict": {"good": True}}):
         _run(StudyCommand(given / "study.toml", out=given / "study", report_only=True, json=True))
 
 
 def _plan_dataset(given: Path, out: Path) -> None:
-    from taccel_lab.cli.dataset import DatasetMake
-
     _work_once()
     _run(DatasetMake(given / "touches.toml", out, check_only=True))
 
 
 def _check_dataset(given: Path, out: Path) -> None:
-    from taccel_lab.cli.dataset import DatasetCheck
-
     _run(DatasetCheck((given / "data",)))
 
 
-def _read_texture(given: Path, out: Path) -> None:
-    from taccel_lab.signals.texture import Texture
-
-    Texture.from_image(given / "coin.png", 0.05, 2.0).relief_m()
-
-
 def _replay(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.capture.camera.replay import open_replay
-
     camera = open_replay(given / "frames")
     while camera.read() is not None:
         pass
 
 
-def _recorded(source: str, name: str | None) -> Callable[[Path, Path], None]:
+def _recorded(source: str, name: str | None = None) -> Call:
     """Reads all frames; those that are refused are so in a sentence of their own."""
 
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.calibration.capture.camera.recording import Recording
-
         frames = [frame.image for frame in Recording.of(given / source, name).frames()]
         refused = [image for image in frames if isinstance(image, InputError)]
         if refused and len(refused) == len(frames):
@@ -215,37 +178,14 @@ def _recorded(source: str, name: str | None) -> Callable[[Path, Path], None]:
 
 
 def _read_press(given: Path, out: Path) -> None:
-    from taccel_lab.viewer.press_folder import read_press, summary
-
     for name in ("steps", "end"):
         summary(given / name)
         read_press(given / name)
 
 
-def _load_training(given: Path, out: Path) -> None:
-    from taccel_lab.learning.force.training_file import TrainingFile
-
-    TrainingFile(given / "training.pt").load("a")
-
-
 def _compare_results(given: Path, out: Path) -> None:
-    from taccel_lab.benchmarks.compare import Compare
-    from taccel_lab.benchmarks.results import benchmark_page, read_result
-
     Compare(given / "first.json", given / "second.json").run()
     benchmark_page(read_result(given / "first.json"))
-
-
-def _read_task(given: Path, out: Path) -> None:
-    from taccel_lab.tasks.catalogue import read_task
-
-    read_task(given / "task.toml")
-
-
-def _list_step(given: Path, out: Path) -> None:
-    from taccel_lab.cli.design import ImportGel
-
-    _run(ImportGel(given / "gel.step"))
 
 
 def _import_step(given: Path, out: Path) -> None:
@@ -254,7 +194,7 @@ def _import_step(given: Path, out: Path) -> None:
     import_gel(given / "gel.step", FaceSelection.from_toml(given / "faces.toml"))
 
 
-def _gel(name: str, unit: str) -> Callable[[Path, Path], None]:
+def _gel(name: str, unit: str = "mm") -> Call:
     def call(given: Path, out: Path) -> None:
         from taccel_lab.cad.gel_import import FaceSelection, import_gel
 
@@ -263,43 +203,24 @@ def _gel(name: str, unit: str) -> Callable[[Path, Path], None]:
     return call
 
 
-def _indenter(*names: str) -> Callable[[Path, Path], None]:
+def _indenter(*names: str) -> Call:
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.presses import parse_indenter
-
         for name in names:
             parse_indenter(f"mesh:{given / name}").contact(0.5)
 
     return call
 
 
-def _robot(name: str) -> Callable[[Path, Path], None]:
-    def call(given: Path, out: Path) -> None:
-        from taccel_lab.cli.catalogue import RobotShow
-
-        _run(RobotShow(str(given / name), json=True))
-
-    return call
-
-
-def _read_table(given: Path, out: Path) -> None:
-    from taccel_lab.exporters.taxim_table import TABLE_FILE, read_table
-
-    read_table(given / TABLE_FILE)
+def _robot(name: str) -> Call:
+    return lambda given, out: _run(RobotShow(str(given / name), json=True))
 
 
 def _kept(given: Path, out: Path) -> None:
-    import numpy as np
-
-    from taccel_lab.files.file_cache import CACHE_VARIABLE
-
     os.environ[CACHE_VARIABLE] = str(given)
     results.kept_file().read_or_make(lambda: {"a": np.arange(4.0)})
 
 
 def _replace_output(given: Path, out: Path) -> None:
-    from taccel_lab.files.output_folder import atomic_directory
-
     with atomic_directory(given / "earlier") as folder:
         (folder / "press.json").write_text("{}")
 
@@ -326,31 +247,38 @@ READERS: dict[str, Reader] = {
     "records": Reader(captures.records, _load_captures, ("*.csv",)),
     "videos": Reader(captures.videos, _load_captures, ("*.avi", "*.csv")),
     "contacts": Reader(captures.presses, _load_captures, ("contacts.toml",)),
-    "capture-check": Reader(captures.presses, _check_captures),
-    "check-draft": Reader(layouts.plain_with_mask, _check_draft),
+    "capture-check": Reader(captures.presses, _check(json=True)),
+    "check-draft": Reader(layouts.plain_with_mask, _check(json=False)),
     "capture-rectify": Reader(captures.raw_with_maps, _rectify, ("maps.npz", "maps.npz", "raw/*")),
     "rectification": Reader(captures.raw_with_maps, _rectify, ("maps.npz",)),
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
     "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
     "import-video": Reader(layouts.video_of_dots, _importer("markers")),
-    "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
+    "taxim-pack": Reader(
+        layouts.maker("taxim"), lambda g, _: load_captures(g / "dataPack.npz").presses[0].image()
+    ),
     "study-file": Reader(results.study_file, _plan_study, named=("study.toml",)),
     "study-folder": Reader(results.study, _report_study, ("study/*",), own="study"),
     "dataset-file": Reader(touches.file, _plan_dataset, named=("touches.toml",)),
     "dataset-folder": Reader(touches.folder, _check_dataset, own="data"),
-    "texture": Reader(captures.texture, _read_texture),
+    "texture": Reader(
+        captures.texture,
+        lambda given, out: Texture.from_image(given / "coin.png", 0.05, 2.0).relief_m(),
+    ),
     "camera-replay": Reader(captures.frames, _replay),
     "recording-hdf5": Reader(recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb")),
-    "recording-lerobot": Reader(recordings.lerobot, _recorded("set", None)),
-    "recording-lerobot-2": Reader(recordings.lerobot_2, _recorded("set", None)),
-    "recording-lerobot-3": Reader(recordings.lerobot_3, _recorded("set", None)),
-    "step-list": Reader(shapes.step, _list_step, ("gel.step",)),
+    "recording-lerobot": Reader(recordings.lerobot, _recorded("set")),
+    "recording-lerobot-2": Reader(recordings.lerobot_2, _recorded("set")),
+    "recording-lerobot-3": Reader(recordings.lerobot_3, _recorded("set")),
+    "step-list": Reader(
+        shapes.step, lambda given, out: _run(ImportGel(given / "gel.step")), ("gel.step",)
+    ),
     "step-import": Reader(shapes.step, _import_step, named=("faces.toml",)),
-    "gel-msh": Reader(shapes.tets, _gel("gel.msh", "mm")),
-    "gel-3mf": Reader(shapes.box_3mf, _gel("gel.3mf", "mm")),
-    "gel-vtu": Reader(shapes.vtu, _gel("gel.vtu", "mm"), ("gel.vtu",)),
-    "gel-vtk": Reader(shapes.vtu, _gel("gel.vtk", "mm"), ("gel.vtk",)),
+    "gel-msh": Reader(shapes.tets, _gel("gel.msh")),
+    "gel-3mf": Reader(shapes.box_3mf, _gel("gel.3mf")),
+    "gel-vtu": Reader(shapes.vtu, _gel("gel.vtu"), ("gel.vtu",)),
+    "gel-vtk": Reader(shapes.vtu, _gel("gel.vtk"), ("gel.vtk",)),
     "gel-stl": Reader(shapes.stl, _gel("bytes.stl", "cm")),
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
     "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
@@ -358,34 +286,36 @@ READERS: dict[str, Reader] = {
     "robot-urdf": Reader(shapes.urdf, _robot("gripper.urdf"), ("gripper.urdf", "words.stl")),
     "robot-collada": Reader(shapes.collada, _robot("gripper.urdf"), ("box.dae", "gripper.urdf")),
     "press-folder": Reader(results.press, _read_press),
-    "training": Reader(results.training, _load_training),
+    "training": Reader(
+        results.training, lambda given, out: TrainingFile(given / "training.pt").load("a")
+    ),
     "bench-results": Reader(results.bench, _compare_results),
-    "task-file": Reader(results.task, _read_task),
+    "task-file": Reader(results.task, lambda given, out: read_task(given / "task.toml")),
     **{
-        f"counts-{name}": Reader(make, call, files, counts=True)
-        for name, make, call, files in (
-            ("hdf5", recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb"), ("*",)),
-            ("hdf5-levels", recordings.univtac_packed, _recorded("0.hdf5", "levels"), ("*",)),
-            ("hdf5-streams", recordings.univtac_packed, _recorded("0.hdf5", "tactile/rgb"), ("*",)),
-            ("lerobot", recordings.lerobot, _recorded("set", None), ("*",)),
-            ("lerobot-2", recordings.lerobot_2, _recorded("set", None), ("*",)),
-            ("lerobot-3", recordings.lerobot_3, _recorded("set", None), ("*",)),
-            ("videos", captures.videos, _load_captures, ("*.avi",)),
-            ("images", captures.presses, _load_captures, ("*.png", "*.jpg")),
-            ("maps", captures.raw_with_maps, _rectify, ("maps.npz",)),
-            ("dataset", touches.folder, _check_dataset, ("*",)),
-            ("3mf", shapes.box_3mf, _gel("gel.3mf", "mm"), ("*",)),
-            ("msh", shapes.tets, _gel("gel.msh", "mm"), ("*",)),
-            ("vtu", shapes.vtu, _gel("gel.vtu", "mm"), ("gel.vtu",)),
-            ("vtk", shapes.vtu, _gel("gel.vtk", "mm"), ("gel.vtk",)),
-            ("stl", shapes.stl, _indenter("words.stl", "bytes.stl"), ("*",)),
-            ("ply", shapes.ply, _indenter("words.ply", "bytes.ply"), ("*",)),
-            ("obj", shapes.obj, _indenter("box.obj"), ("*",)),
-            ("collada", shapes.collada, _robot("gripper.urdf"), ("box.dae", "gripper.urdf")),
-            ("press", results.press, _read_press, ("*",)),
+        f"counts-{name}": Reader(make, call, tuple(files), counts=True)
+        for name, make, call, *files in (
+            ("hdf5", recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb"), "*"),
+            ("hdf5-levels", recordings.univtac_packed, _recorded("0.hdf5", "levels"), "*"),
+            ("hdf5-streams", recordings.univtac_packed, _recorded("0.hdf5", "tactile/rgb"), "*"),
+            ("lerobot", recordings.lerobot, _recorded("set"), "*"),
+            ("lerobot-2", recordings.lerobot_2, _recorded("set"), "*"),
+            ("lerobot-3", recordings.lerobot_3, _recorded("set"), "*"),
+            ("videos", captures.videos, _load_captures, "*.avi"),
+            ("images", captures.presses, _load_captures, "*.png", "*.jpg"),
+            ("maps", captures.raw_with_maps, _rectify, "maps.npz"),
+            ("dataset", touches.folder, _check_dataset, "*"),
+            ("3mf", shapes.box_3mf, _gel("gel.3mf"), "*"),
+            ("msh", shapes.tets, _gel("gel.msh"), "*"),
+            ("vtu", shapes.vtu, _gel("gel.vtu"), "gel.vtu"),
+            ("vtk", shapes.vtu, _gel("gel.vtk"), "gel.vtk"),
+            ("stl", shapes.stl, _indenter("words.stl", "bytes.stl"), "*"),
+            ("ply", shapes.ply, _indenter("words.ply", "bytes.ply"), "*"),
+            ("obj", shapes.obj, _indenter("box.obj"), "*"),
+            ("collada", shapes.collada, _robot("gripper.urdf"), "box.dae", "gripper.urdf"),
+            ("press", results.press, _read_press, "*"),
         )
     },
-    "taxim-table": Reader(results.table, _read_table),
+    "taxim-table": Reader(results.table, lambda given, out: read_table(given / TABLE_FILE)),
     "kept-results": Reader(results.kept, _kept, own="."),
     "earlier-output": Reader(results.output, _replace_output, own="."),
 }

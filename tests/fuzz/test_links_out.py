@@ -16,47 +16,48 @@ from tests.fuzz.guard import SECRET, SECRET_WORD
 from tests.fuzz.reader import Refused
 from tests.fuzz.readers import READERS
 
-IN_FOLDERS = (
-    ("profile", "profile/profile.toml"),
-    ("profile", "profile/mesh.npz"),
-    ("profile-views", "profile/views/left/profile.toml"),
-    ("profile-views", "profile/views/left/background.npz"),
-    ("captures", "captures.toml"),
-    ("captures", "contacts.toml"),
-    ("capture-rectify", "raw/contacts.toml"),
-    ("check-draft", "labels.csv"),
-    ("import-taxim", "dataPack.npz"),
-    ("import-taxim", "params.json"),
-    ("taxim-pack", "params.json"),
-    ("import-9dtact", "shape_config.yaml"),
-    ("import-9dtact", "calibration/sensor_1/depth_calibration/sample_drawing.png"),
-    ("import-gs-sdk", "gsmini.yaml"),
-    ("import-printer", "printer_presses.csv"),
-    ("import-markers", "0000.png"),
-    ("import-plain", "other_camera.png"),
-    ("recording-lerobot", "set/meta/info.json"),
-    ("robot-urdf", "words.stl"),
-)
-"""Readers, and a file of their sample that they come upon themselves."""
-NAMED = (
-    ("depth", "press.png"),
-    ("texture", "coin.png"),
-    ("capture-rectify", "maps.npz"),
-    ("taxim-pack", "dataPack.npz"),
-    ("study-file", "study.toml"),
-    ("dataset-file", "touches.toml"),
-    ("recording-hdf5", "0.hdf5"),
-    ("step-import", "gel.step"),
-    ("step-import", "faces.toml"),
-    ("gel-msh", "gel.msh"),
-    ("indenter-stl", "bytes.stl"),
-    ("indenter-ply", "words.ply"),
-    ("indenter-obj", "box.obj"),
-    ("robot-urdf", "gripper.urdf"),
-    ("robot-mjcf", "gripper.xml"),
-    ("robot-usd", "gripper.usda"),
-)
-"""Readers, and a file that their user names."""
+IN_FOLDERS = {
+    "profile": ["profile/profile.toml", "profile/mesh.npz"],
+    "profile-views": ["profile/views/left/profile.toml", "profile/views/left/background.npz"],
+    "captures": ["captures.toml", "contacts.toml"],
+    "capture-rectify": ["raw/contacts.toml"],
+    "check-draft": ["labels.csv"],
+    "import-taxim": ["dataPack.npz", "params.json"],
+    "taxim-pack": ["params.json"],
+    "import-9dtact": [
+        "shape_config.yaml",
+        "calibration/sensor_1/depth_calibration/sample_drawing.png",
+    ],
+    "import-gs-sdk": ["gsmini.yaml"],
+    "import-printer": ["printer_presses.csv"],
+    "import-markers": ["0000.png"],
+    "import-plain": ["other_camera.png"],
+    "recording-lerobot": ["set/meta/info.json"],
+    "robot-urdf": ["words.stl"],
+}
+"""Readers, and files of their sample that they come upon themselves."""
+NAMED = {
+    "depth": ["press.png"],
+    "texture": ["coin.png"],
+    "capture-rectify": ["maps.npz"],
+    "taxim-pack": ["dataPack.npz"],
+    "study-file": ["study.toml"],
+    "dataset-file": ["touches.toml"],
+    "recording-hdf5": ["0.hdf5"],
+    "step-import": ["gel.step", "faces.toml"],
+    "gel-msh": ["gel.msh"],
+    "indenter-stl": ["bytes.stl"],
+    "indenter-ply": ["words.ply"],
+    "indenter-obj": ["box.obj"],
+    "robot-urdf": ["gripper.urdf"],
+    "robot-mjcf": ["gripper.xml"],
+    "robot-usd": ["gripper.usda"],
+}
+"""Readers, and files that their user names."""
+
+
+def pairs(table: dict[str, list[str]]) -> list[tuple[str, str]]:
+    return [(reader, name) for reader, names in table.items() for name in names]
 
 
 @pytest.fixture
@@ -82,7 +83,7 @@ def link_to(path: Path, content: bytes, name: str) -> None:
     path.symlink_to(target)
 
 
-@pytest.mark.parametrize(("reader", "name"), IN_FOLDERS)
+@pytest.mark.parametrize(("reader", "name"), pairs(IN_FOLDERS))
 def test_a_link_out_of_a_folder_is_not_followed(
     reader: str, name: str, sample: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -97,7 +98,7 @@ def test_a_link_out_of_a_folder_is_not_followed(
 
 
 @pytest.mark.thorough(cases=("dataset-file-touches.toml",))
-@pytest.mark.parametrize(("reader", "name"), NAMED)
+@pytest.mark.parametrize(("reader", "name"), pairs(NAMED))
 def test_a_file_that_is_named_may_be_a_link(
     reader: str, name: str, sample: Callable[[str], Path], tmp_path: Path
 ) -> None:

@@ -12,12 +12,14 @@ from tests.fuzz.example import Outcome
 from tests.fuzz.faulty_readers import FAULTS
 
 _SEEDS = range(2)
+NAMES = [name for name in FAULTS if name != "hangs"]
 
 
-def _outcomes(names: list[str], folder: Path, limit_s: float) -> dict[str, list[Outcome]]:
+def _outcomes(
+    names: list[str], folder: Path, limit_s: float = campaign.LIMIT_S
+) -> dict[str, list[Outcome]]:
     found: dict[str, list[Outcome]] = {name: [] for name in names}
-    examples = [(name, seed) for name in names for seed in _SEEDS]
-    table = faulty_readers.__name__
+    examples, table = [(name, seed) for name in names for seed in _SEEDS], faulty_readers.__name__
     for outcome in campaign.run(examples, 1, folder, table=table, limit_s=limit_s):
         found[outcome.reader].append(outcome)
     return found
@@ -25,12 +27,11 @@ def _outcomes(names: list[str], folder: Path, limit_s: float) -> dict[str, list[
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Outcome]]:
-    names = [name for name in FAULTS if name != "hangs"]
-    return _outcomes(names, tmp_path_factory.mktemp("watch"), campaign.LIMIT_S)
+    return _outcomes(NAMES, tmp_path_factory.mktemp("watch"))
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", [name for name in FAULTS if name != "hangs"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_bad_reader_is_noticed(name: str, found: dict[str, list[Outcome]]) -> None:
     assert sorted(outcome.seed for outcome in found[name]) == list(_SEEDS)
     # Some mutations leave the file as it is and put another one beside it.

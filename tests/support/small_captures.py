@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A capture folder of tiny synthetic ball presses, a small profile, and a command that refuses."""
+"""A capture folder of tiny synthetic ball presses, and a small profile."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,7 +15,6 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.light import background as background_fit
 from taccel_lab.calibration.light.background_result import background_page
-from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import (
@@ -119,30 +117,6 @@ def everything_below(folder: Path) -> dict[str, bytes | None]:
 def never(*_: object, **__: object) -> NoReturn:
     """Stands in for work that must not begin."""
     raise AssertionError("work began although the input is bad")
-
-
-def refuse(
-    command: list[str],
-    words: list[str],
-    capsys: pytest.CaptureFixture[str],
-    outs: tuple[str, ...] = ("earlier",),
-) -> None:
-    """Run ``command`` in the working folder for each target: exit 2, ``words``, nothing changed.
-
-    Both an earlier output and a folder that is not there are opened by one function, after all
-    input is read: one target tells that a command asks for it too early.
-    """
-    here = Path.cwd()
-    before = everything_below(here)
-    for out in outs:
-        assert main([*command, "--out", out]) == 2
-        captured = capsys.readouterr()
-        message = captured.err.replace("\n", " ")
-        assert "error: " in message and "Traceback" not in message
-        for word in words:
-            assert re.search(word, message), f"{word!r} is not in {message!r}"
-        assert captured.out == ""
-        assert everything_below(here) == before
 
 
 def fit_colors_as_backgrounds(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,62 +11,39 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.files.bombs.readers import Make
+from tests.files.bombs.written import Make, written
 
 
 def packed_zeros(folder: Path) -> Path:
     """700 MiB of zeros in 0.7 MB."""
     path = folder / "a.npz"
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file,
-        file.open("a.npy", "w") as member,
-    ):
-        head = f"{{'descr': '|u1', 'fortran_order': False, 'shape': ({700 << 20},), }}".ljust(117)
-        member.write(b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head.encode() + b"\n")
+    head = f"{{'descr': '|u1', 'fortran_order': False, 'shape': ({700 << 20},), }}".ljust(117)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("a.npy", "w") as npy:
+        npy.write(b"\x93NUMPY\1\0" + struct.pack("<H", 118) + head.encode() + b"\n")
         for _ in range(700):
-            member.write(bytes(1 << 20))
+            npy.write(bytes(1 << 20))
     return path
 
 
 def png(width: int, height: int, rows: int) -> Make:
-    """A PNG of a size with the data of so many rows."""
-
-    def make(folder: Path) -> Path:
-        def chunk(kind: bytes, content: bytes) -> bytes:
-            return (
-                struct.pack(">I", len(content))
-                + kind
-                + content
-                + struct.pack(">I", zlib.crc32(kind + content))
-            )
-
-        head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-        data = zlib.compress(bytes((3 * width + 1) * rows), 9)
-        path = folder / "a.png"
-        path.write_bytes(
-            b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-        )
-        return path
-
-    return make
+    """A PNG of a size with the data of some rows."""
+    data = b"\x89PNG\r\n\x1a\n"
+    for kind, content in (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(bytes((3 * width + 1) * rows), 9)),
+        (b"IEND", b""),
+    ):
+        check = struct.pack(">I", zlib.crc32(kind + content))
+        data += struct.pack(">I", len(content)) + kind + content + check
+    return written("a.png", data)
 
 
 def jpeg(width: int, height: int) -> Make:
     """A progressive JPEG of a few hundred bytes that states a size."""
-
-    def make(folder: Path) -> Path:
-        data = bytearray(
-            cv2.imencode(
-                ".jpg", np.full((16, 16, 3), 90, np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
-            )[1]
-        )
-        at = data.index(b"\xff\xc2") + 5
-        data[at : at + 4] = struct.pack(">HH", height, width)
-        path = folder / "a.jpg"
-        path.write_bytes(data)
-        return path
-
-    return make
+    still = np.full((16, 16, 3), 90, np.uint8)
+    data = cv2.imencode(".jpg", still, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    at = data.index(b"\xff\xc2") + 5
+    return written("a.jpg", data[:at], struct.pack(">HH", height, width), data[at + 4 :])
 
 
 def tiff(folder: Path) -> Path:
@@ -88,10 +65,5 @@ def zarr_shape(folder: Path) -> Path:
 
 
 def repeated(name: str, head: str, piece: str, count: int, end: str = "") -> Make:
-    """A text of one piece over and over."""
-
-    def make(folder: Path) -> Path:
-        (folder / name).write_text(head + piece * count + end)
-        return folder / name
-
-    return make
+    """A text of one piece over and over, made when it is written."""
+    return lambda folder: written(name, head, piece * count, end)(folder)

@@ -3,26 +3,25 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from tests.files.bombs.readers import Make
-
-TOUCH = "observation.images.touch"
+from tests.files.bombs.written import Make, written
+from tests.fuzz.samples.recordings import TOUCH, set_of, write_frames, write_table
 
 
 def hdf5(shape: tuple[int, ...], kind: Any, **layout: Any) -> Make:
     """Frames of which not one is written."""
 
     def make(folder: Path) -> Path:
-        import h5py
-
         path = folder / "0.hdf5"
         dtype = h5py.vlen_dtype(np.uint8) if kind == "vlen" else kind
         with h5py.File(path, "w") as file:
@@ -36,8 +35,6 @@ def hdf5_packed(chunk: tuple[int, ...], count: int) -> Make:
     """Chunks that are packed twice: a frame of 48 MiB takes some hundred bytes."""
 
     def make(folder: Path) -> Path:
-        import h5py
-
         path = folder / "0.hdf5"
         size = int(np.prod(chunk))
         press = zlib.compressobj(9)
@@ -59,16 +56,18 @@ def hdf5_packed(chunk: tuple[int, ...], count: int) -> Make:
     return make
 
 
+def _large() -> bytes:
+    """A picture of 48 MiB."""
+    return cv2.imencode(".png", np.full((4096, 4096, 3), 90, np.uint8))[1].tobytes()
+
+
 def hdf5_shared(folder: Path) -> Path:
     """Twenty thousand frames that are all the same bytes of the file."""
-    import h5py
-
     path = folder / "0.hdf5"
-    large = cv2.imencode(".png", np.full((4096, 4096, 3), 90, np.uint8))[1]
+    large = np.frombuffer(_large(), np.uint8)
     with h5py.File(path, "w") as file:
-        data = file.create_group("tactile").create_dataset(
-            "rgb", (20_000,), h5py.vlen_dtype(np.uint8)
-        )
+        at = file.create_group("tactile")
+        data = at.create_dataset("rgb", (20_000,), h5py.vlen_dtype(np.uint8))
         data[0] = large
         at = data.id.get_offset()
     content = bytearray(path.read_bytes())
@@ -77,101 +76,61 @@ def hdf5_shared(folder: Path) -> Path:
     return path
 
 
-def _info(folder: Path, version: str, kind: str) -> Path:
-    root = folder / "set"
-    (root / "meta").mkdir(parents=True)
-    features = {"observation.images.touch": {"dtype": kind, "shape": [24, 32, 3]}}
-    about = {"codebase_version": version, "total_frames": 1 << 40, "fps": 30, "features": features}
-    (root / "meta" / "info.json").write_text(json.dumps(about))
-    return root
+def _set(folder: Path, version: str, kind: str) -> Path:
+    return set_of(folder, version, kind, 1 << 40, 30)
+
+
+def _still(path: Path, count: int) -> None:
+    write_frames(path, (90,) * count, (64, 48), 30)
 
 
 def lerobot_rows(folder: Path) -> Path:
     """A hundred thousand rows that are one image of a dictionary."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    root = _info(folder, "v3.0", "image")
+    root, count = _set(folder, "v3.0", "image"), 1 << 17
+    first, zeros = np.zeros(count, np.int32), pa.array(np.zeros(count, np.int64))
+    columns = [
+        pa.DictionaryArray.from_arrays(first, pa.array([value])) for value in (_large(), "x")
+    ]
+    cell = pa.StructArray.from_arrays(columns, ["bytes", "path"])
+    table = pa.table({"episode_index": zeros, "frame_index": zeros, TOUCH: cell})
     (root / "data" / "chunk-000").mkdir(parents=True)
     path = root / "data" / "chunk-000" / "file-000.parquet"
-    large = cv2.imencode(".png", np.full((4096, 4096, 3), 90, np.uint8))[1].tobytes()
-    count = 1 << 17
-    first = np.zeros(count, np.int32)
-    columns = [pa.DictionaryArray.from_arrays(first, pa.array([value])) for value in (large, "x")]
-    cell = pa.StructArray.from_arrays(columns, ["bytes", "path"])
-    zeros = pa.array(np.zeros(count, np.int64))
-    name = "observation.images.touch"
-    table = pa.table({"episode_index": zeros, "frame_index": zeros, name: cell})
     pq.write_table(table, path, row_group_size=count)
     return root
 
 
 def lerobot_lengths(folder: Path) -> Path:
     """Episodes of a hundred thousand frames each, and a video of two."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    name = "observation.images.touch"
-    root = _info(folder, "v3.0", "video")
-    of, count = f"videos/{name}/", 1000
-    (root / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
-    zeros = [0] * count
+    root, of, count = _set(folder, "v3.0", "video"), f"videos/{TOUCH}/", 1000
     columns: dict[str, Any] = {"episode_index": list(range(count)), "length": [1 << 17] * count}
-    columns |= {f"{of}chunk_index": zeros, f"{of}file_index": zeros}
+    columns |= {f"{of}{name}_index": [0] * count for name in ("chunk", "file")}
     columns[f"{of}from_timestamp"] = [0.0] * count
-    pq.write_table(pa.table(columns), root / "meta/episodes/chunk-000/file-000.parquet")
-    (root / "videos" / name / "chunk-000").mkdir(parents=True)
-    video(root / "videos" / name / "chunk-000" / "file-000.mp4", 2)
+    write_table(root / "meta/episodes/chunk-000/file-000.parquet", **columns)
+    _still(root / of / "chunk-000" / "file-000.mp4", 2)
     return root
 
 
 def lerobot_times(folder: Path) -> Path:
     """A table of times of 67 million rows."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    root = _info(folder, "v2.1", "video")
-    data = root / "data" / "chunk-000"
-    data.mkdir(parents=True)
-    count = 1 << 22
-    zeros = pa.array(np.zeros(count, np.int64))
-    part = pa.table(
-        {"episode_index": zeros, "frame_index": zeros, "timestamp": pa.array(np.zeros(count))}
-    )
-    with pq.ParquetWriter(data / "episode_000000.parquet", part.schema, compression="zstd") as file:
+    root, zeros = _set(folder, "v2.1", "video"), np.zeros(1 << 22, np.int64)
+    columns = {"episode_index": zeros, "frame_index": zeros, "timestamp": zeros.astype(float)}
+    part = pa.table(columns)
+    path = root / "data" / "chunk-000" / "episode_000000.parquet"
+    path.parent.mkdir(parents=True)
+    with pq.ParquetWriter(path, part.schema, compression="zstd") as file:
         for _ in range(16):
             file.write_table(part)
-    videos = root / "videos/chunk-000/observation.images.touch"
-    videos.mkdir(parents=True)
-    video(videos / "episode_000000.mp4", 2)
+    _still(root / "videos/chunk-000" / TOUCH / "episode_000000.mp4", 2)
     return root
-
-
-def video(path: Path, count: int, size: tuple[int, int] = (64, 48)) -> Path:
-    import av
-
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        for _ in range(count):
-            still = np.full((size[1], size[0], 3), 90, np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(still, "rgb24")))
-        container.mux(stream.encode())
-    return path
 
 
 def mp4_samples(folder: Path) -> Path:
     """A video whose table of samples states four thousand million of them, of one size."""
-    path = video(folder / "v.mp4", 3)
-    data = bytearray(path.read_bytes())
-    for mark, count_at in ((b"stsz", 12), (b"stts", 8)):
-        at = data.index(mark)
-        data[at + count_at : at + count_at + 4] = b"\x7f\xff\xff\xff"
-        if mark == b"stsz":
-            data[at + 8 : at + 12] = struct.pack(">I", 1)
-    at = data.index(b"stts")
-    data[at + 12 : at + 16] = b"\x7f\xff\xff\xff"[:4]
-    at = data.index(b"stsz")
-    data[at + 12 : at + 16] = b"\x7f\xff\xff\xff"
-    path.write_bytes(data)
-    return path
+    _still(folder / "v.mp4", 3)
+    data = bytearray((folder / "v.mp4").read_bytes())
+    sizes, times = data.index(b"stsz"), data.index(b"stts")
+    for at, value in (
+        (times + 8, 0x7FFFFFFF), (times + 12, 0x7FFFFFFF), (sizes + 8, 1), (sizes + 12, 0x7FFFFFFF),
+    ):  # fmt: skip
+        data[at : at + 4] = struct.pack(">I", value)
+    return written("v.mp4", bytes(data))(folder)

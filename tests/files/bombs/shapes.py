@@ -4,25 +4,14 @@
 from __future__ import annotations
 
 import base64
+import re
 import struct
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from tests.files.bombs.readers import Make
-
-
-def written(name: str, *parts: str | bytes) -> Make:
-    """A file of these parts."""
-
-    def make(folder: Path) -> Path:
-        path = folder / name
-        path.write_bytes(b"".join(p.encode() if isinstance(p, str) else p for p in parts))
-        return path
-
-    return make
-
+from tests.files.bombs.written import Make, written
 
 _RELATIONS = (
     '<?xml version="1.0"?><Relationships xmlns="http://schemas.openxmlformats.org/package/2006/'
@@ -87,46 +76,34 @@ def package_of_copies(folder: Path) -> Path:
     return package(folder / "a.3mf", _MODEL.encode(), end.encode())
 
 
-def collada_of_copies(folder: Path) -> Path:
-    """A node of two nodes of two nodes, with a triangle or with nothing."""
-    nodes = "".join(
+COLLADA_OF_COPIES = written(
+    "a.dae",
+    '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
+    'version="1.4.1"><asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>'
+    '<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="pa" count="9">'
+    "0 0 0 1 0 0 0 1 0</float_array><technique_common><accessor source='#pa' count='3' "
+    "stride='3'><param name='X' type='float'/><param name='Y' type='float'/><param name='Z' "
+    "type='float'/></accessor></technique_common></source><vertices id='v'><input "
+    "semantic='POSITION' source='#p'/></vertices><triangles count='1'><input "
+    "semantic='VERTEX' source='#v' offset='0'/><p>0 1 2</p></triangles></mesh></geometry>"
+    "</library_geometries><library_nodes><node id='n0'><instance_geometry url='#g'/></node>",
+    *(
         f'<node id="n{k}"><instance_node url="#n{k - 1}"/><instance_node url="#n{k - 1}"/></node>'
         for k in range(1, 31)
-    )
-    path = folder / "a.dae"
-    path.write_text(
-        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
-        'version="1.4.1"><asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>'
-        '<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="pa" count="9">'
-        "0 0 0 1 0 0 0 1 0</float_array><technique_common><accessor source='#pa' count='3' "
-        "stride='3'><param name='X' type='float'/><param name='Y' type='float'/><param name='Z' "
-        "type='float'/></accessor></technique_common></source><vertices id='v'><input "
-        "semantic='POSITION' source='#p'/></vertices><triangles count='1'><input "
-        "semantic='VERTEX' source='#v' offset='0'/><p>0 1 2</p></triangles></mesh></geometry>"
-        "</library_geometries><library_nodes><node id='n0'><instance_geometry url='#g'/></node>"
-        f"{nodes}</library_nodes><library_visual_scenes><visual_scene id='s'><node id='top'>"
-        "<instance_node url='#n30'/></node></visual_scene></library_visual_scenes><scene>"
-        "<instance_visual_scene url='#s'/></scene></COLLADA>"
-    )
-    return path
+    ),
+    "</library_nodes><library_visual_scenes><visual_scene id='s'><node id='top'>"
+    "<instance_node url='#n30'/></node></visual_scene></library_visual_scenes><scene>"
+    "<instance_visual_scene url='#s'/></scene></COLLADA>",
+)
+"""A node of two nodes of two nodes, with a triangle."""
 
 
 def polygon(count: int) -> Make:
     """An OBJ of one face with as many corners."""
-
-    def make(folder: Path) -> Path:
-        turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
-        radius = 1 + 0.3 * np.cos(np.arange(count))
-        lines = [
-            f"v {r * np.cos(a):.6f} {r * np.sin(a):.6f} 0"
-            for a, r in zip(turn, radius, strict=True)
-        ]
-        lines.append("f " + " ".join(str(k + 1) for k in range(count)))
-        path = folder / "a.obj"
-        path.write_text("\n".join(lines) + "\n")
-        return path
-
-    return make
+    turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    ring = (1 + 0.3 * np.cos(np.arange(count))) * np.array([np.cos(turn), np.sin(turn)])
+    lines = [f"v {x:.6f} {y:.6f} 0\n" for x, y in ring.T]
+    return written("a.obj", *lines, "f ", " ".join(map(str, range(1, count + 1))), "\n")
 
 
 def ply(count: int, before: str = "") -> Make:
@@ -149,16 +126,6 @@ _VTU = (
     'format="ascii">10</DataArray></Cells></Piece></UnstructuredGrid></VTKFile>'
 )
 _POINTS = "0 0 0 1 0 0 0 1 0 0 0 1"
-
-
-def vtu_blocks(folder: Path) -> Path:
-    """A grid whose packed array states 2^40 blocks."""
-    head = struct.pack("<4Q", 1 << 40, 1 << 20, 0, 100)
-    data = base64.b64encode(head).decode() + base64.b64encode(bytes(100)).decode()
-    words = _VTU.format(' compressor="vtkZLibDataCompressor"', 4, 1, "binary", data)
-    path = folder / "a.vtu"
-    path.write_text(words)
-    return path
 
 
 def press_folder(folder: Path) -> Path:
@@ -194,7 +161,63 @@ VTK_STRUCTURED = written(
     "DIMENSIONS 4000 4000 4000\nORIGIN 0 0 0\nSPACING 1 1 1\nPOINT_DATA 64000000000\n"
     "SCALARS a float\nLOOKUP_TABLE default\n0\n",
 )
+_BLOCKS = (struct.pack("<4Q", 1 << 40, 1 << 20, 0, 100), bytes(100))
+VTU_BLOCKS = written(
+    "a.vtu",
+    _VTU.format(
+        ' compressor="vtkZLibDataCompressor"', 4, 1, "binary",
+        "".join(base64.b64encode(part).decode() for part in _BLOCKS),
+    ),
+)  # fmt: skip
+"""A packed array that states 2^40 blocks."""
 VTU_POINTS = written("a.vtu", _VTU.format("", 4_000_000_000, 1, "ascii", _POINTS))
 VTU_CELLS = written("a.vtu", _VTU.format("", 4, 4_000_000_000, "ascii", _POINTS))
 STL = written("a.stl", bytes(80), b"\xff\xff\xff\xff")
 OBJ = written("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2000000000\n")
+
+
+def step_of_copies(levels: int, width: int) -> Make:
+    """Assemblies of ``width`` assemblies each, ``levels`` deep, down to a box."""
+
+    def make(folder: Path) -> Path:
+        from build123d import Solid, export_step
+
+        path = folder / "a.step"
+        export_step(Solid.make_box(1.0, 1.0, 1.0), path)
+        text, end = path.read_text(), "ENDSEC;\nEND-ISO"
+        entities: list[str] = []
+
+        def add(entity: str) -> int:
+            entities.append(f"#{100_001 + len(entities)} = {entity};\n")
+            return 100_000 + len(entities)
+
+        def first(entity: str) -> str:
+            return re.findall(rf"#(\d+) = {entity}", text)[0]
+
+        product, body = (first(rf"{name}") for name in (r"PRODUCT_DEFINITION\(", "ADVANCED_BREP_S"))
+        (context,) = re.findall(rf"#{body} = \w+\('\w*',\([^)]*\),#(\d+)", text)
+        at = first("AXIS2_PLACEMENT_3D")
+        for level in range(levels):
+            name = f"level {level}"
+            about = add(f"PRODUCT('{name}','{name}','',(#{first('PRODUCT_CONTEXT')}))")
+            formation = add(f"PRODUCT_DEFINITION_FORMATION('','',#{about})")
+            design = first("PRODUCT_DEFINITION_CONTEXT")
+            whole = add(f"PRODUCT_DEFINITION('design','',#{formation},#{design})")
+            shape = add(f"PRODUCT_DEFINITION_SHAPE('','',#{whole})")
+            rep = add(f"SHAPE_REPRESENTATION('',(#{at}),#{context})")
+            add(f"SHAPE_DEFINITION_REPRESENTATION(#{shape},#{rep})")
+            move = add(f"ITEM_DEFINED_TRANSFORMATION('','',#{at},#{at})")
+            for k in range(width):
+                used = add(f"NEXT_ASSEMBLY_USAGE_OCCURRENCE('{k}','','',#{whole},#{product},$)")
+                place = add(f"PRODUCT_DEFINITION_SHAPE('Placement','',#{used})")
+                relation = add(
+                    f"( REPRESENTATION_RELATIONSHIP('','',#{body},#{rep}) "
+                    f"REPRESENTATION_RELATIONSHIP_WITH_TRANSFORMATION(#{move}) "
+                    "SHAPE_REPRESENTATION_RELATIONSHIP() )"
+                )
+                add(f"CONTEXT_DEPENDENT_SHAPE_REPRESENTATION(#{relation},#{place})")
+            product, body = str(whole), str(rep)
+        path.write_text(text.replace(end, "".join(entities) + end))
+        return path
+
+    return make

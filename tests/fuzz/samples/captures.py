@@ -12,84 +12,40 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.geometry import PixelGrid
 
 WIDTH, HEIGHT = 40, 34
-_HEAD = """\
-schema_version = 2
-sensor = "flat_pad"
-unit = "S1"
-background = "background.png"
-untouched = ["untouched.jpg"]
-mask = "mask.png"
-mm_per_px_x = 0.1
-mm_per_px_y = 0.1
-source = "made up"
-license = "CC0"
-"""
-_PRESSES = """
-[indenter]
-kind = "sphere"
-radius_mm = 2.0
-
-[[presses]]
-image = "p0.png"
-name = "corner"
-contact = { u_px = 18.0, v_px = 16.0, radius_px = 8.0 }
-depth_mm = 0.4
-force_n = 0.7
-
-[[presses]]
-image = "p1.jpg"
-radius_mm = 3.0
-
-[[presses]]
-image = "p2.png"
-"""
-_TARGETS = """
-[split]
-heldout = ["p2"]
-
-[[boards]]
-kind = "charuco"
-columns = 6
-rows = 5
-pitch_mm = 2.5
-marker_mm = 1.8
-dictionary = "DICT_4X4_50"
-on_gel = true
-images = ["board.png"]
-reference = "background.png"
-
-[[edges]]
-image = "p0.png"
-length_mm = 2.0
-dihedral_deg = 90.0
-line = { u_px = 16.0, v_px = 12.0, length_px = 15.0, angle_deg = 4.0 }
-"""
-_MARKERS = """
-[markers]
-rest = "background.png"
-pitch_x_mm = 2.0
-pitch_y_mm = 2.0
-labels = "dots.csv"
-
-[[markers.videos]]
-file = "shear.avi"
-fps = 25.0
-motion = "shear"
-
-[[markers.videos]]
-frames = ["p?.png"]
-motion = "free"
-"""
+_HEAD = (
+    'schema_version = 2\nsensor = "flat_pad"\nunit = "S1"\nbackground = "background.png"\n'
+    'untouched = ["untouched.jpg"]\nmask = "mask.png"\nmm_per_px_x = 0.1\nmm_per_px_y = 0.1\n'
+    'source = "made up"\nlicense = "CC0"\n'
+)
+_PRESSES = (
+    '\n[indenter]\nkind = "sphere"\nradius_mm = 2.0\n\n'
+    '[[presses]]\nimage = "p0.png"\nname = "corner"\n'
+    "contact = { u_px = 18.0, v_px = 16.0, radius_px = 8.0 }\ndepth_mm = 0.4\nforce_n = 0.7\n\n"
+    '[[presses]]\nimage = "p1.jpg"\nradius_mm = 3.0\n\n'
+    '[[presses]]\nimage = "p2.png"\n'
+)
+_TARGETS = (
+    '\n[split]\nheldout = ["p2"]\n\n'
+    '[[boards]]\nkind = "charuco"\ncolumns = 6\nrows = 5\npitch_mm = 2.5\nmarker_mm = 1.8\n'
+    'dictionary = "DICT_4X4_50"\non_gel = true\nimages = ["board.png"]\n'
+    'reference = "background.png"\n\n'
+    '[[edges]]\nimage = "p0.png"\nlength_mm = 2.0\ndihedral_deg = 90.0\n'
+    "line = { u_px = 16.0, v_px = 12.0, length_px = 15.0, angle_deg = 4.0 }\n"
+)
+_MARKERS = (
+    '\n[markers]\nrest = "background.png"\npitch_x_mm = 2.0\npitch_y_mm = 2.0\n'
+    'labels = "dots.csv"\n\n'
+    '[[markers.videos]]\nfile = "shear.avi"\nfps = 25.0\nmotion = "shear"\n\n'
+    '[[markers.videos]]\nframes = ["p?.png"]\nmotion = "free"\n'
+)
 _TABLES = {
     "indentation": "depth_mm,force_n,sigma_n\n0.2,0.05,0.01\n0.4,0.15,0.01\n0.8,0.4,0.01\n",
 }
-_RECORD = """
-[[records]]
-file = "{0}.csv"
-kind = "{0}"
-tool = {{ kind = "sphere", radius_mm = 4.0, center_mm = [0.0, 0.0] }}
-force_sigma_n = 0.02
-"""
+_RECORD = (
+    '\n[[records]]\nfile = "{0}.csv"\nkind = "{0}"\n'
+    'tool = {{ kind = "sphere", radius_mm = 4.0, center_mm = [0.0, 0.0] }}\n'
+    "force_sigma_n = 0.02\n"
+)
 _DOTS = "u_px,v_px,du_px,dv_px\n5,6,0.1,0.2\n15,6,0.1,0.3\n"
 
 

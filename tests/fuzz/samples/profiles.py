@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
+from collections.abc import Callable
 from os.path import isfile
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from tests.support.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
 
 _OLD = Path(__file__).parents[2] / "profile" / "old"
 GRID = PixelGrid(12, 9, 0.03, 0.031)
+_MOST = 1 << 24
+"""Bytes of a file that is looked into."""
 
 
 def whole(given: Path) -> None:
@@ -78,31 +81,31 @@ def seal_views(given: Path) -> None:
     """Let ``profile.toml`` state the hashes of the views and their files as they are now."""
     seal(given / "profile" / "views", "left")
     path, view = (given / "profile" / one for one in ("profile.toml", "views/left/profile.toml"))
-    if isfile(path) and not path.is_symlink() and isfile(view):
-        if max(path.stat().st_size, view.stat().st_size) > 1 << 24:
-            return
-        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+    if isfile(view) and view.stat().st_size <= _MOST:
         digest = hashlib.sha256(view.read_bytes()).hexdigest()
-        text = re.sub(r'left = "[0-9a-f]{64}"', f'left = "{digest}"', text)
-        path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+        _reworded(path, r'left = "[0-9a-f]{64}"', f'left = "{digest}"')
 
 
 def seal(given: Path, name: str = "profile") -> None:
     """Let the ``profile.toml`` of a folder state the hashes of the files as they are now."""
-    path = given / name / "profile.toml"
-    if not isfile(path) or path.is_symlink() or path.stat().st_size > 1 << 24:
-        return
-    text = path.read_bytes().decode("utf-8", errors="surrogateescape")
 
     def hashed(match: re.Match[str]) -> str:
         file = given / name / match[1]
         # No error where a link leads to what is no file name at all, as Path.is_file has.
-        if not isfile(file) or file.stat().st_size > 1 << 24:
+        if not isfile(file) or file.stat().st_size > _MOST:
             return match[0]
         return f'"{match[1]}" = "{hashlib.sha256(file.read_bytes()).hexdigest()}"'
 
-    text = re.sub(r'"(\w+\.(?:npz|safetensors))" = "[0-9a-f]{64}"', hashed, text)
-    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+    pattern = r'"(\w+\.(?:npz|safetensors))" = "[0-9a-f]{64}"'
+    _reworded(given / name / "profile.toml", pattern, hashed)
+
+
+def _reworded(path: Path, pattern: str, by: str | Callable[[re.Match[str]], str]) -> None:
+    """Replace what a file says, if it is one, and no large one."""
+    if not isfile(path) or path.is_symlink() or path.stat().st_size > _MOST:
+        return
+    text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+    path.write_bytes(re.sub(pattern, by, text).encode("utf-8", errors="surrogateescape"))
 
 
 def _profile() -> SensorProfile:

@@ -44,36 +44,43 @@ def univtac_packed(given: Path) -> None:
             stored[number] = np.frombuffer(stream, np.uint8)
 
 
-def _set(given: Path, version: str, kind: str) -> Path:
+def set_of(given: Path, version: str, kind: str, frames: int = 3, fps: int = 10) -> Path:
+    """A folder ``set`` with what it states."""
     folder = given / "set"
     (folder / "meta").mkdir(parents=True)
     features = {TOUCH: {"dtype": kind, "shape": [24, 32, 3]}}
-    about = {"codebase_version": version, "total_frames": 3, "fps": 10, "features": features}
+    about = {"codebase_version": version, "total_frames": frames, "fps": fps, "features": features}
     (folder / "meta" / "info.json").write_text(json.dumps(about))
     return folder
 
 
-def _table(path: Path, **columns: Any) -> None:
+def write_table(path: Path, **columns: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.table(columns), path)
 
 
-def _video(path: Path) -> None:
-    path.parent.mkdir(parents=True)
+def write_frames(
+    path: Path,
+    levels: tuple[int, ...] = (40, 90, 140),
+    size: tuple[int, int] = (32, 24),
+    rate: int = 10,
+) -> None:
+    """A video of grey pictures."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=10)
-        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
-        for level in (40, 90, 140):
-            still = np.full((24, 32, 3), level, np.uint8)
+        stream = container.add_stream("mpeg4", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        for level in levels:
+            still = np.full((*size[::-1], 3), level, np.uint8)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(still, "rgb24")))
         container.mux(stream.encode())
 
 
 def lerobot_2(given: Path) -> None:
     """A data set of version 2.1: a video and a table an episode."""
-    folder = _set(given, "v2.1", "video")
-    _video(folder / f"videos/chunk-000/{TOUCH}/episode_000000.mp4")
-    _table(
+    folder = set_of(given, "v2.1", "video")
+    write_frames(folder / f"videos/chunk-000/{TOUCH}/episode_000000.mp4")
+    write_table(
         folder / "data/chunk-000/episode_000000.parquet",
         episode_index=[0] * 3,
         frame_index=[0, 1, 2],
@@ -83,9 +90,9 @@ def lerobot_2(given: Path) -> None:
 
 def lerobot_3(given: Path) -> None:
     """A data set of version 3: two episodes in one video."""
-    folder, of = _set(given, "v3.0", "video"), f"videos/{TOUCH}/"
-    _video(folder / f"videos/{TOUCH}/chunk-000/file-000.mp4")
-    _table(
+    folder, of = set_of(given, "v3.0", "video"), f"videos/{TOUCH}/"
+    write_frames(folder / f"videos/{TOUCH}/chunk-000/file-000.mp4")
+    write_table(
         folder / "data/chunk-000/file-000.parquet",
         episode_index=[0, 0, 1],
         frame_index=[0, 1, 0],
@@ -93,7 +100,7 @@ def lerobot_3(given: Path) -> None:
     )
     indices = {f"{of}{name}_index": [0, 0] for name in ("chunk", "file")}
     starts = {f"{of}from_timestamp": [0.0, 0.2]}
-    _table(
+    write_table(
         folder / "meta/episodes/chunk-000/file-000.parquet",
         episode_index=[0, 1],
         length=[2, 1],
@@ -104,12 +111,11 @@ def lerobot_3(given: Path) -> None:
 
 def lerobot(given: Path) -> None:
     """A data set of version 3 whose images lie in its table and beside it."""
-    folder = _set(given, "v3.0", "image")
+    folder = set_of(given, "v3.0", "image")
     inside, beside, other = _pngs()
     (folder / "images").mkdir()
     (folder / "images" / "1.png").write_bytes(beside)
     cells = [(inside, None), (None, "images/1.png"), (other, None)]
     stored = pa.array([{"bytes": data, "path": path} for data, path in cells])
-    (folder / "data" / "chunk-000").mkdir(parents=True)
-    table = pa.table({"episode_index": [0] * 3, "frame_index": [0, 1, 2], TOUCH: stored})
-    pq.write_table(table, folder / "data" / "chunk-000" / "file-000.parquet")
+    columns = {"episode_index": [0] * 3, "frame_index": [0, 1, 2], TOUCH: stored}
+    write_table(folder / "data" / "chunk-000" / "file-000.parquet", **columns)

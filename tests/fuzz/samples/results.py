@@ -5,50 +5,38 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import torch
 
+from taccel_lab.benchmarks.results import FOLDER
 from taccel_lab.exporters.taxim_table import TABLE_FILE, TERMS, TableFile, TaximTable, write_table
+from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CACHE_VARIABLE, CachedFile, cached_arrays
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.studies.evaluate.design_row import DesignRow
+from taccel_lab.studies.evaluate.runner import default_kit
+from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
+from taccel_lab.studies.spec.study import make_study
+from taccel_lab.studies.spec.study_file import load_spec
+from taccel_lab.tasks.catalogue import FILES
 
-STUDY = """\
-[study]
-name = "Thickness"
-sensor = "flat_pad"
-metrics = ["sensitivity_um", "force_range"]
-presses = ["sphere"]
-seed = 3
-load_n = 0.5
-
-[parameters.thickness_mm]
-min = 2.5
-max = 6.0
-count = 3
-
-[parameters.young_modulus_mpa]
-values = [0.1, 0.2]
-
-[sweep]
-kind = "grid"
-
-[objective]
-maximize = "sensitivity_um"
-
-[[constraints]]
-metric = "force_range"
-min = 5.0
-
-[output]
-pictures = false
-
-[run]
-device = "cpu"
-
-[press.sphere]
-depth_fraction = 0.3
-"""
+STUDY = (
+    '[study]\nname = "Thickness"\nsensor = "flat_pad"\n'
+    'metrics = ["sensitivity_um", "force_range"]\npresses = ["sphere"]\nseed = 3\nload_n = 0.5\n'
+    "\n[parameters.thickness_mm]\nmin = 2.5\nmax = 6.0\ncount = 3\n\n"
+    "[parameters.young_modulus_mpa]\nvalues = [0.1, 0.2]\n\n"
+    '[sweep]\nkind = "grid"\n\n'
+    '[objective]\nmaximize = "sensitivity_um"\n\n'
+    '[[constraints]]\nmetric = "force_range"\nmin = 5.0\n\n'
+    "[output]\npictures = false\n\n"
+    '[run]\ndevice = "cpu"\n\n'
+    "[press.sphere]\ndepth_fraction = 0.3\n"
+)
 
 
 def table(given: Path) -> None:
@@ -63,15 +51,6 @@ def study_file(given: Path) -> None:
 
 def study(given: Path) -> None:
     """A study of which every design has a row."""
-    from dataclasses import asdict
-
-    from taccel_lab.files.atomic_file import to_jsonable
-    from taccel_lab.studies.evaluate.design_row import DesignRow
-    from taccel_lab.studies.evaluate.runner import default_kit
-    from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
-    from taccel_lab.studies.spec.study import make_study
-    from taccel_lab.studies.spec.study_file import load_spec
-
     study_file(given)
     planned = make_study(load_spec(given / "study.toml"), default_kit())
     root = given / "study"
@@ -117,9 +96,6 @@ def output(given: Path) -> None:
 
 def press(given: Path) -> None:
     """A press of two states on a box of five tets, and its end alone."""
-    from taccel_lab.geometry import TetMesh
-    from taccel_lab.geometry.vtu import write_mesh_vtu
-
     corners = 1e-3 * np.array([[x, y, z] for z in (0, 2) for y in (0, 3) for x in (0, 4)], float)
     tets = np.array([[0, 1, 2, 4], [1, 3, 2, 7], [1, 4, 5, 7], [2, 6, 4, 7], [1, 2, 4, 7]])
     faces = np.array([[0, 2, 1], [1, 2, 3], [4, 5, 7], [4, 7, 6]])
@@ -150,8 +126,6 @@ def press(given: Path) -> None:
 
 def training(given: Path) -> None:
     """A training that was interrupted."""
-    import torch
-
     state = {
         "key": "a",
         "step": 3,
@@ -164,14 +138,10 @@ def training(given: Path) -> None:
 
 def bench(given: Path) -> None:
     """Two results of a suite of benchmarks."""
-    from taccel_lab.benchmarks.results import FOLDER
-
     for name in ("first.json", "second.json"):
         (given / name).write_bytes((FOLDER / "captures_material.json").read_bytes())
 
 
 def task(given: Path) -> None:
     """A task of the package."""
-    from taccel_lab.tasks.catalogue import FILES
-
     (given / "task.toml").write_bytes((FILES / "peg-insertion.toml").read_bytes())

@@ -8,42 +8,16 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-SPEC = """\
-[dataset]
-name = "Touches"
-episodes = 6
-seed = 4
-view = 0.3
-
-[[sensors]]
-profile = "flat_pad"
-
-[[objects]]
-tool = "sphere:2"
-weight = 2.0
-
-[[objects]]
-tool = "box:2x1"
-split = "test"
-tilt_deg = [0.0, 5.0]
-
-[[motions]]
-kind = "press"
-depth_mm = [0.1, 0.4]
-
-[[motions]]
-kind = "slip"
-depth_mm = [0.1, 0.2]
-shear_mm = [0.2, 0.4]
-
-[randomise]
-light_gain = 0.05
-friction = [0.3, 0.6]
-
-[output]
-episodes_per_part = 2
-size_px = [32, 24]
-"""
+SPEC = (
+    '[dataset]\nname = "Touches"\nepisodes = 6\nseed = 4\nview = 0.3\n\n'
+    '[[sensors]]\nprofile = "flat_pad"\n\n'
+    '[[objects]]\ntool = "sphere:2"\nweight = 2.0\n\n'
+    '[[objects]]\ntool = "box:2x1"\nsplit = "test"\ntilt_deg = [0.0, 5.0]\n\n'
+    '[[motions]]\nkind = "press"\ndepth_mm = [0.1, 0.4]\n\n'
+    '[[motions]]\nkind = "slip"\ndepth_mm = [0.1, 0.2]\nshear_mm = [0.2, 0.4]\n\n'
+    "[randomise]\nlight_gain = 0.05\nfriction = [0.3, 0.6]\n\n"
+    "[output]\nepisodes_per_part = 2\nsize_px = [32, 24]\n"
+)
 
 
 def file(given: Path) -> None:
