@@ -15,10 +15,7 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from taccel_lab.learning.vector_env import TactileVectorEnv
+from typing import Any
 
 KINDS = ("grasp-lift", "peg-insertion")
 """Kinds of tasks that can be learned."""
@@ -47,16 +44,9 @@ def register_envs() -> None:
         register(
             env_id(task),
             entry_point=f"{_HERE}.single_env:TactileEnv",
-            vector_entry_point=f"{_HERE}.registration:make_registered",
+            vector_entry_point=f"{_HERE}.catalogue:make_vec",
             kwargs={"task": task},
         )
-
-
-def make_registered(num_envs: int = 1, *, task: str, **options: Any) -> TactileVectorEnv:
-    """What ``gymnasium.make_vec`` calls; options as of ``learning.catalogue.make_vec``."""
-    from taccel_lab.learning.catalogue import make_vec
-
-    return make_vec(task, num_envs, **options)
 
 
 class _Registering(Loader):
