@@ -22,7 +22,9 @@ STILL = np.zeros((2, 4), np.float32)
 
 @pytest.mark.parametrize("modules", ["gymnasium, taccel_lab", "taccel_lab, gymnasium"])
 def test_every_task_is_registered_whichever_package_loads_first(modules: str) -> None:
-    code = f"import {modules}; print(*sorted(gymnasium.registry))"
+    first, second = modules.split(", ")
+    asked = "import importlib.util; importlib.util.find_spec('gymnasium')"
+    code = f"import {first}; {asked}; import {second}; print(*sorted(gymnasium.registry))"
     listed = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )

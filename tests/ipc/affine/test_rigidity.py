@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -31,7 +32,7 @@ def assembly() -> Dense:
     pairs = zip(SIZES, YOUNG, strict=False)
     bodies = [box(str(young), size, young_modulus_pa=young) for size, young in pairs]
     # As many environments as probes of the 24 coordinates need.
-    model = affine_scene(bodies, env_count=48).finalize()
+    model = replace(affine_scene(bodies), env_count=48).finalize()
     return Dense(model, AffinePotential(model), initial_state(model).positions.numpy()[0])
 
 
