@@ -180,3 +180,6 @@ def test_a_disk_that_is_full_already_is_refused_before_any_work(
         (small_drive / "big").write_bytes(bytes(1_000_000))
     with pytest.raises(InputError, match="out cannot be written: No space left on device"):
         ask(small_drive / "out")
+    if ask is require_growable:
+        with pytest.raises(InputError, match="drive cannot be written: No space left"):
+            ask(small_drive)

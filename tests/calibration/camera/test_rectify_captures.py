@@ -196,6 +196,12 @@ def test_maps_that_do_not_go_with_the_captures_are_refused(maps, words: str, cap
     assert not (captures.parent / "even").exists()
 
 
+def test_the_picture_ends_with_the_middle_of_its_last_pixels() -> None:
+    u, v = (np.array([row], np.float32) for row in ([0, 9, 9.1, -0.1, 4, 4], [0, 4, 2, 2, 4.1, -1]))
+    maps = RectificationMaps(u, v, np.ones(u.shape, bool), PixelGrid(6, 1, 0.1, 0.1))
+    assert maps.inside((5, 10)).tolist() == [[True, True, False, False, False, False]]
+
+
 @pytest.mark.parametrize(("du", "dv"), [(45, 0), (0, -15), (-20, 25)])
 def test_maps_may_reach_past_the_picture(captures: Path, du: int, dv: int) -> None:
     """As on units whose gel is not in the middle of the camera's picture."""

@@ -142,6 +142,19 @@ def test_ridges_that_pass_or_part_do_not_stop() -> None:
     assert np.all(limits(ridges.x, ridges.closing(0 * gap, 0.1 * HALF_M)) == 1.0)
 
 
+def test_the_thickness_of_a_corner_and_of_a_face_is_kept() -> None:
+    gap, thickness = np.geomspace(5e-6, 1e-4, 20), 2e-6
+    x = np.zeros((20, 8, 3))
+    x[:, 1:4] = [[HALF_M, 0, DEEP_M], [-HALF_M, HALF_M, DEEP_M], [-HALF_M, -HALF_M, DEEP_M]]
+    x[:, 4:7] = 3 * x[:, 1:4] * [1, 1, 0]
+    x[:, 7, 2] = -DEEP_M
+    x[:, :4, 2] += gap[:, None]
+    dx = np.zeros_like(x)
+    dx[:, :4, 2] = -2 * gap[:, None]
+    free = (1 - SLACKNESS) * (gap - 2 * thickness) / (2 * gap)
+    assert limits(x, dx, thickness) == pytest.approx(free, rel=1e-8)
+
+
 def test_the_thickness_of_both_is_kept() -> None:
     rng, thickness = np.random.default_rng(4), 2e-6
     gap = rng.uniform(5e-6, 1e-4, 50)
