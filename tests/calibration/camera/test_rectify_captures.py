@@ -198,7 +198,7 @@ def test_maps_that_do_not_go_with_the_captures_are_refused(maps, words: str, cap
 
 def test_the_picture_ends_with_the_middle_of_its_last_pixels() -> None:
     u, v = (np.array([row], np.float32) for row in ([0, 9, 9.1, -0.1, 4, 4], [0, 4, 2, 2, 4.1, -1]))
-    maps = RectificationMaps(u, v, np.ones(u.shape, bool), PixelGrid(6, 1, 0.1, 0.1))
+    maps = RectificationMaps(u, v, np.ones(u.shape, bool), None)
     assert maps.inside((5, 10)).tolist() == [[True, True, False, False, False, False]]
 
 
