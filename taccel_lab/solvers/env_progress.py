@@ -12,6 +12,8 @@ from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.step_report import ReportBlock
 
+LARGEST_BOOST = 64.0
+"""Longest step along Newton's direction where CG solves: the way off a saddle."""
 FOLLOW_AFTER = 1
 """Freezings of a step before directions follow friction."""
 FOLLOW_AFTER_IN_BATCHES = 20
@@ -40,6 +42,8 @@ class Rules:
     has_friction: wp.int32
     follow_after: wp.int32
     """Freezings of a step before its directions follow friction."""
+    largest_boost: wp.float64
+    """Longest step along Newton's direction, off a saddle."""
 
 
 # Arrays of a part have shape [env_count] unless they say otherwise; masks are 0 or 1.
@@ -193,7 +197,7 @@ class Following:
 
 @wp.struct
 class Curvature:
-    """What of the curvature the next matrix has."""
+    """What of the curvature the next matrix has, and how long its direction is taken."""
 
     sharpness: wp.array(dtype=wp.float64)
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
@@ -201,6 +205,8 @@ class Curvature:
     """PSD_* of the next matrix: projected, or as it is."""
     projected: wp.array(dtype=wp.int32)
     """Iterations for which matrices are projected in any case."""
+    boost: wp.array(dtype=wp.float64)
+    """Multiple of Newton's direction that is searched along."""
 
 
 @wp.struct
@@ -382,8 +388,10 @@ def make_rules(
     joint_tolerance_m: float | None,
     has_friction: bool,
     follow_after: int,
+    turns_pivots: bool,
 ) -> Rules:
-    """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
+    """The rules of a solver; ``joint_tolerance_m`` is None without joints, ``turns_pivots`` says
+    that solutions follow modes of negative curvature."""
     rules = Rules()
     rules.dhat = config.dhat_m
     rules.relative_tolerance = config.relative_tolerance
@@ -398,4 +406,5 @@ def make_rules(
     rules.has_joints = int(joint_tolerance_m is not None)
     rules.has_friction = int(has_friction)
     rules.follow_after = follow_after
+    rules.largest_boost = 1.0 if turns_pivots else LARGEST_BOOST
     return rules
