@@ -8,7 +8,7 @@ use, and heavy libraries load in the functions that need them.
 from pathlib import Path
 
 from taccel_lab.lazy_names import lazy_names
-from taccel_lab.learning.registration import register_with_gymnasium
+from taccel_lab.registration import register_with_gymnasium
 
 # In a checkout ``cad``, ``calibration`` and ``sensors`` stand beside this folder, and links in here
 # lead to them. Where links are not checked out (Windows, some archives) they are found there.

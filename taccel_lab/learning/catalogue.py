@@ -13,9 +13,9 @@ from taccel_lab.guards import require_known, require_range
 from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
-from taccel_lab.learning.registration import FILES, KINDS, names
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.learning.vector_env import TactileVectorEnv
+from taccel_lab.registration import FILES, KINDS, names
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile

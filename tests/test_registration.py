@@ -13,8 +13,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
 
 from taccel_lab.errors import InputError
-from taccel_lab.learning.registration import env_id, names
 from taccel_lab.learning.vector_env import TactileVectorEnv
+from taccel_lab.registration import env_id, names
 
 PEG = env_id("peg-insertion")
 STILL = np.zeros((2, 4), np.float32)

@@ -19,7 +19,7 @@ from typing import Any
 
 KINDS = ("grasp-lift", "peg-insertion")
 """Kinds of tasks that can be learned."""
-FILES = Path(__file__).parents[1] / "tasks" / "files"
+FILES = Path(__file__).parent / "tasks" / "files"
 _HERE = "taccel_lab.learning"
 
 
@@ -78,7 +78,7 @@ class _Finder(MetaPathFinder):
 
 def register_with_gymnasium() -> None:
     """Register the tasks now, or as soon as gymnasium is imported."""
-    if "gymnasium" in sys.modules:
+    if sys.modules.get("gymnasium") is not None:
         register_envs()
     else:
         sys.meta_path.insert(0, _Finder())
