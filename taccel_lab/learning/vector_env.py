@@ -161,7 +161,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             known = ", ".join(OBSERVATIONS)
             raise InputError(f"observe names some of {known}, each once; got {', '.join(observe)}")
         modes = [mode.name for mode in AutoresetMode]
-        require_known("autoreset_mode", getattr(autoreset_mode, "name", autoreset_mode), modes)
+        require_known("autoreset_mode", str(getattr(autoreset_mode, "name", autoreset_mode)), modes)
         require_known("arrays", arrays, ("torch", "numpy"))
         if render_mode is not None:
             require_known("render_mode", render_mode, RENDER_MODES)
