@@ -198,6 +198,7 @@ def require_lean_gradients(name: str, arch: int, kinds: int | None = 1) -> None:
             assert max(use.stack_bytes for use in found.values()) <= 256
 
 
+@pytest.mark.thorough(cases=("86",))
 @pytest.mark.parametrize("arch", FAST_CHIPS)
 def test_linear_solvers_compile_for_the_least_and_the_most_shared_memory(arch: int) -> None:
     """In the largest shared memory, and in global memory; what has one layout for all chips, for

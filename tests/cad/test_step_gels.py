@@ -330,6 +330,7 @@ def test_parts_of_an_assembly_are_found_in_place(named: tuple[str, ...], tmp_pat
     assert gel.part.area_mm2(Region.CONTACT) == pytest.approx(320)
 
 
+@pytest.mark.thorough
 def test_the_gel_of_a_gelsight_mini_is_imported() -> None:
     """25.25 x 20.75 x 4.00 mm, 1898.81 mm^3, as measured by its authors."""
     selection = FaceSelection(

@@ -159,6 +159,7 @@ REFUSALS = {
 DEAR = {PRESS: {"--at-mm 30 0 --mesh profile"}, COLOR: {"--holdout-every 6"}}
 
 
+@pytest.mark.thorough(cases=("press 0",))
 @pytest.mark.parametrize(
     ("words", "says"),
     [

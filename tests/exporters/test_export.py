@@ -102,7 +102,7 @@ def test_a_failure_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.thorough(cases=("isaac-lab", "taxim"))
+@pytest.mark.thorough(cases=("gs-sdk", "isaac-lab", "taxim"))
 @pytest.mark.parametrize("to", ["taxim", "isaac-lab", "gs-sdk", "tacto"])
 def test_dots_in_a_background_are_said_to_stand_still(
     to: str, mini: SensorProfile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -94,6 +94,7 @@ def test_a_reader_that_never_ends_takes_what_its_file_is_worth(
     require_works()
 
 
+@pytest.mark.thorough
 def test_a_reader_that_hangs_is_ended() -> None:
     start = time.monotonic()
     with pytest.raises(InputError, match=r"^x\.ply: the reader did not finish within 0\.3 s"):

@@ -221,6 +221,7 @@ def test_frames_are_as_stored_whatever_a_player_is_asked_to_turn(
     np.testing.assert_array_equal(next(read_frames(path)), stored)
 
 
+@pytest.mark.thorough
 def test_only_one_frame_is_held(tmp_path: Path) -> None:
     path = write(tmp_path / "v.avi", "MJPG", 60, (640, 480))
     next(read_frames(path))

@@ -97,7 +97,7 @@ def test_a_link_out_of_a_folder_is_not_followed(
         assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.thorough(cases=("dataset-file-touches.toml",))
+@pytest.mark.thorough(cases=("dataset-file-touches.toml", "step-import-gel.step"))
 @pytest.mark.parametrize(("reader", "name"), pairs(NAMED))
 def test_a_file_that_is_named_may_be_a_link(
     reader: str, name: str, sample: Callable[[str], Path], tmp_path: Path

@@ -22,6 +22,7 @@ ROUNDING = 5e-7
 """Of FP32 over a chain of a few joints of up to 1 m: some 1.2e-7 each."""
 
 
+@pytest.mark.thorough
 def test_a_robot_of_an_mjcf_file_is_where_and_as_heavy_as_newton_has_it(tmp_path: Path) -> None:
     """Joints off the origin of their link, three on one body, and one that mimics another."""
     builder = read(ARM, tmp_path)

@@ -276,6 +276,7 @@ def deep_edge(friction: float = 0.0, gel: Material = FIRM) -> PressEnv:
     return env
 
 
+@pytest.mark.thorough
 def test_a_gentle_press_has_nothing_of_it():
     env = at_rest("sphere:4", 0.2)
     assert env.guard_share()[0] == 0.0

@@ -154,7 +154,7 @@ def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 NO_CUDA = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 
 
-@pytest.mark.thorough(cases=("parallel_gripper-cpu",))
+@pytest.mark.thorough(cases=("parallel_gripper-cpu", "three_finger_hand-cpu"))
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, NO_CUDA])])
 @pytest.mark.parametrize("name", [*OURS, "chain", *REAL])
 def test_tensors_go_where_arrays_go(name: str, device: str, tmp_path: Path) -> None:

@@ -133,6 +133,7 @@ def test_partial_slip_of_cattaneo_and_mindlin():
     assert pressure.sum() == pytest.approx(-total[2], rel=1e-3)
 
 
+@pytest.mark.thorough
 def test_chunks_and_chosen_environments_change_nothing():
     env, chosen = dragged(), np.array([False, True])
     whole = [array.numpy().copy() for array in of(env).read(*CONTACT_SIGNALS)]

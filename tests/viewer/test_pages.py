@@ -62,6 +62,7 @@ def dented_block() -> GelStates:
     )
 
 
+@pytest.mark.thorough
 def test_a_gel_is_seen_with_section_arrows_and_states():
     with live_page("A press", HERE) as server:
         states = dented_block()

@@ -250,6 +250,7 @@ def test_images_of_a_folder_are_refused_one_by_one(tmp_path: Path) -> None:
     assert "frame 2.png is 20x24 px; 32x24 px are needed" in str(frames[2])
 
 
+@pytest.mark.thorough
 def test_many_torn_frames_end_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("taccel_lab.calibration.capture.camera.recording.MOST_REFUSED", 3)
     torn = [b"torn", b"torn"]

@@ -128,7 +128,7 @@ def test_circles_that_are_off_keep_the_gel_in_the_interval() -> None:
     assert found is not None and found.interval_mm[0] <= 3.0 <= found.interval_mm[1]
 
 
-@pytest.mark.thorough(cases=("noise",))
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", ["noise", "no layer"])
 def test_pictures_that_no_layer_explains_tell_no_thickness(what: str) -> None:
     """What is left open is as few as gels are, and a stated thickness is not contradicted."""

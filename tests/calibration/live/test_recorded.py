@@ -159,6 +159,7 @@ def test_episodes_begin_anew_whatever_their_clocks_say(tmp_path: Path) -> None:
     assert draw_recorded(rows[:2]).axes[-1].get_xlabel() == "time [s]"
 
 
+@pytest.mark.thorough
 def test_what_holds_no_frames_or_others_is_refused(frames, tmp_path, monkeypatch) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "words.txt").write_text("none")

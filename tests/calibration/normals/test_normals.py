@@ -102,7 +102,7 @@ def test_noisy_captures_err_as_expected() -> None:
     assert errors == sorted(errors, reverse=True)
 
 
-@pytest.mark.thorough(cases=("5-usable",))
+@pytest.mark.thorough
 @pytest.mark.parametrize(("count", "verdict"), [(3, Verdict.WEAK), (5, Verdict.USABLE)])
 def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) -> None:
     captures, surfaces = synthetic_captures(count, noise=1.0)

@@ -130,6 +130,7 @@ def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
     assert exact.depth_share == 0.03
 
 
+@pytest.mark.thorough
 def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -> None:
     model = noted(0.0, 0.0)
     before = model.config
