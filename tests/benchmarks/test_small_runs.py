@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from taccel_lab.benchmarks import press_accuracy, readings
@@ -71,3 +72,15 @@ def test_every_tool_meets_every_material() -> None:
             continue
         assert met >= set(press_accuracy.MATERIALS)
         assert press_accuracy.PressCase("flat_pad", tool, 0.1, 0.4, 0.0).indenter().contact(0.1)
+
+
+def test_errors_are_relative_to_the_converged_press(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NaN where a pixel sees no gel."""
+    seen = np.array([[0.0, 3e-6], [4e-6, np.nan]])
+    figures = {"force_n": 2.1, "solved_n": 1.9}
+    monkeypatch.setattr(press_accuracy, "measured_case", lambda *_: (figures, seen))
+    true = press_accuracy.Truth(2.0, np.zeros((2, 2)), 7)
+    monkeypatch.setattr(press_accuracy, "truth", lambda *_: true)
+    row = press_accuracy.measure(next(press_accuracy.all_cases()), "fast", 0.5, "cpu")
+    assert (row["force_error"], row["solved_error"]) == pytest.approx((0.05, -0.05))
+    assert row["height_rms_m"] == pytest.approx(5e-6 / 3**0.5)

@@ -58,6 +58,21 @@ def folder(mini: SensorProfile, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return out
 
 
+def test_it_learns_angles_from_blue_green_and_red(mini, tmp_path, monkeypatch) -> None:
+    learned, train = [], gs_sdk.train_network
+    monkeypatch.setattr(
+        gs_sdk, "train_network", lambda *seen, **some: learned.append(seen) or train(*seen, **some)
+    )
+    gs_sdk.export_gs_sdk(mini, tmp_path, steps=1, samples=500)
+    features, angles = learned[0]
+    drawn = ColorSource(mini).draw(np.random.default_rng(0), 500, gs_sdk.IN_CONTACT)
+    tilted = angles.any(axis=1)
+    np.testing.assert_allclose(np.tan(angles[tilted]), drawn.slope[tilted], rtol=1e-5)
+    rest = mini.background_rgb.reshape(-1, 3)[drawn.pixel_idx[~tilted]]
+    assert (~tilted).sum() > 50 and np.ptp(rest, axis=1).min() > 10
+    np.testing.assert_allclose(255 * features[~tilted, :3], rest[:, ::-1], atol=6)
+
+
 @pytest.mark.thorough
 def test_the_network_reads_the_press(mini: SensorProfile, folder: Path) -> None:
     network = BgrxyNetwork()
