@@ -268,6 +268,16 @@ def test_bad_resets_and_actions_are_refused() -> None:
         env.step(torch.zeros(2, 3))
 
 
+def test_actions_beyond_their_bounds_move_no_further() -> None:
+    env = make(observe=("proprioception",))
+    env.reset(seed=0)
+    action = torch.tensor([[1.0, -1.0, 0.2, 1.0], [9.0, -3.0, 0.2, 1.5]])
+    for _ in range(2):
+        moved = env.step(action)[0]["proprioception"]
+    assert moved[0].abs().min() > 0
+    torch.testing.assert_close(moved[1], moved[0], rtol=0, atol=0)
+
+
 HAND = named_robot("three_finger_hand")
 STEP = np.full(9, 0.1)
 EVERYONE = torch.tensor([True, True])
