@@ -276,6 +276,9 @@ def test_actions_beyond_their_bounds_move_no_further() -> None:
         moved = env.step(action)[0]["proprioception"]
     assert moved[0].abs().min() > 0
     torch.testing.assert_close(moved[1], moved[0], rtol=0, atol=0)
+    for _ in range(45):
+        env.task.act(torch.tensor([True, True]), action)
+    np.testing.assert_allclose(env.task.proprioception()[0], [4, -4, 4.6, 6], atol=1e-9)
 
 
 HAND = named_robot("three_finger_hand")

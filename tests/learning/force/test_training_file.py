@@ -142,6 +142,17 @@ def test_nothing_that_a_file_holds_is_run(tmp_path: Path, content: str) -> None:
     assert "cannot be read; the training starts anew" in said[0] and not place.exists()
 
 
+def test_a_state_goes_on_with_its_own_training_alone(tmp_path: Path) -> None:
+    said: list[str] = []
+    TrainingFile(tmp_path / "t.pt").save("ours", 11, {"rate": 0.5})
+    file = TrainingFile(tmp_path / "t.pt", said.append)
+    assert file.load("another") is None and file.step is None
+    assert "is of other data or settings; the training starts anew" in said[0]
+    state = file.load("ours")
+    assert state is not None and state["rate"] == 0.5 and file.step == 11
+    assert said[1:] == [f"the training continues after step 11, kept in {tmp_path / 't.pt'}"]
+
+
 def begun(touches: Path, path: Path, **changes: Any) -> str:
     """What a training says that finds a file there; it is stopped before it keeps anything."""
     said: list[str] = []
