@@ -271,7 +271,7 @@ def univtac(touches: Path, out: Path) -> None:
     assert len(json.loads((out / "metadata.json").read_text())) == 2
 
 
-@pytest.mark.thorough
+@pytest.mark.thorough(cases=("lerobot",))
 @pytest.mark.parametrize("reader", [lerobot, univtac], ids=["lerobot", "univtac"])
 def test_a_data_set_is_read_back(
     reader: Callable[[Path, Path], None], touches: Path, tmp_path: Path

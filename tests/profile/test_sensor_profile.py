@@ -61,6 +61,18 @@ def test_blocks_are_frozen_replaced_in_a_copy_and_checked(full_profile: SensorPr
     assert changed.mesh is full_profile.mesh
 
 
+test_numbers_have_bounds = refuses(
+    lambda profile, key, field, value: profile.blocks()[key].replace(**{field: value}),
+    ("optics", "crop_x", 1.1, r"crop_x"),
+    ("optics", "crop_x", 0.005, r"crop_x"),
+    ("material", "young_modulus_pa", 1e9, r"young_modulus_pa"),
+    ("material", "friction_coefficient", 5.1, r"friction_coefficient"),
+    ("material", "density_kg_m3", 99, r"density_kg_m3"),
+    ("window", "thickness_mm", 0.0, r"thickness_mm"),
+    given="full_profile",
+)
+
+
 def test_without_removes_block_and_arrays(full_profile: SensorProfile) -> None:
     bare = full_profile.without("background", "color")
     assert bare.background_rgb is None
