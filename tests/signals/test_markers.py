@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import warp as wp
@@ -203,3 +205,13 @@ def test_a_real_gel_that_was_sheared():
         change = np.stack(light, axis=-1) / gaussian_filter(known, 6.0)[..., None]
         error, still = (np.abs(base + change - frame)[judged].mean() for base in (image, frames[0]))
         assert error < 0.3 * still
+
+
+def test_dots_are_as_high_as_on_the_designed_gel():
+    mesh = block_mesh((4, 4, 1), (8e-3, 8e-3, 2e-3))
+    designed = dataclasses.replace(mesh, nodes_m=mesh.nodes_m + [0, 0, 2e-4])
+    xy_mm = np.array([[0.3, 0.1], [1.2, -2.0]])
+    layout, there = MarkerLayout.where_on(mesh, xy_mm)
+    assert len(there) == 2
+    lifts_m = layout.over(designed, xy_mm, mesh).lifts_m
+    np.testing.assert_allclose(lifts_m, 2e-4, rtol=1e-9)
