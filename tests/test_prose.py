@@ -45,7 +45,7 @@ COMMANDS = {
 
 
 def of_sources(told: Callable[[str], Iterable[str]]) -> list[str]:
-    """What is told of each file of ours."""
+    """Findings about each file of ours."""
     paths = [path for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")]
     return [f"{path.relative_to(ROOT)}: {word}" for path in paths for word in told(read(path))]
 

@@ -37,7 +37,7 @@ def test_a_file_appears_at_the_end_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError), atomic_file(target) as staging:
         staging.write_text("half")
         raise RuntimeError
-    # A full disk is told by the file's name, and a folder in its place, too.
+    # A full disk is reported with the file's name, and so is a folder in its place.
     with pytest.raises(OSError) as told, atomic_file(target):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert (told.value.errno, told.value.filename) == (errno.ENOSPC, str(target))

@@ -93,6 +93,16 @@ def test_environments_do_not_see_each_other(many_lanes: None) -> None:
         np.testing.assert_array_equal(system.solution.numpy()[env], solution[env])
 
 
+def test_a_pivot_that_is_not_a_number_is_a_breakdown(many_lanes: None) -> None:
+    system, _ = contact_system(1)
+    values = system.values.numpy()
+    values[0, system.pattern.diagonal[7], 0, 0] = np.nan
+    system.values.assign(values)
+    report = factorise(system, 1)
+    assert report.breakdown.tolist() == [True] and report.iterations.tolist() == [0]
+    assert (system.solution.numpy() == 0).all()
+
+
 def turned(matrix: np.ndarray, order: np.ndarray, gel_rows: int) -> np.ndarray:
     """The matrix whose factor, in this order of rows, has the other sign of negative pivots."""
     index = (3 * order[:, None] + np.arange(3)).ravel()

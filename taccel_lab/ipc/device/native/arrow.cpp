@@ -56,7 +56,7 @@
     };
     // A negative pivot changes its sign, and with it the matrix; a small one would lead far away.
     const auto turned = [](double pivot, double least) {
-        return pivot >= 0.0 ? pivot : -pivot > least ? -pivot : least;
+        return pivot < 0.0 ? (-pivot > least ? -pivot : least) : pivot;
     };
     // Words never change: the first that a lane needs after a barrier are read before it.
     int first = level_starts[0];
