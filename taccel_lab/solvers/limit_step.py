@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
+from taccel_lab.ipc.affine.bent_step import LARGEST_TURN
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.solvers.env_phase import stop
@@ -21,6 +22,9 @@ wp.set_module_options({"enable_backward": False})
 
 
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
+_CHORD_SHARE = 0.025
+"""Part of a gap by which nodes may leave their chords: both sides do, and CCD leaves a tenth of the
+gap, of which half remains."""
 
 
 @wp.kernel
@@ -56,6 +60,21 @@ def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.arr
     s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)
 
 
+@wp.func
+def longest(env: int, p: Progress) -> wp.float64:
+    """Fraction of the direction that turns no affine body by more than ``LARGEST_TURN``, up to
+    1."""
+    bend = wp.max(p.clearance.bend[env], wp.float64(1.0e-300))
+    return wp.min(wp.float64(1.0), wp.float64(LARGEST_TURN) / bend)
+
+
+@wp.func
+def leaves_chords(env: int, gap: wp.float64, p: Progress) -> bool:
+    """Whether the ways of what turns leave the chords that CCD checks by more than CCD leaves of
+    the smallest ``gap`` [m]: the search reaches as far beyond ``dhat`` as any node does."""
+    return p.clearance.reach[env] - p.rules.dhat > wp.float64(_CHORD_SHARE) * gap
+
+
 @wp.kernel
 def _choose_kernel(
     mask: wp.array(dtype=wp.int32),
@@ -69,8 +88,9 @@ def _choose_kernel(
     p.clearance.near[env] = 0
     if mask[env] == 0:
         return
-    p.clearance.limit[env] = wp.float64(1.0)
+    p.clearance.limit[env] = longest(env, p)
     gap = wp.min(p.balance.min_distance[env], gap_limit)
+    p.clearance.curved[env] = int(leaves_chords(env, gap, p))
     if not (wp.float64(2.0) * travels[env] < gap):
         p.clearance.near[env] = 1
         p.counts.ccd_passes[env] += 1
@@ -83,8 +103,9 @@ def limit_step(
     beside: Sequence[Callable[[], None]] = (),
 ) -> None:
     """``limit`` of the environments of ``mask``: the fraction of ``displacements`` that is free of
-    collisions. ``find_pairs`` has been there. ``gaps_known``: whether ``min_distance`` is that of
-    the positions. ``beside``: what else may be launched meanwhile."""
+    collisions, up to the ``longest`` that may be taken. ``find_pairs`` has been there.
+    ``gaps_known``: whether ``min_distance`` is that of the positions. ``beside``: what else may be
+    launched meanwhile."""
     s, p = run.s, run.p
     gap_limit = s.shortest_range_m if gaps_known else 0.0
     run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit)

@@ -7,13 +7,7 @@ from collections.abc import Callable
 
 import warp as wp
 
-from taccel_lab.ipc.affine.bent_step import (
-    LARGEST_TURN,
-    SMALLEST_TURN,
-    find_pivots,
-    measure_turns,
-    place_affine,
-)
+from taccel_lab.ipc.affine.bent_step import find_pivots, measure_turns, place_affine
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope
@@ -22,6 +16,7 @@ from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_
 from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
+from taccel_lab.solvers.limit_step import longest
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -48,16 +43,10 @@ def begin_trial(env: int, collisions: ListRoom, p: Progress):
 
 
 @wp.func
-def is_curved(env: int, smallest_bend: wp.float64, p: Progress) -> bool:
-    """Whether trials leave the chord that CCD checked."""
-    return p.prescribed.turning[env] != 0 or p.clearance.bend[env] > smallest_bend
-
-
-@wp.func
-def search_on(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: Progress):
+def search_on(env: int, collisions: ListRoom, p: Progress):
     """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
     begin_trial(env, collisions, p)
-    if is_curved(env, smallest_bend, p):
+    if p.clearance.curved[env] != 0:
         p.clearance.near[env] = 1
         p.clearance.limit[env] = wp.float64(1.0)
         p.counts.ccd_passes[env] += 1
@@ -73,8 +62,6 @@ def _open_search_kernel(
     energies: WrittenEnergies,
     base_known: int,
     collisions: ListRoom,
-    largest_turn: wp.float64,
-    smallest_bend: wp.float64,
     p: Progress,
 ):
     """Slope and energy where the search starts; the first trial takes the collision-free fraction.
@@ -98,14 +85,13 @@ def _open_search_kernel(
         alpha = wp.min(p.clearance.limit[env], p.balance.damping[env])
         if p.following.follows[env] != 0:
             alpha = p.clearance.limit[env]
-            if alpha < wp.float64(1.0):
+            if alpha < longest(env, p):
                 # A direction that meets something is far too long.
                 alpha *= wp.float64(FREE_SHARE)
-        alpha = wp.min(alpha, largest_turn / wp.max(p.clearance.bend[env], wp.float64(1.0e-300)))
         p.search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)
-            search_on(env, collisions, smallest_bend, p)
+            search_on(env, collisions, p)
             wp.atomic_add(p.flags.searching, 0, 1)
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
@@ -127,7 +113,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.func
-def is_good(env: int, smallest_bend: wp.float64, p: Progress) -> bool:
+def is_good(env: int, p: Progress) -> bool:
     """Whether a trial lowers the energy.
 
     While frames are still on their way the energy may rise: they do work. So it may along
@@ -151,7 +137,7 @@ def is_good(env: int, smallest_bend: wp.float64, p: Progress) -> bool:
     minimises = p.prescribed.progress[env] >= one and p.following.follows[env] == 0
     if minimises and not (after <= before + descent + rounding):
         good = False
-    if is_curved(env, smallest_bend, p) and p.clearance.limit[env] < one:
+    if p.clearance.curved[env] != 0 and p.clearance.limit[env] < one:
         good = False
     return good
 
@@ -175,12 +161,12 @@ def accept(env: int, p: Progress):
 
 
 @wp.func
-def judge_trial(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: Progress):
+def judge_trial(env: int, collisions: ListRoom, p: Progress):
     """Accept a trial, or halve its fraction."""
     p.clearance.near[env] = 0
     if overflows(env, collisions):
         stop(env, _CONTACT_OVERFLOW, p)
-    elif is_good(env, smallest_bend, p):
+    elif is_good(env, p):
         accept(env, p)
     else:
         p.search.alpha[env] = wp.float64(0.5) * p.search.alpha[env]
@@ -188,7 +174,7 @@ def judge_trial(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: Pr
         if p.search.cuts[env] >= p.rules.max_cuts:
             stop(env, _LINE_SEARCH, p)
         else:
-            search_on(env, collisions, smallest_bend, p)
+            search_on(env, collisions, p)
     if p.phases.phase[env] != SEARCHING:
         wp.atomic_sub(p.flags.searching, 0, 1)
 
@@ -198,7 +184,6 @@ def _judge_trial_kernel(
     searching: wp.array(dtype=wp.int32),
     energies: WrittenEnergies,
     collisions: ListRoom,
-    smallest_bend: wp.float64,
     p: Progress,
 ):
     """The energy of a trial, and its outcome; threads as in ``_open_search_kernel``."""
@@ -210,7 +195,7 @@ def _judge_trial_kernel(
     if lane == 0:
         p.search.base_after[env] = base
         p.search.after[env] = base + friction
-        judge_trial(env, collisions, smallest_bend, p)
+        judge_trial(env, collisions, p)
 
 
 def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
@@ -258,13 +243,13 @@ def search_line(run: StepLaunches) -> None:
     s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
-    rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN]
     start = [p.phases.active, *gradients, s.displacements, run.energies, known]
-    launch_blocks(_open_search_kernel, len(p.phases.active), *start, *rules, p.struct)
+    start += [s.collisions.room, p.struct]
+    launch_blocks(_open_search_kernel, len(p.phases.active), *start)
 
     def judge() -> None:
         evaluate_trial(run)
-        inputs = [p.phases.inner, run.energies, s.collisions.room, SMALLEST_TURN, p.struct]
+        inputs = [p.phases.inner, run.energies, s.collisions.room, p.struct]
         launch_blocks(_judge_trial_kernel, len(p.phases.inner), *inputs)
 
     # All that search have a first trial: a loop around it would only have to be entered.

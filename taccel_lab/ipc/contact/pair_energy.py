@@ -40,7 +40,7 @@ from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.distance.closest_pairs import ClosestPair
 from taccel_lab.ipc.distance.derivatives import outer_rows, pair_frame, pair_normal
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
-    cross_sq_hessian_block,
+    cross_sq_hessian,
     edge_edge_cross_sq,
     edge_edge_cross_sq_gradient,
     edge_edge_mollifier,
@@ -178,23 +178,28 @@ def pair_hessian_block(h: PairHessian, i: wp.int32, j: wp.int32) -> wp.mat33d:
 
 @wp.struct
 class MollifierTerms:
-    """What the mollifier adds to m times the Hessian of E, in factors.
+    """What the mollifier adds to m times the Hessian of E: bilinear in three coefficients of two
+    nodes, see ``mollifier_coefficients``.
 
-    left, right: mixed term left right^T + right left^T, rows per node.
+    edge_a, edge_b: the two edges u and v [m].
+    by_a, by_b: derivative of c = |u x v|^2 by them [m^3]; of a node it is ``turned``.
+    normal: of the pair.
+    left, right: mixed term left right^T + right left^T, each as a factor of the gradient of c and
+        one of the normal times the node's weight.
     turn, bend: coefficients of hess c [N/m^3] and of grad c grad c^T [N/m^7].
     curvature: 1 for the exact hess c, 0 for its Gauss-Newton part.
-    edge_a, edge_b: the two edges [m].
-    cross_gradient: grad c [m^3].
     """
 
-    left: mat43d
-    right: mat43d
+    edge_a: wp.vec3d
+    edge_b: wp.vec3d
+    by_a: wp.vec3d
+    by_b: wp.vec3d
+    normal: wp.vec3d
+    left: wp.vec2d
+    right: wp.vec2d
     turn: wp.float64
     bend: wp.float64
     curvature: wp.float64
-    edge_a: wp.vec3d
-    edge_b: wp.vec3d
-    cross_gradient: mat43d
 
 
 @wp.func
@@ -218,11 +223,6 @@ def mollified_gradient(
 
 
 @wp.func
-def _norm(rows: mat43d) -> wp.float64:
-    return wp.sqrt(wp.ddot(rows, rows))
-
-
-@wp.func
 def mollifier_terms(
     pair: ClosestPair,
     ea0: wp.vec3d,
@@ -238,37 +238,89 @@ def mollifier_terms(
 
     mode: PSD_NONE, or PSD_CLAMP for the sum of projected parts.
     """
-    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    zero = wp.float64(0.0)
     cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
     h = MollifierTerms()
     if cross_sq >= threshold:
         return h
     slope = edge_edge_mollifier_d1(cross_sq, threshold)
+    gradient = edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
     h.edge_a = ea1 - ea0
     h.edge_b = eb1 - eb0
+    h.by_a = gradient[1]
+    h.by_b = gradient[3]
+    h.normal = pair_normal(pair)
     h.turn = e0 * slope
-    h.cross_gradient = edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
-    h.left = slope * h.cross_gradient
-    h.right = outer_rows(pair.weights, e1 * pair_normal(pair))
+    h.left = wp.vec2d(slope, zero)
+    h.right = wp.vec2d(zero, e1)
     if mode == PSD_NONE:
         h.bend = e0 * edge_edge_mollifier_d2(cross_sq, threshold)
-        h.curvature = wp.float64(1.0)
+        h.curvature = one
     if mode == PSD_CLAMP:
-        left_norm = _norm(h.left)
-        right_norm = _norm(h.right)
-        if left_norm > wp.float64(0.0) and right_norm > wp.float64(0.0):
+        left_norm = slope * wp.sqrt(wp.ddot(gradient, gradient))
+        right_norm = wp.abs(e1) * wp.length(pair.weights)
+        if left_norm > zero and right_norm > zero:
             # Sum of the two, each scaled to the geometric mean of both norms; `left right^T +
             # right left^T` with left = right = sum / 2 is then the projection.
             balance = wp.sqrt(right_norm / left_norm)
-            h.left = half * (balance * h.left + h.right / balance)
+            h.left = wp.float64(0.5) * wp.vec2d(balance * slope, e1 / balance)
             h.right = h.left
     return h
 
 
 @wp.func
-def mollifier_block(h: MollifierTerms, i: wp.int32, j: wp.int32) -> wp.mat33d:
-    """The part of a block [N/m] that the mollifier adds."""
-    block = wp.outer(h.left[i], h.right[j]) + wp.outer(h.right[i], h.left[j])
-    block += h.turn * cross_sq_hessian_block(h.edge_a, h.edge_b, i, j, h.curvature)
-    block += h.bend * wp.outer(h.cross_gradient[i], h.cross_gradient[j])
-    return block
+def mollifier_coefficients(weights: wp.vec4d, i: wp.int32) -> wp.vec3d:
+    """Weight of node i in the offset of its pair, and by how much of its own way it moves the first
+    edge and the second."""
+    sign = wp.float64(2 * (i % 2) - 1)
+    zero = wp.float64(0.0)
+    if i < 2:
+        return wp.vec3d(weights[i], sign, zero)
+    return wp.vec3d(weights[i], zero, sign)
+
+
+@wp.func
+def turned(h: MollifierTerms, a: wp.vec3d) -> wp.vec3d:
+    """Derivative of c by a node [m^3]."""
+    return a[1] * h.by_a + a[2] * h.by_b
+
+
+@wp.func
+def mollifier_block(h: MollifierTerms, a: wp.vec3d, b: wp.vec3d) -> wp.mat33d:
+    """The part of a block [N/m] that the mollifier adds, of two nodes by their coefficients."""
+    turned_a = turned(h, a)
+    turned_b = turned(h, b)
+    along_a = a[0] * h.normal
+    along_b = b[0] * h.normal
+    left_a = h.left[0] * turned_a + h.left[1] * along_a
+    left_b = h.left[0] * turned_b + h.left[1] * along_b
+    right_a = h.right[0] * turned_a + h.right[1] * along_a
+    right_b = h.right[0] * turned_b + h.right[1] * along_b
+    block = wp.outer(left_a, right_b) + wp.outer(right_a, left_b)
+    block += h.bend * wp.outer(turned_a, turned_b)
+    first = wp.vec2d(a[1], a[2])
+    second = wp.vec2d(b[1], b[2])
+    return block + h.turn * cross_sq_hessian(h.edge_a, h.edge_b, first, second, h.curvature)
+
+
+@wp.func
+def mollifier_pull(h: MollifierTerms, a: wp.vec3d, ways: wp.mat33d) -> wp.vec3d:
+    """Sum of the blocks of a node with others times the ways of these [N]; row k of ``ways``: sum
+    of these ways [m] times their coefficient k."""
+    two = wp.float64(2.0)
+    turns = wp.dot(h.by_a, ways[1]) + wp.dot(h.by_b, ways[2])
+    along = wp.dot(h.normal, ways[0])
+    mine = turned(h, a)
+    force = (h.right[0] * turns + h.right[1] * along) * (
+        h.left[0] * mine + h.left[1] * a[0] * h.normal
+    )
+    force += (h.left[0] * turns + h.left[1] * along) * (
+        h.right[0] * mine + h.right[1] * a[0] * h.normal
+    )
+    force += h.bend * turns * mine
+    arm = a[1] * h.edge_b - a[2] * h.edge_a
+    change = wp.cross(ways[1], h.edge_b) + wp.cross(h.edge_a, ways[2])
+    normal = wp.cross(h.edge_a, h.edge_b)
+    bent = wp.cross(normal, a[1] * ways[2] - a[2] * ways[1])
+    return force + h.turn * two * (wp.cross(arm, change) - h.curvature * bent)

@@ -60,12 +60,6 @@ def edge_edge_mollifier_d2(cross_sq: wp.float64, threshold: wp.float64) -> wp.fl
 
 
 @wp.func
-def edge_sign(i: wp.int32) -> wp.float64:
-    """Sign of stencil node i in its edge vector: -1 for the first end, +1 for the second."""
-    return wp.float64(2 * (i % 2) - 1)
-
-
-@wp.func
 def edge_edge_cross_sq_gradient(
     ea0: wp.vec3d, ea1: wp.vec3d, eb0: wp.vec3d, eb1: wp.vec3d
 ) -> mat43d:
@@ -79,30 +73,20 @@ def edge_edge_cross_sq_gradient(
 
 
 @wp.func
-def cross_sq_hessian_block(
-    u: wp.vec3d, v: wp.vec3d, i: wp.int32, j: wp.int32, curvature: wp.float64
+def cross_sq_hessian(
+    u: wp.vec3d, v: wp.vec3d, first: wp.vec2d, second: wp.vec2d, curvature: wp.float64
 ) -> wp.mat33d:
-    """Block (i, j) of the second derivative of |u x v|^2 [m^2] by the four nodes.
+    """Second derivative of |u x v|^2 [m^2] by two points, which move u by ``first[0]`` and
+    ``second[0]`` times themselves, v by ``first[1]`` and ``second[1]``.
 
     With curvature 1 it is exact; with 0 it is the Gauss-Newton part 2 J^T J, J = d(u x v)/dx, which
     is positive semidefinite and exact for parallel edges.
     """
     two = wp.float64(2.0)
-    # (d(u x v)/dx_i) = sign_i skew(other edge of i), up to a sign that is the same in an edge.
-    a = v
-    b = u
-    if i > 1:
-        a = -u
-    if j < 2:
-        b = v
-    else:
-        b = -u
-    block = two * wp.transpose(wp.skew(a)) * wp.skew(b)
-    if (i < 2) != (j < 2):
-        # N . (du x dv) = -du . (N x dv)
-        bend = two * curvature * wp.skew(wp.cross(u, v))
-        if i < 2:
-            block -= bend
-        else:
-            block += bend
-    return edge_sign(i) * edge_sign(j) * block
+    # J = skew(arm) up to its sign, and skew(a)^T skew(b) = (a . b) I - b a^T.
+    a = first[0] * v - first[1] * u
+    b = second[0] * v - second[1] * u
+    block = two * (wp.dot(a, b) * wp.identity(n=3, dtype=wp.float64) - wp.outer(b, a))
+    # N . (du x dv) = -du . (N x dv)
+    mixed = first[0] * second[1] - first[1] * second[0]
+    return block - two * curvature * mixed * wp.skew(wp.cross(u, v))

@@ -26,7 +26,6 @@ from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.contact.pair_energy import (
     GAUSS_NEWTON,
     mollified_gradient,
-    mollifier_block,
     mollifier_terms,
     pair_gradient,
     pair_hessian,
@@ -39,9 +38,14 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
-from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block, has_rows
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
+from taccel_lab.ipc.potentials.stencil_rows import (
+    STENCIL_THREADS,
+    add_mollifier,
+    add_pair_hessian,
+    row_parts,
+)
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
@@ -224,11 +228,7 @@ def add_contact_hessian(
     if mollified:
         e0 = contact_potential(d, reach, k)
         terms = mollifier_terms(pair, x0, x1, x2, x3, threshold, e0, e1, mode)
-        size = stencil_size(kind)
-        for i in range(part, size, parts):
-            if has_rows(nodes[i], system):
-                for j in range(size):
-                    add_block(env, nodes[i], nodes[j], mollifier_block(terms, i, j), system)
+        add_mollifier(env, nodes, pair.weights, terms, part, parts, system)
 
 
 @wp.kernel

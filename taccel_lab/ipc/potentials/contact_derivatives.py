@@ -39,6 +39,7 @@ from taccel_lab.ipc.contact.pair_energy import (
     GAUSS_NEWTON,
     mollified_gradient,
     mollifier_block,
+    mollifier_coefficients,
     mollifier_terms,
     pair_gradient,
     pair_hessian,
@@ -269,8 +270,10 @@ def barrier_change(
     if mollified:
         terms = mollifier_terms(pair, x[0], x[1], x[2], x[3], threshold, e0, e1, PSD_NONE)
         for i in range(size):
+            a = mollifier_coefficients(pair.weights, i)
             for j in range(size):
-                rows[i] = rows[i] + mollifier_block(terms, i, j) * by.now[j]
+                b = mollifier_coefficients(pair.weights, j)
+                rows[i] = rows[i] + mollifier_block(terms, a, b) * by.now[j]
         # The part of the mollifier's own slope, and both by the threshold: m = y (2 - y).
         y = edge_edge_cross_sq(x[0], x[1], x[2], x[3]) / threshold
         rows += mollified_gradient(

@@ -13,7 +13,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.contact.pair_energy import PairHessian, local_block
+from taccel_lab.ipc.contact.pair_energy import (
+    MollifierTerms,
+    PairHessian,
+    local_block,
+    mollifier_block,
+    mollifier_coefficients,
+    mollifier_pull,
+)
 from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_entry, take_from_rhs
@@ -144,7 +151,7 @@ def add_lower(env: int, row: int, column: int, block: wp.mat33d, system: NewtonS
         add_entry(env, row, column, block, system)
 
 
-# Both functions below go through the blocks of the lower triangle one after the other, whatever the
+# The functions below go through the blocks of the lower triangle one after the other, whatever the
 # rows are: threads of a GPU whose stencils differ stay side by side.
 
 
@@ -191,6 +198,37 @@ def add_pair_hessian(
             take_from_rhs(env, row, h.axes * force, system)
         local = local_block(h, a[0], b[0], a[1], b[1], a[2], b[2])
         add_lower(env, row, row_at(s.stage, j), h.axes * local * to_axes, system)
+
+
+@wp.func
+def add_mollifier(
+    env: int,
+    nodes: wp.vec4i,
+    weights: wp.vec4d,
+    h: MollifierTerms,
+    part: int,
+    parts: int,
+    system: NewtonSystem,
+):
+    """Add what the mollifier of a pair adds to its Hessian [N/m]; ``part`` as in
+    ``add_pair_hessian``."""
+    of_nodes = mat43d()
+    for i in range(4):
+        own = mollifier_coefficients(weights, i)
+        of_nodes[i, 0] = own[0]
+        of_nodes[i, 1] = own[1]
+        of_nodes[i, 2] = own[2]
+    s = stencil_rows(env, nodes, of_nodes, system)
+    pulled = wp.ddot(s.prescribed, s.prescribed) > wp.float64(0.0)
+    for k in range(part, s.count * (s.count + 1) / 2, parts):
+        i = triangle_row(k)
+        j = k - i * (i + 1) / 2
+        a = coefficients_at(s.stage, i)
+        row = row_at(s.stage, i)
+        if pulled and i == j:
+            take_from_rhs(env, row, mollifier_pull(h, a, s.prescribed), system)
+        block = mollifier_block(h, a, coefficients_at(s.stage, j))
+        add_lower(env, row, row_at(s.stage, j), block, system)
 
 
 @wp.func

@@ -203,7 +203,9 @@ def mollified_terms(
     matrix = hessian_matrix(h)
     block_count = int(16)
     for k in range(block_count):
-        block = pairs.mollifier_block(terms, k // 4, k % 4)
+        first = pairs.mollifier_coefficients(pair.weights, k // 4)
+        second = pairs.mollifier_coefficients(pair.weights, k % 4)
+        block = pairs.mollifier_block(terms, first, second)
         for a in range(3):
             for b in range(3):
                 matrix[3 * (k // 4) + a, 3 * (k % 4) + b] += block[a, b]

@@ -127,12 +127,6 @@ def take_from_rhs(env: int, row: int, force: wp.vec3d, system: NewtonSystem):
 
 
 @wp.func
-def has_rows(node: int, system: NewtonSystem) -> bool:
-    """Whether a node moves with any unknown of the system."""
-    return system.free_index[node] >= 0 or system.parents[node] >= 0
-
-
-@wp.func
 def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: NewtonSystem):
     """Add d^2E/dx_i dx_j: to the matrix, or to the right-hand side when node j is prescribed.
 
