@@ -11,6 +11,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_shape
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -34,21 +35,23 @@ def lane_count(device: wp.Device, env_count: int, most: int) -> int:
 
 @wp.kernel
 def _copy_rows_kernel(
-    mask: wp.array(dtype=wp.int32),
+    mask: Envs,
     lanes: int,
     source: wp.array2d(dtype=Any),
     result: wp.array2d(dtype=Any),
 ):
-    env, lane = wp.tid()
-    if mask[env] != 0:
+    place, lane = wp.tid()
+    env = env_at(place, mask)
+    if env >= 0:
         for i in range(lane, result.shape[1], lanes):
             result[env, i] = source[env % source.shape[0], i]
 
 
 @wp.kernel
-def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), lanes: int, values: wp.array2d(dtype=Any)):
-    env, lane = wp.tid()
-    if mask[env] != 0:
+def _zero_rows_kernel(mask: Envs, lanes: int, values: wp.array2d(dtype=Any)):
+    place, lane = wp.tid()
+    env = env_at(place, mask)
+    if env >= 0:
         for i in range(lane, values.shape[1], lanes):
             values[env, i] = values.dtype(0)
 
@@ -68,7 +71,7 @@ def _as_rows(array: wp.array) -> wp.array:
     return wp.array(ptr=array.ptr, dtype=word, shape=shape, device=array.device)
 
 
-def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None:
+def copy_rows(mask: EnvMask | None, source: wp.array, result: wp.array) -> None:
     """Copy the rows of the environments in ``mask`` (int32, [env_count]) from ``source``: an array
     like ``result``, or one row for all, on the host or the device. Without a mask all of it."""
     if mask is None:
@@ -77,15 +80,15 @@ def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None
         # Held until the launch, as rows do not hold their memory.
         source = source.to(result.device)
         into = _as_rows(result)
-        lanes = lane_count(result.device, *into.shape)
+        lanes = lane_count(result.device, place_count(mask), into.shape[1])
         launch(_copy_rows_kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
 
 
-def zero_rows(mask: wp.array, values: wp.array) -> None:
+def zero_rows(mask: EnvMask, values: wp.array) -> None:
     """The values of the environments of ``mask`` (int32, [env_count]) become zero."""
     if values.size:
         rows = _as_rows(values)
-        lanes = lane_count(values.device, *rows.shape)
+        lanes = lane_count(values.device, place_count(mask), rows.shape[1])
         dim, inputs = (len(rows), lanes), [mask, lanes, rows]
         launch(_zero_rows_kernel, dim, *inputs)
 

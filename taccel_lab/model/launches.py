@@ -24,6 +24,7 @@ from typing import Any
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.model.env_lists import Envs, ListedMask, place_count
 from taccel_lab.processes.start_warp import start_warp
 
 
@@ -55,12 +56,16 @@ def launch(
 ) -> None:
     """Launch a kernel where its arrays are, or on a ``device`` where it has only structs of them.
 
-    Its blocks have the size that its module states (option ``block_dim``), which is what it is
-    compiled for; ``wp.launch`` alone takes 256 threads and compiles the module anew for them.
+    A kernel that takes ``Envs`` may be given a mask, or a ``ListedMask``, which then says how many
+    places its first dimension has; one that takes a mask gets that of either.
+
+    Blocks have the size that the module states (option ``block_dim``), which is what it is compiled
+    for; ``wp.launch`` alone takes 256 threads and compiles the module anew for them.
     """
     block_dim = kernel.module.options["block_dim"]
     device = device or _device_of(arguments)
-    wp.launch(kernel, dim, arguments, device=device, block_dim=block_dim)
+    dim, given = _with_envs(kernel, dim, arguments)
+    wp.launch(kernel, dim, given, device=device, block_dim=block_dim)
 
 
 def launch_blocks(
@@ -70,11 +75,28 @@ def launch_blocks(
     unless ``block_dim`` does."""
     block_dim = block_dim or kernel.module.options["block_dim"]
     device = _device_of(arguments)
-    wp.launch_tiled(kernel, dim=dim, inputs=arguments, device=device, block_dim=block_dim)
+    dim, given = _with_envs(kernel, dim, arguments)
+    wp.launch_tiled(kernel, dim=dim, inputs=given, device=device, block_dim=block_dim)
 
 
 def _device_of(arguments: Sequence[Any]) -> wp.Device:
-    return next(value.device for value in arguments if isinstance(value, wp.array))
+    return next(value.device for value in arguments if isinstance(value, wp.array | ListedMask))
+
+
+def _with_envs(
+    kernel: wp.Kernel, dim: int | Sequence[int], arguments: Sequence[Any]
+) -> tuple[int | Sequence[int], Sequence[Any]]:
+    """Dimensions and arguments as the kernel takes them, see ``launch``."""
+    given = list(arguments)
+    for i, (value, declared) in enumerate(zip(arguments, kernel.adj.args, strict=True)):
+        if declared.type is Envs:
+            given[i] = (value if isinstance(value, ListedMask) else ListedMask(value)).envs
+            if isinstance(value, ListedMask) and value.places is not None:
+                places = place_count(value)
+                dim = places if isinstance(dim, int) else (places, *dim[1:])
+        elif isinstance(value, ListedMask):
+            given[i] = value.mask
+    return dim, given
 
 
 _MOST = 6

@@ -159,7 +159,7 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
     s, p = run.s, run.p
     linear = s.linear
     _assemble(run, beside)
-    linear.solve(p.phases.active, s.config.max_cg_iterations)
+    linear.solve(run.active, s.config.max_cg_iterations)
 
     def count() -> None:
         run.decide(_count_solve_kernel, linear.iterations, linear.breakdown, linear.extra.room)
@@ -167,7 +167,11 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
     def spread() -> None:
         # Not by ``active``, from which counting takes those that stop.
         spread_solution(
-            run.model, p.roster.underway, linear.solution, s.displacements, p.curvature.boost
+            run.model,
+            run.those(p.roster.underway),
+            linear.solution,
+            s.displacements,
+            p.curvature.boost,
         )
 
     run.together([count, spread])
@@ -178,6 +182,7 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
 def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     """Matrix and right-hand side of all active environments."""
     s, p, x = run.s, run.p, run.state.positions
+    active, moving = run.active, run.those(p.prescribed.moving)
     system = newton_system(run.model, s.linear, s.displacements)
     in_any_order = newton_systems(run.model, s.linear, s.displacements)
     bits_count = s.linear.in_any_order
@@ -186,8 +191,8 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
         run.decide(_aim_step_kernel, s.linear.tolerances, s.linear.renewed)
         path = (s.start_poses, s.end_poses)
         s.frame_nodes.aim(
-            p.phases.active,
-            p.prescribed.moving,
+            active,
+            moving,
             path,
             x,
             s.displacements,
@@ -198,39 +203,39 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
             s.joints.set_frames(run.state.poses, s.target_poses)
 
     def clear() -> None:
-        zero_rows(p.phases.active, s.linear.values)
+        zero_rows(active, s.linear.values)
         s.linear.extra.clear()
         if bits_count:
-            zero_rows(p.phases.active, s.linear.rhs)
+            zero_rows(active, s.linear.rhs)
 
     def start_rhs() -> None:
-        begin_rhs(run.model, p.phases.active, s.reduced, s.linear.rhs, keep=bits_count)
+        begin_rhs(run.model, active, s.reduced, s.linear.rhs, keep=bits_count)
 
     def of_elements() -> None:
         for part in s.elements:
-            part.write_hessians(p.phases.active, x, p.curvature.psd_mode)
+            part.write_hessians(active, x, p.curvature.psd_mode)
 
     def of_contact(part: NewtonSystem) -> None:
-        s.contact.add_hessian(p.phases.active, x, part, p.curvature.psd_mode)
+        s.contact.add_hessian(active, x, part, p.curvature.psd_mode)
 
     def of_friction(part: NewtonSystem) -> None:
         if s.friction is not None:
-            s.friction.add_hessian(p.phases.active, run.motion(), part, p.curvature.sharpness)
+            s.friction.add_hessian(active, run.motion(), part, p.curvature.sharpness)
 
     def of_affine() -> None:
         if s.affine is not None:
-            s.affine.add_hessian(p.phases.active, x, system, p.curvature.psd_mode)
+            s.affine.add_hessian(active, x, system, p.curvature.psd_mode)
 
     def gather() -> None:
         for part in s.elements:
-            part.gather_hessians(p.phases.active, system)
+            part.gather_hessians(active, system)
         for term in (s.joints, s.inertia):
             if term is not None:
-                term.add_hessian(p.phases.active, x, system)
+                term.add_hessian(active, x, system)
 
     def gather_rim() -> None:
         for part in s.elements:
-            part.gather_rim(p.prescribed.moving, system)
+            part.gather_rim(moving, system)
 
     # What adds by atomics first; what gathers in order adds to that.
     if not bits_count:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.solvers.env_phase import (
     CLOSING,
     FREEZING,
@@ -122,7 +123,7 @@ def _settle_kernel(
     go_on(env, p)
 
 
-def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
+def measure_and_judge(run: StepLaunches, mask: EnvMask, take_trial: bool = False) -> None:
     """Forces and residual of the environments of ``mask``; those that have finished stop.
     ``take_trial``: where the line search has led."""
     s, p = run.s, run.p
@@ -144,4 +145,4 @@ def _close_joints(run: StepLaunches) -> None:
     assert s.joints is not None
     s.joints.update_multipliers(p.phases.inner, run.state.positions)
     run.decide(_judge_joints_kernel, s.joints.violations)
-    wp.capture_if(p.flags.reopened, on_true=lambda: evaluate_gradient(run, p.phases.inner))
+    wp.capture_if(p.flags.reopened, on_true=lambda: evaluate_gradient(run, run.inner))

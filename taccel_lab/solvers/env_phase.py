@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from taccel_lab.solvers.env_progress import Progress
+from taccel_lab.solvers.env_progress import FEW, SOME, Progress
 from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -114,8 +114,8 @@ def gains(env: int, p: Progress) -> bool:
 
 @wp.func
 def go_on(env: int, p: Progress):
-    """Stop where the iterations are used up, or lead nowhere; ``running`` says whether anything
-    goes on. Not where friction is frozen anew first, or a step taken back."""
+    """Stop where the iterations are used up, or lead nowhere; ``running`` says whether any goes
+    on. Not where friction is frozen anew first, or a step taken back."""
     if p.phases.active[env] != 0 and p.phases.phase[env] < FREEZING:
         if gains(env, p):
             p.gain.idle[env] = 0
@@ -126,4 +126,9 @@ def go_on(env: int, p: Progress):
         elif p.gain.idle[env] > STALL_AFTER:
             stop(env, _STALLED, p)
         elif p.flags.rounds[0] < p.flags.most_rounds[0]:
+            before = wp.atomic_add(p.flags.going, 0, 1)
             p.flags.running[0] = 1
+            if before >= wp.static(FEW):
+                p.flags.some_running[0] = 1
+            if before >= wp.static(SOME):
+                p.flags.many_running[0] = 1

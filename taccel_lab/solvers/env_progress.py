@@ -12,6 +12,8 @@ from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.step_report import ReportBlock
 
+FEW, SOME = 64, 512
+"""Environments that have a list, and launches of their own size, once no more are left."""
 LARGEST_BOOST = 64.0
 """Longest step along Newton's direction where CG solves: the way off a saddle."""
 FOLLOW_AFTER = 1
@@ -260,10 +262,16 @@ class Flags:
     """Iterations of this call so far."""
     most_rounds: wp.array(dtype=wp.int32)
     """Iterations after which the call ends, whoever is underway."""
+    going: wp.array(dtype=wp.int32)
+    """How many environments are active and have rounds left."""
     running: wp.array(dtype=wp.int32)
-    """Whether any environment is active and has rounds left."""
+    """Whether any is; ``some_running``: more than ``FEW``; ``many_running``: more than ``SOME``."""
+    some_running: wp.array(dtype=wp.int32)
+    many_running: wp.array(dtype=wp.int32)
     searching: wp.array(dtype=wp.int32)
     """How many line searches go on."""
+    many_searching: wp.array(dtype=wp.int32)
+    """Whether more than ``FEW`` do."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     following: wp.array(dtype=wp.int32)
@@ -312,8 +320,12 @@ class Progress:
 @wp.func
 def lower_flags(p: Progress):
     """No environment has asked for anything yet; a kernel that does this raises none of them."""
+    p.flags.going[0] = 0
     p.flags.running[0] = 0
+    p.flags.some_running[0] = 0
+    p.flags.many_running[0] = 0
     p.flags.searching[0] = 0
+    p.flags.many_searching[0] = 0
     p.flags.freezing[0] = 0
     p.flags.following[0] = 0
     p.flags.retreating[0] = 0

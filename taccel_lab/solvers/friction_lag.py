@@ -175,12 +175,10 @@ def refreeze_friction(run: StepLaunches) -> None:
     s, p = run.s, run.p
     assert s.friction is not None
     lag, x = s.friction.lag, run.state.positions
-    gradient = s.friction_gradient
-    run.together(
-        [lambda: lag(p.phases.inner, x, s.origin), lambda: zero_rows(p.phases.inner, gradient)]
-    )
-    add_friction(run, p.phases.inner)
-    measure_residual(run, p.phases.inner)
+    gradient, inner = s.friction_gradient, run.inner
+    run.together([lambda: lag(inner, x, s.origin), lambda: zero_rows(inner, gradient)])
+    add_friction(run, inner)
+    measure_residual(run, inner)
     run.decide(_judge_friction_kernel, element_rounding(run))
     wp.capture_while(p.flags.retreating, lambda: _retreat(run))
 
@@ -190,7 +188,7 @@ def _retreat(run: StepLaunches) -> None:
     was. Frames stay: such steps begin when they have arrived."""
     s, p, state = run.s, run.p, run.state
     assert s.friction is not None
-    x, mask = state.positions, p.phases.inner
+    x, mask = state.positions, run.inner
     launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.struct)
     run.collide(mask, x)
     s.friction.lag(mask, x, s.origin)

@@ -13,6 +13,7 @@ import warp as wp
 from taccel_lab.ipc.affine.bent_step import LARGEST_TURN
 from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_launches import StepLaunches
@@ -48,7 +49,7 @@ def _count_search_kernel(
         stop(env, _CONTACT_OVERFLOW, p)
 
 
-def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.array) -> None:
+def find_pairs(run: StepLaunches, mask: EnvMask, poses: wp.array, reach: wp.array) -> None:
     """Pairs within ``reach`` [m] of the way of ``displacements`` and of the frames to ``poses``, in
     the environments of ``mask``."""
     s, state = run.s, run.state
@@ -98,7 +99,7 @@ def _choose_kernel(
 
 def limit_step(
     run: StepLaunches,
-    mask: wp.array,
+    mask: EnvMask,
     gaps_known: bool = True,
     beside: Sequence[Callable[[], None]] = (),
 ) -> None:
@@ -111,6 +112,6 @@ def limit_step(
     run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit)
     x, displacements = run.state.positions, s.displacements
     checks = limit_checks(
-        run.model, p.clearance.near, s.candidates, x, displacements, p.clearance.limit
+        run.model, run.those(p.clearance.near), s.candidates, x, displacements, p.clearance.limit
     )
     run.together([*checks, *beside])

@@ -8,6 +8,7 @@ import warp as wp
 from taccel_lab.ipc.device.sums import force_sums
 from taccel_lab.ipc.motion.unknowns import reduce_gradient
 from taccel_lab.ipc.potentials.elements.data import ElementSum
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_progress import Progress
@@ -62,7 +63,7 @@ def weigh(env: int, elements: wp.array2d(dtype=wp.float64), p: Progress):
 
 @wp.kernel
 def _begin_gradient_kernel(
-    mask: wp.array(dtype=wp.int32),
+    mask: Envs,
     take_trial: int,
     trial: wp.array2d(dtype=wp.vec3d),
     trial_poses: wp.array2d(dtype=wp.transformd),
@@ -74,8 +75,9 @@ def _begin_gradient_kernel(
     p: Progress,
 ):
     """Nothing is added up yet; positions and poses become those of the trial, or stay."""
-    env, i = wp.tid()
-    if mask[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, mask)
+    if env < 0:
         return
     if take_trial != 0:
         if i < positions.shape[1]:
@@ -111,7 +113,7 @@ def bound_rounding(run: StepLaunches) -> None:
         part.add_force_rounding(run.p.phases.fresh, run.state.positions, stiff[0].body_rounding_n)
 
 
-def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
+def evaluate_gradient(run: StepLaunches, mask: EnvMask, take_trial: bool = False) -> None:
     """Gradient, residual, contact force and smallest gap in the environments of ``mask``.
 
     Their collisions are those of the positions: of the start or of the trial that is taken.
@@ -143,13 +145,13 @@ def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
     measure_residual(run, mask)
 
 
-def add_friction(run: StepLaunches, mask: wp.array) -> None:
+def add_friction(run: StepLaunches, mask: EnvMask) -> None:
     s = run.s
     if s.friction is not None:
         s.friction.add_gradient(mask, run.motion(), s.friction_gradient)
 
 
-def evaluate_forces(run: StepLaunches, mask: wp.array) -> None:
+def evaluate_forces(run: StepLaunches, mask: EnvMask) -> None:
     """Contact and friction forces alone, from collisions and friction as they are."""
     s, x = run.s, run.state.positions
     zero_rows(mask, s.contact_gradient)
@@ -158,7 +160,7 @@ def evaluate_forces(run: StepLaunches, mask: wp.array) -> None:
     add_friction(run, mask)
 
 
-def measure_residual(run: StepLaunches, mask: wp.array) -> None:
+def measure_residual(run: StepLaunches, mask: EnvMask) -> None:
     s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     reduce_gradient(run.model, mask, gradients, s.reduced)

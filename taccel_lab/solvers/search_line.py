@@ -13,9 +13,10 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope
 from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
+from taccel_lab.model.env_lists import Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
-from taccel_lab.solvers.env_progress import Progress
+from taccel_lab.solvers.env_progress import FEW, Progress
 from taccel_lab.solvers.limit_step import longest
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
@@ -54,7 +55,7 @@ def search_on(env: int, collisions: ListRoom, p: Progress):
 
 @wp.kernel
 def _open_search_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     gradient: wp.array2d(dtype=wp.vec3d),
     contact_gradient: wp.array2d(dtype=wp.vec3d),
     friction_gradient: wp.array2d(dtype=wp.vec3d),
@@ -68,8 +69,9 @@ def _open_search_kernel(
 
     One thread block an environment, of which the first thread decides when all have added up.
     """
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     slope = block_slope(env, lane, gradient, contact_gradient, friction_gradient, direction)
     if base_known == 0:
@@ -92,7 +94,8 @@ def _open_search_kernel(
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)
             search_on(env, collisions, p)
-            wp.atomic_add(p.flags.searching, 0, 1)
+            if wp.atomic_add(p.flags.searching, 0, 1) >= wp.static(FEW):
+                p.flags.many_searching[0] = 1
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
             stop(env, _LINE_SEARCH, p)
@@ -176,19 +179,21 @@ def judge_trial(env: int, collisions: ListRoom, p: Progress):
         else:
             search_on(env, collisions, p)
     if p.phases.phase[env] != SEARCHING:
-        wp.atomic_sub(p.flags.searching, 0, 1)
+        if wp.atomic_sub(p.flags.searching, 0, 1) == wp.static(FEW + 1):
+            p.flags.many_searching[0] = 0
 
 
 @wp.kernel
 def _judge_trial_kernel(
-    searching: wp.array(dtype=wp.int32),
+    searching: Envs,
     energies: WrittenEnergies,
     collisions: ListRoom,
     p: Progress,
 ):
     """The energy of a trial, and its outcome; threads as in ``_open_search_kernel``."""
-    env, lane = wp.tid()
-    if searching[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, searching)
+    if env < 0:
         return
     base = block_base(env, lane, energies)
     friction = block_friction(env, lane, energies)
@@ -205,7 +210,7 @@ def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
     if s.affine is None:
         return []
     x, forces = run.state.positions, s.contact_gradient
-    return [lambda: find_pivots(run.model, run.p.phases.active, x, forces, s.pivots)]
+    return [lambda: find_pivots(run.model, run.active, x, forces, s.pivots)]
 
 
 def bend_direction(run: StepLaunches) -> None:
@@ -214,7 +219,7 @@ def bend_direction(run: StepLaunches) -> None:
     if s.affine is not None:
         measure_turns(
             run.model,
-            p.phases.active,
+            run.active,
             s.pivots,
             x,
             s.displacements,
@@ -230,8 +235,8 @@ def energies_at_start(run: StepLaunches) -> list[Callable[[], None]]:
     """
     s, state = run.s, run.state
     if s.joints is None:
-        return [lambda: run.friction_energy(run.p.phases.active, state.positions, state.poses)]
-    return run.all_energies(run.p.phases.active, state.positions, state.poses)
+        return [lambda: run.friction_energy(run.active, state.positions, state.poses)]
+    return run.all_energies(run.active, state.positions, state.poses)
 
 
 def search_line(run: StepLaunches) -> None:
@@ -243,18 +248,30 @@ def search_line(run: StepLaunches) -> None:
     s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
-    start = [p.phases.active, *gradients, s.displacements, run.energies, known]
+    start = [run.active, *gradients, s.displacements, run.energies, known]
     start += [s.collisions.room, p.struct]
-    launch_blocks(_open_search_kernel, len(p.phases.active), *start)
-
-    def judge() -> None:
-        evaluate_trial(run)
-        inputs = [p.phases.inner, run.energies, s.collisions.room, p.struct]
-        launch_blocks(_judge_trial_kernel, len(p.phases.inner), *inputs)
+    launch_blocks(_open_search_kernel, run.model.env_count, *start)
 
     # All that search have a first trial: a loop around it would only have to be entered.
-    judge()
-    wp.capture_while(p.flags.searching, judge)
+    try_fraction(run)
+    few = s.few_places
+    if few is None or run.places is few:
+        wp.capture_while(p.flags.searching, lambda: try_fraction(run))
+        return
+    wp.capture_while(p.flags.many_searching, lambda: try_fraction(run))
+
+    def try_few() -> None:
+        few.fill(p.phases.inner)
+        try_fraction(StepLaunches(s, few))
+
+    wp.capture_while(p.flags.searching, try_few)
+
+
+def try_fraction(run: StepLaunches) -> None:
+    """Evaluate and judge one trial of each search."""
+    evaluate_trial(run)
+    inputs = [run.inner, run.energies, run.s.collisions.room, run.p.struct]
+    launch_blocks(_judge_trial_kernel, run.model.env_count, *inputs)
 
 
 def evaluate_trial(run: StepLaunches) -> None:
@@ -265,30 +282,31 @@ def evaluate_trial(run: StepLaunches) -> None:
     turning body takes was not checked.
     """
     s, p, x = run.s, run.p, run.state.positions
+    inner, near = run.inner, run.those(p.clearance.near)
     trial = Trial()
-    trial.mask, trial.curved, trial.fractions = p.phases.inner, p.clearance.near, p.search.alpha
+    trial.curved, trial.fractions = p.clearance.near, p.search.alpha
     trial.positions, trial.displacements = x, s.displacements
     trial.result, trial.paths = s.trial, s.path
     path = (s.start_poses, s.end_poses)
 
     def place_affine_bodies() -> None:
         if s.affine is not None:
-            place_affine(run.model, p.clearance.bend, s.pivots, trial)
+            place_affine(run.model, inner, p.clearance.bend, s.pivots, trial)
 
     run.together(
         [
-            lambda: s.straight_nodes.place(trial),
-            lambda: s.frame_nodes.place(trial, path, p.prescribed.trial_progress, s.trial_poses),
+            lambda: s.straight_nodes.place(inner, trial),
+            lambda: s.frame_nodes.place(
+                inner, trial, path, p.prescribed.trial_progress, s.trial_poses
+            ),
             place_affine_bodies,
         ]
     )
     checks = []
     if run.model.kinematic or s.affine is not None:
-        checks = limit_checks(
-            run.model, p.clearance.near, s.candidates, x, s.path, p.clearance.limit
-        )
-    energies = run.energy_parts(p.phases.inner, s.trial, s.trial_poses)
-    searches = s.collisions.searches(p.phases.inner, s.trial, s.candidates)
+        checks = limit_checks(run.model, near, s.candidates, x, s.path, p.clearance.limit)
+    energies = run.energy_parts(inner, s.trial, s.trial_poses)
+    searches = s.collisions.searches(inner, s.trial, s.candidates)
     run.together([*searches, *checks, *energies])
-    s.collisions.settle(p.phases.inner)
-    s.contact.write_energies(p.phases.inner, s.trial)
+    s.collisions.settle(inner)
+    s.contact.write_energies(inner, s.trial)

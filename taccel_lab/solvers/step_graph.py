@@ -22,6 +22,7 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.model.env_lists import EnvList
 from taccel_lab.model.launches import capture
 from taccel_lab.solvers.assemble_and_solve import assemble_and_solve
 from taccel_lab.solvers.begin_and_end import begin_step, end_step
@@ -44,17 +45,32 @@ def take_step(run: StepLaunches) -> None:
     begin_step(run)
     start_step(run)
     measure_and_judge(run, run.p.phases.fresh)
-    wp.capture_while(run.p.flags.running, lambda: _iterate(run))
+    some, few = run.s.some_places, run.s.few_places
+    if some is not None:
+        wp.capture_while(run.p.flags.many_running, lambda: _iterate(run))
+    if few is not None:
+        places = _listed(run, some)
+        wp.capture_while(run.p.flags.some_running, lambda: _iterate(places))
+    places = _listed(run, few)
+    wp.capture_while(run.p.flags.running, lambda: _iterate(places))
     end_step(run)
+
+
+def _listed(run: StepLaunches, places: EnvList | None) -> StepLaunches:
+    """The environments that are active, on the list of ``places``."""
+    if places is None:
+        return run
+    places.fill(run.p.phases.active)
+    return StepLaunches(run.s, places)
 
 
 def _iterate(run: StepLaunches) -> None:
     assemble_and_solve(run, beside=find_turning_points(run))
     bend_direction(run)
-    find_pairs(run, run.p.phases.active, run.s.target_poses, run.p.clearance.reach)
-    limit_step(run, run.p.phases.active, beside=energies_at_start(run))
+    find_pairs(run, run.active, run.s.target_poses, run.p.clearance.reach)
+    limit_step(run, run.active, beside=energies_at_start(run))
     search_line(run)
-    measure_and_judge(run, run.p.phases.active, take_trial=True)
+    measure_and_judge(run, run.active, take_trial=True)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import warp as wp
 from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
+from taccel_lab.model.env_lists import EnvList, EnvMask, ListedMask
 from taccel_lab.model.launches import launch, side_by_side
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Progress
@@ -48,19 +49,35 @@ def _commit_kernel(
 
 
 class StepLaunches:
-    """A solver's parts at work on its ``work``, in the environments of ``progress.roster.who``."""
+    """A solver's parts at work on its ``work``, in the environments of ``progress.roster.who``, or
+    in those of them that are on a list."""
 
-    def __init__(self, solver: SolverParts) -> None:
+    def __init__(self, solver: SolverParts, places: EnvList | None = None) -> None:
         self.s = solver
         self.model = solver.model
         self.state = solver.work
         self.p = solver.progress
+        self.places = places
+
+    def those(self, mask: EnvMask) -> ListedMask:
+        """The environments of a mask, all of which are on the list if there is one."""
+        return ListedMask(mask, self.places)
+
+    @property
+    def active(self) -> ListedMask:
+        """Environments whose step goes on."""
+        return self.those(self.p.phases.active)
+
+    @property
+    def inner(self) -> ListedMask:
+        """Environments that take part in what only some do."""
+        return self.those(self.p.phases.inner)
 
     def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
         """Launch one thread an environment, with what is known of the step as the last argument."""
         launch(kernel, self.model.env_count, *inputs, self.p.struct, device=self.model.device)
 
-    def commit(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
+    def commit(self, mask: EnvMask, positions: wp.array, poses: wp.array) -> None:
         """Take over positions and poses in the environments of ``mask``."""
         state = self.state
         inputs = [mask, positions, poses, state.positions, state.poses]
@@ -68,11 +85,11 @@ class StepLaunches:
             _commit_kernel, (self.model.env_count, max(positions.shape[1], poses.shape[1])), *inputs
         )
 
-    def collide(self, mask: wp.array, positions: wp.array) -> None:
+    def collide(self, mask: EnvMask, positions: wp.array) -> None:
         """Collisions at ``positions`` in the environments of ``mask``."""
         self.s.collisions.collect(mask, positions, self.s.candidates)
 
-    def check_room(self, mask: wp.array, part: GrowingList) -> None:
+    def check_room(self, mask: EnvMask, part: GrowingList) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         if part.capacity:
             self.decide(_stop_overflowed_kernel, mask, part.room)
@@ -93,13 +110,13 @@ class StepLaunches:
         s = self.s
         return written_energies(s.energies, s.contact, s.friction)
 
-    def friction_energy(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
+    def friction_energy(self, mask: EnvMask, positions: wp.array, poses: wp.array) -> None:
         """Write the energies of friction."""
         if self.s.friction is not None:
             self.s.friction.write_energies(mask, self.motion(positions, poses))
 
     def energy_parts(
-        self, mask: wp.array, positions: wp.array, poses: wp.array
+        self, mask: EnvMask, positions: wp.array, poses: wp.array
     ) -> list[Callable[[], None]]:
         """Launches, in any order or side by side, that write the energies of all items in the
         environments of ``mask``, but for those of contact: these need collisions."""
@@ -119,7 +136,7 @@ class StepLaunches:
         return [of_elements, of_others, lambda: self.friction_energy(mask, positions, poses)]
 
     def all_energies(
-        self, mask: wp.array, positions: wp.array, poses: wp.array
+        self, mask: EnvMask, positions: wp.array, poses: wp.array
     ) -> list[Callable[[], None]]:
         """``energy_parts`` and those of contact."""
         parts = self.energy_parts(mask, positions, poses)
@@ -127,7 +144,7 @@ class StepLaunches:
 
     def energy(
         self,
-        mask: wp.array,
+        mask: EnvMask,
         positions: wp.array,
         poses: wp.array,
         base: wp.array,

@@ -25,6 +25,7 @@ from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch, launch_blocks
 
@@ -75,15 +76,16 @@ def bent_displacement(displacement: wp.vec3d, twist: wp.vec3d) -> wp.vec3d:
 
 @wp.kernel
 def _pivot_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     control_starts: wp.array(dtype=wp.int32),
     vertex_starts: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     contact_gradient: wp.array2d(dtype=wp.vec3d),
     pivots: wp.array2d(dtype=wp.vec3d),
 ):
-    env, body, lane = wp.tid()
-    if active[env] == 0:
+    place, body, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     centre = positions[env, control_starts[body]]
     arm = wp.vec3d()
@@ -113,7 +115,7 @@ def turning_displacement(
 
 @wp.kernel
 def _measure_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     have_joints: wp.array(dtype=wp.int32),
@@ -129,8 +131,9 @@ def _measure_kernel(
 
     The length L of a body is the largest distance of a vertex from its centre.
     """
-    env = wp.tid()
-    if active[env] == 0:
+    place = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     largest = wp.float64(0.0)
     deviation = wp.float64(0.0)
@@ -181,6 +184,7 @@ def bent_controls(
 
 @wp.kernel
 def _place_affine_kernel(
+    active: Envs,
     turns: wp.array(dtype=wp.float64),
     smallest: wp.float64,
     lanes: int,
@@ -192,9 +196,10 @@ def _place_affine_kernel(
     t: Trial,
 ):
     """Each thread finds the control nodes itself, for the nodes that it places."""
-    env, body, lane = wp.tid()
+    place, body, lane = wp.tid()
+    env = env_at(place, active)
     count = embedded_count(body, e)
-    if t.mask[env] == 0 or (lane > 0 and lane >= count):
+    if env < 0 or (lane > 0 and lane >= count):
         return
     start = control_starts[body]
     y0 = straight(env, start, t)
@@ -222,7 +227,7 @@ def _place_affine_kernel(
 
 def find_pivots(
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     positions: wp.array,
     contact_gradient: wp.array,
     pivots: wp.array,
@@ -236,7 +241,7 @@ def find_pivots(
 
 def measure_turns(
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     pivots: wp.array,
     positions: wp.array,
     displacements: wp.array,
@@ -251,14 +256,16 @@ def measure_turns(
     launch(_measure_kernel, model.env_count, *inputs, displacements, SMALLEST_TURN, turns, reaches)
 
 
-def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) -> None:
-    """Put the nodes of affine bodies where ``trial`` leads, on the bent step where ``turns`` [rad],
-    [env_count], exceed SMALLEST_TURN."""
+def place_affine(
+    model: Model, active: EnvMask, turns: wp.array, pivots: wp.array, trial: Trial
+) -> None:
+    """Put the nodes of affine bodies where ``trial`` leads, in the environments of ``active``; on
+    the bent step where ``turns`` [rad], [env_count], exceed SMALLEST_TURN."""
     affine = model.affine
     first = len(model.scene.soft_bodies)
     ranges = [body.nodes for body in model.bodies[first : first + affine.count]]
     most = max(end - start for start, end in ranges) + len(affine.carried)
-    lanes = lane_count(model.device, model.env_count, most)
-    inputs = [turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
+    lanes = lane_count(model.device, place_count(active), most)
+    inputs = [active, turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
     inputs += [affine.have_joints, pivots, embedded(model), trial]
     launch(_place_affine_kernel, (model.env_count, affine.count, lanes), *inputs)

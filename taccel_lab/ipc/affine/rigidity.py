@@ -31,6 +31,7 @@ from taccel_lab.ipc.elasticity.st_venant_kirchhoff import (
     st_venant_kirchhoff_piola,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
@@ -118,7 +119,7 @@ def _predict_affine_kernel(
 
 def predict_affine(
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     inertial: wp.array,
     predicted: wp.array,
     bends: wp.array,
@@ -160,7 +161,7 @@ def _ride_kernel(
     predicted[env, node] = z[y] + then * (wp.inverse(now) * (x[node] - x[y]))
 
 
-def ride_along(model: Model, active: wp.array, positions: wp.array, predicted: wp.array) -> None:
+def ride_along(model: Model, active: EnvMask, positions: wp.array, predicted: wp.array) -> None:
     """Free nodes of gels on affine bodies [m], written to ``predicted``, [env_count, node_count],
     where the control nodes of the bodies are already: they keep their places on the bodies."""
     affine = model.affine

@@ -10,6 +10,7 @@ import warp as wp
 
 from taccel_lab.ipc.device.ragged_lists import ListRoom, claim_place
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
@@ -136,15 +137,16 @@ def _largest(value: wp.float64) -> wp.float64:
 
 @wp.kernel
 def _body_boxes_kernel(
-    mask: wp.array(dtype=wp.int32),
+    mask: Envs,
     body_nodes: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     lower: wp.array2d(dtype=wp.vec3d),
     upper: wp.array2d(dtype=wp.vec3d),
 ):
-    env, body, lane = wp.tid()
-    if mask[env] == 0:
+    place, body, lane = wp.tid()
+    env = env_at(place, mask)
+    if env < 0:
         return
     big = wp.float64(1.0e30)
     low = wp.vec3d(big, big, big)
@@ -165,7 +167,7 @@ def _body_boxes_kernel(
 
 
 def find_body_boxes(
-    mask: wp.array,
+    mask: EnvMask,
     body_nodes: wp.array,
     positions: wp.array,
     displacements: wp.array | None,

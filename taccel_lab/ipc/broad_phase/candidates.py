@@ -23,6 +23,7 @@ from taccel_lab.ipc.broad_phase.stiff_targets import (
 )
 from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, clear_all, initial_capacity
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -30,7 +31,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def _ball_face_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     jobs: wp.array(dtype=wp.vec2i),
     node_bodies: wp.array(dtype=wp.int32),
     node_radii: wp.array(dtype=wp.float64),
@@ -43,10 +44,13 @@ def _ball_face_kernel(
     pairs: wp.array(dtype=wp.vec2i),
 ):
     """A ball against a face: a box around the face's path as seen from the ball."""
-    env, i = wp.tid()
+    place, i = wp.tid()
+    env = env_at(place, active)
     ball = jobs[i][0]
     face = faces[jobs[i][1]]
-    if active[env] == 0 or present[env, node_bodies[ball]] == 0:
+    if env < 0:
+        return
+    if present[env, node_bodies[ball]] == 0:
         return
     if present[env, node_bodies[face[0]]] == 0:
         return
@@ -109,7 +113,7 @@ class Candidates:
 
     def update(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         displacements: wp.array,
         poses_start: wp.array,
@@ -129,7 +133,7 @@ class Candidates:
 
     def search(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         displacements: wp.array,
         poses_start: wp.array,
@@ -153,7 +157,7 @@ class Candidates:
         self._search(active, positions, displacements, reach)
 
     def _search(
-        self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
+        self, active: EnvMask, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
         model, surface = self.model, self.model.surface
         node_face = [self.node_faces.room, self.node_faces.pairs]

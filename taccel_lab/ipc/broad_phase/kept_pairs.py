@@ -21,6 +21,7 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, mask_like
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.launches import launch_blocks
 
@@ -42,7 +43,7 @@ def block_diagonal(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.kernel
 def _stray_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     nodes: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
@@ -55,10 +56,9 @@ def _stray_kernel(
     stale: wp.array(dtype=wp.int32),
     any_stale: wp.array(dtype=wp.int32),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
-        if lane == 0:
-            stale[env] = 0
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     # Before the barriers below: the first thread writes it after them.
     reached = covered[env]
@@ -85,7 +85,6 @@ def _stray_kernel(
     fresh = strayed + reaches[env] <= reached
     if lane == 0:
         travels[env] = apart
-        stale[env] = 0
     if fresh:
         return
     # Where the way leads: the search holds the whole way there, and what comes next starts there.
@@ -125,14 +124,14 @@ class KeptPairs:
         self._any_stale = wp.zeros(1, dtype=wp.int32, device=device)
         """Zero but during a search."""
 
-    def forget(self, mask: wp.array) -> None:
+    def forget(self, mask: EnvMask) -> None:
         """Others have written to the lists of the environments of ``mask``: search anew there."""
         zero_rows(mask, self.covered)
         self._any_stale.zero_()
 
     def cover(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         displacements: wp.array,
         poses_start: wp.array,
@@ -144,13 +143,19 @@ class KeptPairs:
         the straight ways from ``positions`` along ``displacements`` [m] in the environments of
         ``active``; see ``Candidates.search``. ``searched``: called after a search, with the lists
         as they are then."""
+        self.stale.zero_()
         inputs = [active, self._nodes, positions, displacements, reaches, self._least_skin_m]
         inputs += [self._largest_skins, self._anchors, self.covered, self.travels, self.stale]
         launch_blocks(_stray_kernel, len(active), *inputs, self._any_stale)
 
         def search() -> None:
             self.candidates.search(
-                self.stale, positions, displacements, poses_start, poses_end, self.covered
+                mask_like(active, self.stale),
+                positions,
+                displacements,
+                poses_start,
+                poses_end,
+                self.covered,
             )
             searched()
             self._any_stale.zero_()

@@ -15,6 +15,7 @@ import warp as wp
 from taccel_lab.ipc.broad_phase.boxes import append, find_body_boxes, rounded_out
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -180,7 +181,7 @@ class SoftTrees:
         )
 
     def _find_near(
-        self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
+        self, active: EnvMask, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
         self._any_near.zero_()
         boxes = (self._lower, self._upper)
@@ -204,7 +205,7 @@ class SoftTrees:
 
     def search(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         displacements: wp.array,
         margins: wp.array,

@@ -26,6 +26,7 @@ from taccel_lab.ipc.broad_phase.boxes import (
 )
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch
 
 _SEARCH_THREADS = 64
@@ -135,7 +136,7 @@ def _frame_of(
 
 @wp.kernel
 def _frames_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     affine_count: int,
     first_control: int,
     lengths: wp.array(dtype=wp.float64),
@@ -145,8 +146,9 @@ def _frames_kernel(
     displacements: wp.array2d(dtype=wp.vec3d),
     frames: Frames,
 ):
-    env, frame = wp.tid()
-    if active[env] == 0:
+    place, frame = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -181,7 +183,7 @@ def make_frames(model: Model) -> Frames:
 
 def update_frames(
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     poses: list[wp.array],
     positions: wp.array,
     displacements: wp.array,
@@ -208,7 +210,7 @@ def is_absent(
 
 @wp.kernel
 def _search_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     jobs: wp.array(dtype=wp.vec3i),
     job_nodes: wp.array(dtype=wp.vec3i),
     trees: TargetTrees,
@@ -224,12 +226,13 @@ def _search_kernel(
     edge_edges: wp.array(dtype=wp.vec2i),
 ):
     """The path of a node, face or edge against the primitives of a body."""
-    env, i = wp.tid()
+    place, i = wp.tid()
+    env = env_at(place, active)
     item = jobs[i][0]
     frame = jobs[i][1]
     what = jobs[i][2]
     nodes = job_nodes[i]
-    if active[env] == 0:
+    if env < 0:
         return
     if is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present):
         return
@@ -261,7 +264,7 @@ def _search_kernel(
 def run_search(
     search: StiffSearch,
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     path: list,
     frames: Frames,
     outputs: list,

@@ -24,6 +24,7 @@ from taccel_lab.ipc.distance.closest_pairs import (
     closest_point_triangle,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -159,13 +160,12 @@ def comes_first(a: int, b: int, lists: CollisionLists) -> bool:
 
 
 @wp.kernel
-def sort_kernel(
-    active: wp.array(dtype=wp.int32), lanes: int, found: CollisionLists, lists: CollisionLists
-):
+def sort_kernel(active: Envs, lanes: int, found: CollisionLists, lists: CollisionLists):
     """Put each collision where its rank says: as many steps as there are collisions, side by side
     for all of them."""
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     first = found.room.starts[env]
     end = list_end(env, found.room)

@@ -62,6 +62,7 @@ from taccel_lab.ipc.contact.narrow_phase import (
 from taccel_lab.ipc.device.ragged_lists import GrowingList, entry_types, initial_capacity
 from taccel_lab.ipc.distance.closest_pairs import point_triangle_distance_sq
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch, side_by_side
 
@@ -255,14 +256,14 @@ class Collisions(GrowingList):
             for name, dtype in self.columns.items():
                 setattr(self._found, name, wp.zeros(self.capacity, dtype, device=self.device))
 
-    def update(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
+    def update(self, active: EnvMask, positions: wp.array, candidates: Candidates) -> None:
         """``collect`` by a host that makes room where it is short."""
         while True:
             self.collect(active, positions, candidates)
             if not self.fit():
                 return
 
-    def collect(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
+    def collect(self, active: EnvMask, positions: wp.array, candidates: Candidates) -> None:
         """Collect the collisions among ``candidates`` at ``positions``, for active environments;
         the lists of others stay as they are."""
         self.clear(active)
@@ -270,7 +271,7 @@ class Collisions(GrowingList):
         self.settle(active)
 
     def searches(
-        self, active: wp.array, positions: wp.array, candidates: Candidates
+        self, active: EnvMask, positions: wp.array, candidates: Candidates
     ) -> list[Callable[[], None]]:
         """Launches, in any order or side by side, that add the collisions among ``candidates`` at
         ``positions`` to the lists of active environments, which then are to be ``settle``d."""
@@ -282,7 +283,7 @@ class Collisions(GrowingList):
         common = [positions, self.geometry, self._surface]
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
-            lanes = lane_count(model.device, model.env_count, pairs.largest_room)
+            lanes = lane_count(model.device, place_count(active), pairs.largest_room)
             inputs = [active, lanes, pairs.room, pairs.pairs, *common, self._found]
             launch(kernel, (model.env_count, lanes), *inputs)
 
@@ -299,7 +300,7 @@ class Collisions(GrowingList):
             searches.append(narrow_planes)
         return searches
 
-    def settle(self, active: wp.array) -> None:
+    def settle(self, active: EnvMask) -> None:
         """Bring what ``searches`` have found in active environments in order, if it shall be."""
         if not self._in_order:
             return

@@ -25,6 +25,7 @@ from taccel_lab.ipc.distance.closest_pairs import (
     edge_edge_distance_sq,
 )
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_mollifier_threshold
+from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -351,7 +352,7 @@ def collect_edge_edge(
 
 @wp.kernel
 def node_face_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
@@ -360,8 +361,9 @@ def node_face_kernel(
     surface: ContactSurface,
     lists: CollisionLists,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         collect_node_face(env, candidates[at], positions, geometry, surface, lists)
@@ -369,7 +371,7 @@ def node_face_kernel(
 
 @wp.kernel
 def edge_edge_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
@@ -378,8 +380,9 @@ def edge_edge_kernel(
     surface: ContactSurface,
     lists: CollisionLists,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         collect_edge_edge(env, candidates[at], positions, geometry, surface, lists)
@@ -387,7 +390,7 @@ def edge_edge_kernel(
 
 @wp.kernel
 def node_plane_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     pairs: wp.array(dtype=wp.vec2i),
     present: wp.array2d(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
@@ -396,8 +399,9 @@ def node_plane_kernel(
     lists: CollisionLists,
 ):
     """Nodes near planes; a plane has no nodes, so the whole area of the node counts."""
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     node = pairs[i][0]
     plane = pairs[i][1]

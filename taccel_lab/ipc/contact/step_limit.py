@@ -27,6 +27,7 @@ from taccel_lab.ipc.distance.ccd import (
     point_triangle_ccd,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
 
@@ -105,15 +106,16 @@ def edge_edge_limit(env: int, candidate: wp.vec2i, most: wp.float64, way: Way) -
 
 @wp.kernel
 def _node_face_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
     way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         most = limits[env]
@@ -124,15 +126,16 @@ def _node_face_kernel(
 
 @wp.kernel
 def _edge_edge_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     room: ListRoom,
     candidates: wp.array(dtype=wp.vec2i),
     way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         most = limits[env]
@@ -143,14 +146,15 @@ def _edge_edge_kernel(
 
 @wp.kernel
 def _node_plane_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     pairs: wp.array(dtype=wp.vec2i),
     present: wp.array2d(dtype=wp.int32),
     way: Way,
     limits: wp.array(dtype=wp.float64),
 ):
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     p = pairs[i][0]
     plane = pairs[i][1]
@@ -168,7 +172,7 @@ def _node_plane_kernel(
 
 def limit_checks(
     model: Model,
-    active: wp.array,
+    active: EnvMask,
     candidates: Candidates,
     positions: wp.array,
     displacements: wp.array,
@@ -189,7 +193,7 @@ def limit_checks(
     way.slackness, way.max_iterations = slackness, max_iterations
 
     def against(kernel: wp.Kernel, pairs: PairList) -> None:
-        lanes = lane_count(model.device, model.env_count, pairs.largest_room)
+        lanes = lane_count(model.device, place_count(active), pairs.largest_room)
         inputs = [active, lanes, pairs.room, pairs.pairs, way, limits]
         launch(kernel, (model.env_count, lanes), *inputs)
 

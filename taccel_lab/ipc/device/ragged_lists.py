@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
 
@@ -113,12 +114,13 @@ def overflows(env: int, room: ListRoom) -> bool:
 
 @wp.kernel
 def _clear_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     first: wp.array(dtype=wp.int32),
     second: wp.array(dtype=wp.int32),
 ):
-    env = wp.tid()
-    if active[env] != 0:
+    place = wp.tid()
+    env = env_at(place, active)
+    if env >= 0:
         first[env] = 0
         if second:
             second[env] = 0
@@ -246,7 +248,7 @@ class GrowingList:
         self.counts.zero_()
         self._allocate(self.rooms)
 
-    def clear(self, active: wp.array) -> None:
+    def clear(self, active: EnvMask) -> None:
         """Empty the lists of the active environments (int32, [env_count])."""
         clear_all(active, [self])
 
@@ -298,7 +300,7 @@ class GrowingList:
         return values[first : first + count].numpy() if count else values.numpy()[:0]
 
 
-def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
+def clear_all(active: EnvMask, lists: Sequence[GrowingList]) -> None:
     """Empty one or two lists of the active environments (int32, [env_count]) in one launch."""
     first, second = lists[0], lists[1] if len(lists) > 1 else None
     launch(_clear_kernel, len(active), active, first.counts, second.counts if second else None)

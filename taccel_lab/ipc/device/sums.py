@@ -25,6 +25,7 @@ import warp as wp
 
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 
 BLOCK_THREADS = 128
@@ -88,12 +89,13 @@ def lane_list_sum(
 
 @wp.kernel
 def _add_rows_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     values: wp.array2d(dtype=wp.float64),
     totals: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     total = block_total(lane_sum(env, lane, values, values.shape[1]))
     if lane == 0:
@@ -102,13 +104,14 @@ def _add_rows_kernel(
 
 @wp.kernel
 def _add_lists_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     values: wp.array(dtype=wp.float64),
     room: ListRoom,
     totals: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     total = block_total(lane_list_sum(env, lane, values, room))
     if lane == 0:
@@ -145,7 +148,7 @@ def lane_lengths(
 
 @wp.kernel
 def _body_sums_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     reduced: wp.array2d(dtype=wp.vec3d),
     contact: wp.array2d(dtype=wp.vec3d),
     rows: wp.array(dtype=wp.vec2i),
@@ -153,8 +156,9 @@ def _body_sums_kernel(
     residuals: wp.array2d(dtype=wp.float64),
     contact_forces: wp.array2d(dtype=wp.float64),
 ):
-    env, body, lane = wp.tid()
-    if active[env] == 0:
+    place, body, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     residual = block_total(lane_lengths(env, lane, reduced, rows[body][0], rows[body][1]))
     force = block_total(lane_lengths(env, lane, contact, nodes[body][0], nodes[body][1]))
@@ -164,7 +168,7 @@ def _body_sums_kernel(
 
 
 def add_row_sums(
-    active: wp.array, values: wp.array, room: ListRoom | None, totals: wp.array
+    active: EnvMask, values: wp.array, room: ListRoom | None, totals: wp.array
 ) -> None:
     """Add the sum of each row, or of the entries of each environment in a list with such a
     ``room``, to ``totals``."""
@@ -175,7 +179,7 @@ def add_row_sums(
 
 
 def force_sums(
-    active: wp.array,
+    active: EnvMask,
     reduced: wp.array,
     contact_gradient: wp.array,
     rows: wp.array,

@@ -25,6 +25,7 @@ from taccel_lab.ipc.joints.rows import (
     with_row,
 )
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
+from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -95,7 +96,7 @@ def second_controls(
 
 @wp.kernel
 def evaluate_rows_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     poses: wp.array2d(dtype=wp.transformd),
     t: JointTable,
@@ -104,8 +105,11 @@ def evaluate_rows_kernel(
     derivatives: wp.array4d(dtype=wp.vec3d),
 ):
     """Rows of all joints; ``derivatives`` may be absent. Angles come nearest to ``references``."""
-    env, joint, i = wp.tid()
-    if active[env] == 0 or t.present[env, joint] == 0:
+    place, joint, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    if t.present[env, joint] == 0:
         return
     w_a = t.first_weights[env % t.first_weights.shape[0], joint]
     w_b = t.second_weights[env % t.second_weights.shape[0], joint]
@@ -186,14 +190,17 @@ def response_of(
 
 @wp.kernel
 def joint_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     values: wp.array3d(dtype=wp.float64),
     t: JointTable,
     s: JointStep,
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, joint = wp.tid()
-    if active[env] == 0 or t.present[env, joint] == 0:
+    place, joint = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    if t.present[env, joint] == 0:
         return
     total = wp.float64(0.0)
     for i in range(_ROWS):
@@ -214,7 +221,7 @@ def _node_of(joint: int, k: int, t: JointTable) -> int:
 
 @wp.kernel
 def joint_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     group: wp.array(dtype=wp.int32),
     values: wp.array3d(dtype=wp.float64),
     derivatives: wp.array4d(dtype=wp.vec3d),
@@ -222,10 +229,13 @@ def joint_gradient_kernel(
     s: JointStep,
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, member, k = wp.tid()
+    place, member, k = wp.tid()
+    env = env_at(place, active)
     joint = group[member]
     node = _node_of(joint, k, t)
-    if active[env] == 0 or t.present[env, joint] == 0 or node < 0:
+    if env < 0:
+        return
+    if t.present[env, joint] == 0 or node < 0:
         return
     total = wp.vec3d()
     for i in range(_ROWS):
@@ -236,7 +246,7 @@ def joint_gradient_kernel(
 
 @wp.kernel
 def joint_hessian_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     group: wp.array(dtype=wp.int32),
     values: wp.array3d(dtype=wp.float64),
     derivatives: wp.array4d(dtype=wp.vec3d),
@@ -247,10 +257,13 @@ def joint_hessian_kernel(
     system: NewtonSystem,
 ):
     """Blocks (k, m) for all m; the motion of a kinematic frame goes to the right-hand side."""
-    env, member, k = wp.tid()
+    place, member, k = wp.tid()
+    env = env_at(place, active)
     joint = group[member]
     node = _node_of(joint, k, t)
-    if active[env] == 0 or t.present[env, joint] == 0 or node < 0:
+    if env < 0:
+        return
+    if t.present[env, joint] == 0 or node < 0:
         return
     frame = t.second_frames[joint]
     motion = mat43d()

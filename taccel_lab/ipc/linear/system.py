@@ -13,6 +13,7 @@ import warp as wp
 from taccel_lab.ipc.device.block_ops import team
 from taccel_lab.ipc.linear.cpu import SsorCG
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem, LinearReport
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import Scratch
 from taccel_lab.model.matrix_pattern import BlockPattern
 
@@ -22,7 +23,7 @@ class Solver(Protocol):
 
     description: str
 
-    def solve(self, active: wp.array, max_iterations: int) -> None:
+    def solve(self, active: EnvMask, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         ...
 
@@ -63,7 +64,7 @@ class LinearSystem(LinearProblem):
         p = self.pattern
         return f"{self._solver.description}; {p.free_count:,} rows, {p.block_count:,} blocks"
 
-    def solve(self, active: wp.array, max_iterations: int) -> None:
+    def solve(self, active: EnvMask, max_iterations: int) -> None:
         """Solve to ||rhs - H p|| <= tolerances ||rhs|| in each active environment, on a GPU with H
         rounded to single precision where tolerances are no tighter than ``VERIFY_BELOW``.
 

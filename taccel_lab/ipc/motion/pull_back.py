@@ -11,6 +11,7 @@ import warp as wp
 from taccel_lab.ipc.device.sums import block_total
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import WARP_THREADS, launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
@@ -35,7 +36,7 @@ def nodal_sum(
 
 @wp.kernel
 def _pull_back_kernel(
-    mask: wp.array(dtype=wp.int32),
+    mask: Envs,
     first_control: int,
     free_index: wp.array(dtype=wp.int32),
     e: Embedded,
@@ -45,8 +46,9 @@ def _pull_back_kernel(
     reduced: wp.array2d(dtype=wp.vec3d),
 ):
     """One thread block a control node."""
-    env, i, lane = wp.tid()
-    if mask[env] == 0:
+    place, i, lane = wp.tid()
+    env = env_at(place, mask)
+    if env < 0:
         return
     body = i / 4
     total = wp.vec3d()
@@ -64,7 +66,7 @@ def _pull_back_kernel(
 
 
 def pull_back(
-    model: Model, mask: wp.array, gradients: list[wp.array | None], reduced: wp.array
+    model: Model, mask: EnvMask, gradients: list[wp.array | None], reduced: wp.array
 ) -> None:
     """Rows of the control nodes of ``reduced`` [N]: the sum of three gradients, of which two may be
     None, at these nodes, and of what acts on what the bodies carry, with its weights."""

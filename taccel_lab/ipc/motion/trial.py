@@ -18,6 +18,7 @@ import warp as wp
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import vertex_range
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.kinematics import pose_between
 from taccel_lab.model.launches import launch
@@ -29,14 +30,12 @@ wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 class Trial:
     """A part of the way ahead, and where it leads.
 
-    mask: environments that try it, [env_count].
     curved: those of them in which a node may leave the straight way, [env_count].
     fractions: part of the way, [env_count].
     positions, displacements: start and way of the nodes [m], [env_count, node_count].
     result: where they are then [m]; paths: how they got there, of environments in ``curved`` [m].
     """
 
-    mask: wp.array(dtype=wp.int32)
     curved: wp.array(dtype=wp.int32)
     fractions: wp.array(dtype=wp.float64)
     positions: wp.array2d(dtype=wp.vec3d)
@@ -60,9 +59,10 @@ def put_node(env: int, node: int, x: wp.vec3d, t: Trial):
 
 
 @wp.kernel
-def _straight_kernel(nodes: wp.array(dtype=wp.int32), t: Trial):
-    env, i = wp.tid()
-    if t.mask[env] != 0:
+def _straight_kernel(active: Envs, nodes: wp.array(dtype=wp.int32), t: Trial):
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env >= 0:
         put_node(env, nodes[i], straight(env, nodes[i], t), t)
 
 
@@ -78,10 +78,11 @@ class StraightNodes:
         nodes = np.flatnonzero(others).astype(np.int32)
         self.nodes = wp.array(nodes, dtype=wp.int32, device=model.device)
 
-    def place(self, trial: Trial) -> None:
-        """Put them where ``trial`` leads."""
+    def place(self, active: EnvMask, trial: Trial) -> None:
+        """Put them where ``trial`` leads, in the environments of ``active``."""
         if len(self.nodes):
-            launch(_straight_kernel, (self._model.env_count, len(self.nodes)), self.nodes, trial)
+            shape = (self._model.env_count, len(self.nodes))
+            launch(_straight_kernel, shape, active, self.nodes, trial)
 
 
 @wp.struct
@@ -132,14 +133,17 @@ def carried(env: int, node: int, pose: wp.transformd, m: FrameMotion) -> wp.vec3
 
 @wp.kernel
 def _aim_nodes_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     moving: wp.array(dtype=wp.int32),
     m: FrameMotion,
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
-    env, frame, lane = wp.tid()
-    if active[env] == 0 or is_idle(frame, lane, m):
+    place, frame, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    if is_idle(frame, lane, m):
         return
     pose = frame_pose(env, frame, lane, m)
     for i in range(m.node_starts[frame] + lane, m.node_starts[frame + 1], m.lanes):
@@ -151,9 +155,12 @@ def _aim_nodes_kernel(
 
 
 @wp.kernel
-def _carry_kernel(m: FrameMotion, t: Trial):
-    env, frame, lane = wp.tid()
-    if t.mask[env] == 0 or is_idle(frame, lane, m):
+def _carry_kernel(active: Envs, m: FrameMotion, t: Trial):
+    place, frame, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    if is_idle(frame, lane, m):
         return
     pose = frame_pose(env, frame, lane, m)
     for i in range(m.node_starts[frame] + lane, m.node_starts[frame + 1], m.lanes):
@@ -180,7 +187,7 @@ class FrameNodes:
         path: tuple[wp.array, wp.array],
         fractions: wp.array | None,
         poses: wp.array | None,
-        inputs: Sequence[wp.array],
+        inputs: Sequence[EnvMask],
         *rest: wp.array | Trial,
     ) -> None:
         model = self._model
@@ -192,14 +199,14 @@ class FrameNodes:
         motion.starts, motion.ends = path
         if fractions is not None and poses is not None:
             motion.fractions, motion.poses = fractions, poses
-        motion.lanes = lane_count(model.device, model.env_count, max(self._most, 1))
+        motion.lanes = lane_count(model.device, place_count(inputs[0]), max(self._most, 1))
         dim = (model.env_count, len(model.kinematic), motion.lanes)
         launch(kernel, dim, *inputs, motion, *rest, device=model.device)
 
     def aim(
         self,
-        active: wp.array,
-        moving: wp.array,
+        active: EnvMask,
+        moving: EnvMask,
         path: tuple[wp.array, wp.array],
         positions: wp.array,
         displacements: wp.array,
@@ -219,6 +226,7 @@ class FrameNodes:
 
     def place(
         self,
+        active: EnvMask,
         trial: Trial,
         path: tuple[wp.array, wp.array],
         fractions: wp.array,
@@ -226,4 +234,4 @@ class FrameNodes:
     ) -> None:
         """Put them where they are at the part ``fractions`` of ``path``, and write the ``poses``
         there; see ``aim``."""
-        self._launch(_carry_kernel, path, fractions, poses, (), trial)
+        self._launch(_carry_kernel, path, fractions, poses, (active,), trial)

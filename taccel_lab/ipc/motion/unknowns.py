@@ -13,6 +13,7 @@ from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion.pull_back import nodal_sum, pull_back
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import listed_node, vertex_range
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch, launch_blocks, side_by_side
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
@@ -20,15 +21,16 @@ wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 @wp.kernel
 def _reduce_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     free_nodes: wp.array(dtype=wp.int32),
     gradient_a: wp.array2d(dtype=wp.vec3d),
     gradient_b: wp.array2d(dtype=wp.vec3d),
     gradient_c: wp.array2d(dtype=wp.vec3d),
     reduced: wp.array2d(dtype=wp.vec3d),
 ):
-    env, row = wp.tid()
-    if active[env] == 0:
+    place, row = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     reduced[env, row] = nodal_sum(env, free_nodes[row], gradient_a, gradient_b, gradient_c)
 
@@ -92,23 +94,24 @@ def _velocity_kernel(
 
 @wp.kernel
 def _begin_rhs_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     reduced: wp.array2d(dtype=wp.vec3d),
     keep: int,
     rhs: wp.array2d(dtype=wp.vec3d),
 ):
-    env, row = wp.tid()
-    load = wp.vec3d()
+    place, row = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    load = -reduced[env, row]
     if keep != 0:
-        load = rhs[env, row]
-    if active[env] != 0:
-        load = load - reduced[env, row]
+        load += rhs[env, row]
     rhs[env, row] = load
 
 
 @wp.kernel
 def _spread_kernel(
-    mask: wp.array(dtype=wp.int32),
+    mask: Envs,
     free_nodes: wp.array(dtype=wp.int32),
     first_vertex: int,
     vertex_count: int,
@@ -120,8 +123,9 @@ def _spread_kernel(
     multiples: wp.array(dtype=wp.float64),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
-    env, i = wp.tid()
-    if mask[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, mask)
+    if env < 0:
         return
     multiple = wp.float64(1.0)
     if multiples:
@@ -152,7 +156,7 @@ def _subtract_rows_kernel(
         result[env, node] = end[env, node] - start[env, node]
 
 
-def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
+def subtract_rows(mask: EnvMask, end: wp.array, start: wp.array, result: wp.array) -> None:
     """result = end - start in the environments of ``mask``."""
     launch(_subtract_rows_kernel, result.shape, mask, end, start, result)
 
@@ -188,7 +192,7 @@ def newton_systems(
 
 
 def reduce_gradient(
-    model: Model, active: wp.array, gradients: list[wp.array | None], reduced: wp.array
+    model: Model, active: EnvMask, gradients: list[wp.array | None], reduced: wp.array
 ) -> None:
     """Sum of up to three nodal gradients by the unknowns [N], shape [env_count, free_count].
 
@@ -211,7 +215,7 @@ def reduce_gradient(
 
 def keep_steady(
     model: Model,
-    mask: wp.array,
+    mask: EnvMask,
     dts: wp.array,
     velocities: wp.array,
     displacements: wp.array,
@@ -225,7 +229,7 @@ def keep_steady(
 
 
 def coast(
-    model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
+    model: Model, mask: EnvMask, dts: wp.array, velocities: wp.array, displacements: wp.array
 ) -> None:
     """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
     inputs = [mask, model.free_nodes, dts, velocities, displacements]
@@ -233,14 +237,14 @@ def coast(
 
 
 def measure_velocities(
-    mask: wp.array, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
+    mask: EnvMask, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
 ) -> None:
     """Mean velocities [m/s] over a step, in the environments of ``mask``."""
     launch(_velocity_kernel, end.shape, mask, start, end, dts, velocities)
 
 
 def begin_rhs(
-    model: Model, active: wp.array, reduced: wp.array, rhs: wp.array, keep: bool = False
+    model: Model, active: EnvMask, reduced: wp.array, rhs: wp.array, keep: bool = False
 ) -> None:
     """rhs = -reduced [N], zero in environments that are not active; or with ``keep`` rhs -= reduced
     in the active ones."""
@@ -249,7 +253,7 @@ def begin_rhs(
 
 def spread_solution(
     model: Model,
-    mask: wp.array,
+    mask: EnvMask,
     solution: wp.array,
     displacements: wp.array,
     multiples: wp.array | None = None,

@@ -19,6 +19,7 @@ from taccel_lab.ipc.affine.rigidity import (
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import WARP_THREADS, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
@@ -26,15 +27,16 @@ wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 @wp.kernel
 def _affine_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64),
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, body = wp.tid()
-    if active[env] == 0:
+    place, body = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     a = body_map(env, control_starts[body], lengths[body], positions)
     energies[env, body] = orthogonality_energy(a, stiffness[body])
@@ -42,15 +44,16 @@ def _affine_energy_kernel(
 
 @wp.kernel
 def _affine_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, body = wp.tid()
-    if active[env] == 0:
+    place, body = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     start = control_starts[body]
     length = lengths[body]
@@ -62,7 +65,7 @@ def _affine_gradient_kernel(
 
 @wp.kernel
 def _affine_hessian_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
@@ -70,8 +73,9 @@ def _affine_hessian_kernel(
     psd_modes: wp.array(dtype=wp.int32),
     system: NewtonSystem,
 ):
-    env, body = wp.tid()
-    if active[env] == 0:
+    place, body = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     start = control_starts[body]
     length = lengths[body]
@@ -107,18 +111,18 @@ class AffinePotential(Potential):
         their energy and stiffness together would be.
         """
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
         inputs = [active, positions, *self._bodies, self.energies]
         launch(_affine_energy_kernel, self.energies.shape, *inputs)
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
         inputs = [active, positions, *self._bodies, gradient]
         launch(_affine_gradient_kernel, self.energies.shape, *inputs)
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
+        self, active: EnvMask, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_modes``: PSD_* of each
         environment."""

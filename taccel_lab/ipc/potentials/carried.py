@@ -12,6 +12,7 @@ from taccel_lab.ipc.device.sums import block_total
 from taccel_lab.ipc.potentials.stencil_rows import triangle_row
 from taccel_lab.model import Model
 from taccel_lab.model.carried import CarriedBlocks
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import WARP_THREADS, launch, launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
@@ -24,7 +25,7 @@ _THREADS = 32
 
 @wp.kernel
 def _couple_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     targets: wp.array(dtype=wp.vec4i),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
@@ -34,8 +35,9 @@ def _couple_kernel(
     values: wp.array2d(dtype=wp.mat33d),
 ):
     """Control node k of a body with a free node: sum of w_k(b) d^2E / dx_b dx_free."""
-    env, i, k = wp.tid()
-    if active[env] == 0:
+    place, i, k = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     block = targets[i][k]
     total = values[env, block]
@@ -57,7 +59,7 @@ def _block_of(item: int) -> wp.vec3i:
 
 @wp.kernel
 def _own_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     corners: wp.array(dtype=wp.vec4i),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
@@ -67,8 +69,9 @@ def _own_kernel(
     values: wp.array2d(dtype=wp.mat33d),
 ):
     """Two control nodes of a body; a thread block for each of the ten blocks."""
-    env, item, lane = wp.tid()
-    if active[env] == 0:
+    place, item, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     which = _block_of(item)
     body = which[0]
@@ -92,7 +95,7 @@ def _own_kernel(
 
 @wp.kernel
 def _inertia_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     first_row: int,
     diagonal: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
@@ -103,8 +106,9 @@ def _inertia_kernel(
     values: wp.array2d(dtype=wp.mat33d),
 ):
     """The same of sum m w_i w_j / s^2."""
-    env, item, lane = wp.tid()
-    if active[env] == 0:
+    place, item, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     which = _block_of(item)
     body = which[0]
@@ -122,7 +126,7 @@ def _inertia_kernel(
 
 
 def gather_carried(
-    model: Model, active: wp.array, blocks: CarriedBlocks, parts: wp.array, values: wp.array
+    model: Model, active: EnvMask, blocks: CarriedBlocks, parts: wp.array, values: wp.array
 ) -> None:
     """Add parts [N/m], mat33d, [env_count, part_count], of elements that hold carried nodes to the
     blocks of the matrix, [env_count, block_count]."""
@@ -133,7 +137,7 @@ def gather_carried(
     launch_blocks(_own_kernel, (model.env_count, _PAIRS * len(blocks.corners)), *inputs)
 
 
-def add_carried_inertia(model: Model, active: wp.array, spans: wp.array, values: wp.array) -> None:
+def add_carried_inertia(model: Model, active: EnvMask, spans: wp.array, values: wp.array) -> None:
     """Add the inertia of carried nodes [N/m] to the blocks of the control nodes; ``spans``: see
     ``InertiaPotential``."""
     affine = model.affine

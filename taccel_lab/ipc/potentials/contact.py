@@ -47,6 +47,7 @@ from taccel_lab.ipc.potentials.stencil_rows import (
     row_parts,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
 
@@ -136,15 +137,16 @@ def contact_energy(
 
 @wp.kernel
 def _contact_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     energies: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
         energies[at] = contact_energy(env, at, lists, geometry, positions)
@@ -173,7 +175,7 @@ def add_contact_gradient(
 
 @wp.kernel
 def _contact_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
@@ -182,8 +184,9 @@ def _contact_gradient_kernel(
     min_distance: wp.array(dtype=wp.float64),
     sums: SumStage,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
         add_contact_gradient(env, at, lists, geometry, positions, gradient, min_distance, sums)
@@ -233,7 +236,7 @@ def add_contact_hessian(
 
 @wp.kernel
 def _contact_hessian_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
@@ -242,8 +245,9 @@ def _contact_hessian_kernel(
     parts: int,
     system: NewtonSystem,
 ):
-    env, lane, part = wp.tid()
-    if active[env] == 0:
+    place, lane, part = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
         add_contact_hessian(env, at, lists, geometry, positions, modes[env], part, parts, system)
@@ -268,12 +272,12 @@ class ContactPotential(EnergyTerm):
         """Room of the collisions."""
         return self.collisions.room
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, *rest: Any) -> None:
+    def _launch(self, kernel: wp.Kernel, active: EnvMask, positions: wp.array, *rest: Any) -> None:
         c, m = self.collisions, self.model
-        lanes = lane_count(m.device, m.env_count, c.largest_room)
+        lanes = lane_count(m.device, place_count(active), c.largest_room)
         launch(kernel, (m.env_count, lanes), active, lanes, c.lists, c.geometry, positions, *rest)
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` of the current collision set [J]."""
         c = self.collisions
         if len(self.energies) != c.capacity:
@@ -281,7 +285,7 @@ class ContactPotential(EnergyTerm):
         self._launch(_contact_energy_kernel, active, positions, self.energies)
 
     def add_gradient(
-        self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
+        self, active: EnvMask, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         for stage in self._sums.stages():
@@ -289,11 +293,11 @@ class ContactPotential(EnergyTerm):
             self._launch(_contact_gradient_kernel, active, positions, *rest)
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
+        self, active: EnvMask, positions: wp.array, system: NewtonSystem, modes: wp.array
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
         c, m = self.collisions, self.model
-        lanes = lane_count(m.device, m.env_count, c.largest_room)
-        parts = row_parts(m.device, m.env_count, lanes)
+        lanes = lane_count(m.device, place_count(active), c.largest_room)
+        parts = row_parts(m.device, place_count(active), lanes)
         inputs = [active, lanes, c.lists, c.geometry, positions, modes, parts, system]
         launch(_contact_hessian_kernel, (m.env_count, lanes, parts), *inputs)

@@ -18,6 +18,7 @@ from taccel_lab.ipc.device.sums import (
     lane_sum,
 )
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
@@ -31,16 +32,16 @@ class EnergyTerm:
     room: ListRoom | None = None
     """Where the items of each environment are, for those of a list."""
 
-    def write_energies(self, active: wp.array, at: Any, /) -> None:
+    def write_energies(self, active: EnvMask, at: Any, /) -> None:
         """Fill ``energies`` of active environments."""
         raise NotImplementedError
 
-    def add_energy(self, active: wp.array, positions: Any, totals: wp.array) -> None:
+    def add_energy(self, active: EnvMask, positions: Any, totals: wp.array) -> None:
         """Add the energy [J] to ``totals``, float64, shape [env_count], where active."""
         self.write_energies(active, positions)
         add_row_sums(active, self.energies, self.room, totals)
 
-    def energy(self, active: wp.array, positions: Any) -> np.ndarray:
+    def energy(self, active: EnvMask, positions: Any) -> np.ndarray:
         """Energy [J] at positions (or, of friction, after a motion), shape [env_count]; zero where
         not active."""
         totals = wp.zeros(len(active), dtype=wp.float64, device=active.device)
@@ -51,12 +52,12 @@ class EnergyTerm:
 class Potential(EnergyTerm):
     """A term that depends on positions alone once a step has begun."""
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
         raise NotImplementedError
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
+        self, active: EnvMask, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the Newton system, projected where ``psd_modes``
         [env_count], one of PSD_*, says so."""
@@ -107,13 +108,14 @@ def block_friction(env: int, lane: int, e: WrittenEnergies) -> wp.float64:
 
 @wp.kernel
 def _energies_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     e: WrittenEnergies,
     base: wp.array(dtype=wp.float64),
     totals: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     without = block_base(env, lane, e)
     friction = block_friction(env, lane, e)
@@ -134,7 +136,7 @@ def written_energies(
 
 
 def sum_energies(
-    active: wp.array, written: WrittenEnergies, base: wp.array, totals: wp.array
+    active: EnvMask, written: WrittenEnergies, base: wp.array, totals: wp.array
 ) -> None:
     """Sum the energies that terms have written: without friction to ``base``, with it to ``totals``
     [J], [env_count]."""

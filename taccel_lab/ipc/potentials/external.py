@@ -21,6 +21,7 @@ import warp as wp
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.model.launches import launch
 
@@ -54,26 +55,28 @@ def _wrench_kernel(
 
 @wp.kernel
 def _load_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     start_positions: wp.array2d(dtype=wp.vec3d),
     loads: wp.array2d(dtype=wp.vec3d),
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, node = wp.tid()
-    if active[env] != 0:
+    place, node = wp.tid()
+    env = env_at(place, active)
+    if env >= 0:
         moved = positions[env, node] - start_positions[env, node]
         energies[env, node] = -wp.dot(loads[env, node], moved)
 
 
 @wp.kernel
 def _load_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     loads: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, node = wp.tid()
-    if active[env] != 0:
+    place, node = wp.tid()
+    env = env_at(place, active)
+    if env >= 0:
         gradient[env, node] -= loads[env, node]
 
 
@@ -114,18 +117,18 @@ class ExternalLoad(Potential):
             inputs = [mask, m.affine.control_starts, wrenches, positions, self._loads]
             launch(_wrench_kernel, (m.env_count, m.affine.count), *inputs)
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
         inputs = [active, positions, self._start, self._loads, self.energies]
         launch(_load_energy_kernel, positions.shape, *inputs)
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add -f [N]."""
         launch(_load_gradient_kernel, positions.shape, active, self._loads, gradient)
 
     def add_hessian(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         system: NewtonSystem,
         psd_modes: wp.array | None = None,

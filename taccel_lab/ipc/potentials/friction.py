@@ -34,6 +34,7 @@ from taccel_lab.ipc.potentials.contact import mollifier
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.kinematics import turn_between
 from taccel_lab.model.launches import launch
@@ -120,7 +121,7 @@ def freeze_contact(
 
 @wp.kernel
 def _lag_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
@@ -129,8 +130,9 @@ def _lag_kernel(
     previous: wp.array2d(dtype=wp.vec3d),
     frozen: FrozenContacts,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     first = lists.room.starts[env]
     end = list_end(env, lists.room)
@@ -176,15 +178,16 @@ def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp
 
 @wp.kernel
 def _friction_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.array(dtype=wp.float64),
     energies: wp.array(dtype=wp.float64),
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
         u = sliding(env, at, frozen, motion)
@@ -193,7 +196,7 @@ def _friction_energy_kernel(
 
 @wp.kernel
 def _friction_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
@@ -201,8 +204,9 @@ def _friction_gradient_kernel(
     gradient: wp.array2d(dtype=wp.vec3d),
     sums: SumStage,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
         nodes = frozen.stencils[at]
@@ -216,7 +220,7 @@ def _friction_gradient_kernel(
 
 @wp.kernel
 def _friction_hessian_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     frozen: FrozenContacts,
     motion: StepMotion,
@@ -225,8 +229,9 @@ def _friction_hessian_kernel(
     parts: int,
     system: NewtonSystem,
 ):
-    env, lane, part = wp.tid()
-    if active[env] == 0:
+    place, lane, part = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
         mu_lambda = frozen.mu_lambdas[at]
@@ -366,7 +371,7 @@ class FrictionPotential(EnergyTerm):
         frozen.room = room
         self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
-    def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
+    def lag(self, active: EnvMask, positions: wp.array, previous: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``, in a step that
         began at ``previous``."""
         c = self.collisions
@@ -384,17 +389,17 @@ class FrictionPotential(EnergyTerm):
         inputs = [who, dts, whole_dts, self._static_range_m, tools, self.counts, self.eps_u_m]
         launch(_begin_friction_kernel, self.model.env_count, *inputs)
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, *rest: Any) -> None:
+    def _launch(self, kernel: wp.Kernel, active: EnvMask, *rest: Any) -> None:
         m = self.model
-        lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
+        lanes = lane_count(m.device, place_count(active), self.collisions.largest_room)
         launch(kernel, (m.env_count, lanes), active, lanes, *rest)
 
-    def write_energies(self, active: wp.array, motion: StepMotion) -> None:
+    def write_energies(self, active: EnvMask, motion: StepMotion) -> None:
         """Fill ``energies`` of this step's sliding [J]."""
         inputs = [self.frozen, motion, self.eps_u_m, self.energies]
         self._launch(_friction_energy_kernel, active, *inputs)
 
-    def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
         for stage in self.sums.stages():
             inputs = [self.frozen, motion, self.eps_u_m, gradient, stage]
@@ -402,7 +407,7 @@ class FrictionPotential(EnergyTerm):
 
     def add_hessian(
         self,
-        active: wp.array,
+        active: EnvMask,
         motion: StepMotion,
         system: NewtonSystem,
         sharpness: wp.array | None = None,
@@ -412,7 +417,7 @@ class FrictionPotential(EnergyTerm):
         m = self.model
         if sharpness is None:
             sharpness = wp.full(m.env_count, 1.0, dtype=wp.float64, device=m.device)
-        lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
-        parts = row_parts(m.device, m.env_count, lanes)
+        lanes = lane_count(m.device, place_count(active), self.collisions.largest_room)
+        parts = row_parts(m.device, place_count(active), lanes)
         inputs = [active, lanes, self.frozen, motion, self.eps_u_m, sharpness, parts, system]
         launch(_friction_hessian_kernel, (m.env_count, lanes, parts), *inputs)

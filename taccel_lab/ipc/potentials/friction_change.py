@@ -50,6 +50,7 @@ from taccel_lab.ipc.potentials.friction import (
     sliding,
 )
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
 
@@ -187,7 +188,7 @@ def sliding_change(
 
 @wp.kernel
 def _friction_change_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
@@ -200,8 +201,9 @@ def _friction_change_kernel(
     forces: wp.array2d(dtype=wp.vec3d),
     sums: SumStage,
 ):
-    env, lane = wp.tid()
-    if active[env] == 0:
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
         nodes = frozen.stencils[at]
@@ -237,7 +239,7 @@ def _friction_change_kernel(
 
 def add_friction_change(
     friction: FrictionPotential,
-    active: wp.array,
+    active: EnvMask,
     motion: StepMotion,
     sharpness: wp.array,
     displacements: wp.array,

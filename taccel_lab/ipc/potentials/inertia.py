@@ -29,6 +29,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import add_carried_inertia
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import launch
 from taccel_lab.state import StepHistory
 
@@ -121,7 +122,7 @@ def _predict_nodes_kernel(
 
 @wp.kernel
 def _inertia_energy_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
@@ -129,8 +130,9 @@ def _inertia_energy_kernel(
     spans: wp.array(dtype=wp.float64),
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     node = nodes[i]
     r = positions[env, node] - predictions[env, node]
@@ -140,7 +142,7 @@ def _inertia_energy_kernel(
 
 @wp.kernel
 def _derivative_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     positions: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
@@ -148,8 +150,9 @@ def _derivative_kernel(
     spans: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     node = nodes[i]
     weight = masses[env % masses.shape[0], node] / (spans[env] * spans[env])
@@ -158,15 +161,16 @@ def _derivative_kernel(
 
 @wp.kernel
 def _inertia_hessian_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     masses: wp.array2d(dtype=wp.float64),
     free_nodes: wp.array(dtype=wp.int32),
     diagonal: wp.array(dtype=wp.int32),
     spans: wp.array(dtype=wp.float64),
     values: wp.array2d(dtype=wp.mat33d),
 ):
-    env, row = wp.tid()
-    if active[env] == 0:
+    place, row = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     weight = masses[env % masses.shape[0], free_nodes[row]] / (spans[env] * spans[env])
     values[env, diagonal[row]] += weight * wp.identity(n=3, dtype=wp.float64)
@@ -311,22 +315,22 @@ class InertiaPotential(Potential):
             _finish_kernel, positions.shape, done, positions, self._anchors, self.spans, velocities
         )
 
-    def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, out) -> None:
+    def _launch(self, kernel: wp.Kernel, active: EnvMask, positions: wp.array, out) -> None:
         m = self.model
         inputs = [active, positions, self.predictions, m.masses, self._nodes, self.spans, out]
         launch(kernel, self.energies.shape, *inputs)
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
         self._launch(_inertia_energy_kernel, active, positions, self.energies)
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N]: mass times acceleration, less the weight."""
         self._launch(_derivative_kernel, active, positions, gradient)
 
     def add_hessian(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         system: NewtonSystem,
         psd_modes: wp.array | None = None,

@@ -42,6 +42,7 @@ from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE, matrix_row, with_row
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
 from taccel_lab.model.launches import launch
 from taccel_lab.state import JointState
@@ -204,12 +205,12 @@ class JointPotential(Potential):
         inputs = [mask, self._values, self.state.targets, self._step, self._start_multipliers]
         launch(begin_joints_kernel, self._shape, *inputs)
 
-    def close_predicted(self, active: wp.array, positions: wp.array) -> None:
+    def close_predicted(self, active: EnvMask, positions: wp.array) -> None:
         """Move control nodes of affine bodies, placed each by itself, so that joints are closed."""
         inputs = [active, self._tree, self._poses, self._table, positions]
         launch(close_joints_kernel, self.model.env_count, *inputs)
 
-    def update_multipliers(self, active: wp.array, positions: wp.array) -> None:
+    def update_multipliers(self, active: EnvMask, positions: wp.array) -> None:
         """Measure ``violations`` of constraints and limits [m] in active environments.
 
         Where they exceed ``tolerance_m``, the constraint forces become multipliers, and Newton has
@@ -231,7 +232,7 @@ class JointPotential(Potential):
         launch(joint_outputs_kernel, self._shape, *inputs)
         self._absorb(done)
 
-    def restore(self, mask: wp.array) -> None:
+    def restore(self, mask: EnvMask) -> None:
         """Back to the start of the step in the environments of ``mask`` (int32, [env_count])."""
         copy_rows(mask, self._start_multipliers, self._step.multipliers)
 
@@ -245,13 +246,13 @@ class JointPotential(Potential):
 
     # A potential -------------------------------------------------------------------------------
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments. Its zero has no meaning."""
         self._evaluate(active, positions, derivatives=False)
         inputs = [active, self._values, self._table, self._step, self.energies]
         launch(joint_energy_kernel, self._shape, *inputs)
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N], shape [env_count, node_count]."""
         self._evaluate(active, positions)
         inputs = [self._values, self._derivatives]
@@ -259,7 +260,7 @@ class JointPotential(Potential):
 
     def add_hessian(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         system: NewtonSystem,
         psd_modes: wp.array | None = None,
@@ -274,7 +275,7 @@ class JointPotential(Potential):
 
     def _evaluate(
         self,
-        active: wp.array,
+        active: EnvMask,
         positions: wp.array,
         references: wp.array | None = None,
         derivatives: bool = True,
@@ -284,7 +285,7 @@ class JointPotential(Potential):
         inputs += [self._derivatives if derivatives else None]
         launch(evaluate_rows_kernel, (*self._shape, ROW_COUNT), *inputs)
 
-    def _bound_rounding(self, mask: wp.array, positions: wp.array) -> None:
+    def _bound_rounding(self, mask: EnvMask, positions: wp.array) -> None:
         affine = self.model.affine
         inputs = [mask, positions, affine.first_control, 4 * affine.count, self._table, self._step]
         launch(
@@ -296,7 +297,7 @@ class JointPotential(Potential):
         launch(absorb_forces_kernel, (*self._shape, ROW_COUNT), *inputs)
 
     def _launch_groups(
-        self, kernel: wp.Kernel, active: wp.array, inputs: list, out: wp.array | NewtonSystem
+        self, kernel: wp.Kernel, active: EnvMask, inputs: list, out: wp.array | NewtonSystem
     ) -> None:
         for group in self._colors:
             dim = (self._shape[0], len(group), 8)

@@ -21,6 +21,7 @@ from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists
 from taccel_lab.ipc.linear.problem.packed_rows import row_slices
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan, scalars
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.matrix_pattern import BlockPattern
 
 MAX_ROWS = 400
@@ -128,7 +129,7 @@ class Arrow:
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=device)
         work.parts_scalars = scalars(work.parts)
 
-    def solve(self, active: wp.array, max_iterations: int) -> None:
+    def solve(self, active: EnvMask, max_iterations: int) -> None:
         """See ``LinearSystem.solve``; residuals of exact solutions read 0."""
         problem = self._problem
         self._extra.update(active)

@@ -52,6 +52,7 @@ from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW, PackedRows, RowSlices
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows, scalars
 from taccel_lab.ipc.linear.problem.row_products import multiply_extra, row_sum
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import side_by_side
 
 wp.set_module_options({"enable_backward": False})
@@ -297,7 +298,7 @@ class BlockCG:
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
         work.parts_scalars = scalars(work.parts)
 
-    def solve(self, active: wp.array, max_iterations: int) -> None:
+    def solve(self, active: EnvMask, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
         side_by_side(

@@ -67,6 +67,7 @@ from taccel_lab.ipc.linear.problem.row_products import (
     multiply_extra,
     row_component,
 )
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import side_by_side
 
 wp.set_module_options({"enable_backward": False})
@@ -382,7 +383,7 @@ class PipelinedCG:
             f"{size.blocks} x {size.lanes} threads an environment"
         )
 
-    def solve(self, active: wp.array, max_iterations: int) -> None:
+    def solve(self, active: EnvMask, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
         side_by_side(

@@ -27,6 +27,7 @@ from taccel_lab.ipc.device.dense_inverse import (
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan
+from taccel_lab.model.env_lists import EnvMask
 
 wp.set_module_options({"enable_backward": False})
 
@@ -225,7 +226,7 @@ class DiagonalInverses:
         self.stores = wp.zeros(shape, dtype=wp.float64, device=device)
         """Inverses of clusters row by row, shape [env_count, store_size]."""
 
-    def update(self, active: wp.array, scalar_values: wp.array) -> None:
+    def update(self, active: EnvMask, scalar_values: wp.array) -> None:
         """Invert the diagonal blocks of the active environments."""
         problem, size = self._problem, self._team
         inputs = [size.lanes, size.blocks, active, self._diagonal, problem.values, scalar_values]

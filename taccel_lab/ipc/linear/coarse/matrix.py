@@ -27,6 +27,7 @@ from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.coarse.space import MODES, MOST_PARTS, CoarseSpace
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan, connected_rows, neighbour_clusters
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -238,7 +239,7 @@ class CoarseCorrection:
     def __str__(self) -> str:
         return f", and the rigid motions of {self._count} parts" if self._count else ""
 
-    def update(self, active: wp.array) -> None:
+    def update(self, active: EnvMask) -> None:
         """Form and invert the coarse matrices of the active environments where ``renewed``."""
         if self._count == 0:
             return

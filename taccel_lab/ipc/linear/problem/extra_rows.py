@@ -31,6 +31,7 @@ from taccel_lab.ipc.linear.problem.extra_layout import (
 )
 from taccel_lab.ipc.linear.problem.packed_rows import WIDTH
 from taccel_lab.ipc.linear.problem.row_plan import SEGMENT_LENGTH, RowPlan, scalars
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -139,7 +140,7 @@ def _merge_kernel(
     lanes: int,
     segment_length: int,
     crowd: int,
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     row_places: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     all_places: wp.array(dtype=wp.vec2i),
@@ -150,12 +151,13 @@ def _merge_kernel(
     all_ends: wp.array2d(dtype=wp.int32),
     rows: ExtraRows,
 ):
-    env, lane = wp.tid()
+    place, lane = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
     first = rows.starts[env][0]
     end = rows.starts[env + 1][0]
     count = wp.min(counts[env], end - first)
-    if active[env] == 0:
-        count = int(0)
     places = all_places[first:end]
     values = all_values[9 * first : 9 * end]
     order = all_order[first:end]
@@ -285,7 +287,7 @@ class ExtraRowLists:
         """Extra blocks as scalars, summed by ``update``, [9 capacity]."""
         return scalars(self._problem.extra.values)
 
-    def update(self, active: wp.array) -> None:
+    def update(self, active: EnvMask) -> None:
         """Sum blocks of the same place and list them by rows."""
         problem = self._problem
         extra = problem.extra

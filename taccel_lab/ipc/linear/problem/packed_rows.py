@@ -24,6 +24,7 @@ from taccel_lab.ipc.device.block_ops import Team, launch_team, team
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import SEGMENT_LENGTH, RowPlan, cut_segments, full_rows
+from taccel_lab.model.env_lists import EnvMask
 
 wp.set_module_options({"enable_backward": False})
 
@@ -194,7 +195,7 @@ class PackedRows:
         self.values = problem.scratch.take(shape, wp.float32, device)
         """Scalars of the slices, rounded, shape [env_count, 3 entry_count]."""
 
-    def update(self, active: wp.array, scalar_values: wp.array) -> None:
+    def update(self, active: EnvMask, scalar_values: wp.array) -> None:
         """Copy the matrices of the active environments."""
         inputs = [self._team.lanes, self._team.blocks, active, self.layout, scalar_values]
         launch_team(_pack_kernel, self._problem.env_count, self._team, *inputs, self.values)

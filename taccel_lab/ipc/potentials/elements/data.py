@@ -25,6 +25,7 @@ from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.element_chunks import ChunkTables
+from taccel_lab.model.env_lists import EnvMask, Envs, env_at
 from taccel_lab.model.launches import WARP_THREADS, Scratch, launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
@@ -81,15 +82,16 @@ class ElementKernels:
 
 @wp.kernel
 def _gather_gradient_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     nodes: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
     parts: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     total = wp.vec3d()
     for k in range(starts[i], starts[i + 1]):
@@ -108,15 +110,16 @@ def _block_part(env: int, code: int, parts: wp.array2d(dtype=wp.mat33d)) -> wp.m
 
 @wp.kernel
 def _gather_blocks_kernel(
-    active: wp.array(dtype=wp.int32),
+    active: Envs,
     blocks: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
     parts: wp.array2d(dtype=wp.mat33d),
     values: wp.array2d(dtype=wp.mat33d),
 ):
-    env, i = wp.tid()
-    if active[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
         return
     block = blocks[i]
     total = values[env, block]
@@ -127,7 +130,7 @@ def _gather_blocks_kernel(
 
 @wp.kernel
 def _gather_rim_kernel(
-    moving: wp.array(dtype=wp.int32),
+    moving: Envs,
     rows: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
@@ -136,8 +139,9 @@ def _gather_rim_kernel(
     displacements: wp.array2d(dtype=wp.vec3d),
     rhs: wp.array2d(dtype=wp.vec3d),
 ):
-    env, i = wp.tid()
-    if moving[env] == 0:
+    place, i = wp.tid()
+    env = env_at(place, moving)
+    if env < 0:
         return
     total = rhs[env, rows[i]]
     for k in range(starts[i], starts[i + 1]):
@@ -263,11 +267,11 @@ class ElementSum(Potential):
         """Launch over (environment, element), or over ``lanes`` of each environment."""
         launch(kernel, (self.model.env_count, lanes or self.group.element_count), *arguments)
 
-    def write_energies(self, active: wp.array, positions: wp.array) -> None:
+    def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
         self.launch(self.kernels.energy, active, positions, self.data, self.energies)
 
-    def add_energy_rounding(self, active: wp.array, totals: wp.array) -> None:
+    def add_energy_rounding(self, active: EnvMask, totals: wp.array) -> None:
         """Add what rounding makes of the energy however small it is [J] to ``totals``, float64,
         [env_count], where active; overwrites ``energies``."""
         self.launch(_rounding_kernel, self.data, self.energies)
@@ -295,7 +299,7 @@ class ElementSum(Potential):
         m = self.model
         return wp.zeros((m.env_count, len(m.bodies)), dtype=wp.float64, device=m.device)
 
-    def add_force_rounding(self, active: wp.array, positions: wp.array, totals: wp.array) -> None:
+    def add_force_rounding(self, active: EnvMask, positions: wp.array, totals: wp.array) -> None:
         """Add the residual that rounding makes of each body [N] to ``totals``, float64, shape
         [env_count, body_count], where active; overwrites ``energies``."""
         rounding = FORCE_ROUNDING[self.group.element]
@@ -303,27 +307,27 @@ class ElementSum(Potential):
         for body, first, end in self.group.bodies:
             add_row_sums(active, self.energies[:, first:end], None, totals[:, body])
 
-    def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
+    def add_gradient(self, active: EnvMask, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N] to ``gradient``, shape [env_count, node_count]."""
         self.write_forces(active, positions)
         self.gather_forces(active, gradient)
 
     def write_forces(
-        self, active: wp.array, positions: wp.array, kernel: wp.Kernel | None = None
+        self, active: EnvMask, positions: wp.array, kernel: wp.Kernel | None = None
     ) -> None:
         """Evaluate the gradients of all elements, or what another ``kernel`` finds in their
         place."""
         inputs = [active, positions, self.data, self._by_element(self._forces)]
         self.launch(kernel or self.kernels.gradient, *inputs, lanes=self._chunk_lanes)
 
-    def gather_forces(self, active: wp.array, gradient: wp.array) -> None:
+    def gather_forces(self, active: EnvMask, gradient: wp.array) -> None:
         """Add the parts of elements or chunks to the gradient of the nodes, without atomics."""
         g = self.group
         inputs = [active, g.gather_nodes, g.force_starts, g.force_parts, self._forces, gradient]
         launch(_gather_gradient_kernel, (self.model.env_count, len(g.gather_nodes)), *inputs)
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
+        self, active: EnvMask, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the blocks of ``system``; what prescribed nodes that move
         contribute goes to its right-hand side [N]."""
@@ -331,7 +335,7 @@ class ElementSum(Potential):
         self.gather_hessians(active, system)
         self.gather_rim(active, system)
 
-    def write_hessians(self, active: wp.array, positions: wp.array, psd_modes: wp.array) -> None:
+    def write_hessians(self, active: EnvMask, positions: wp.array, psd_modes: wp.array) -> None:
         """Evaluate the blocks of all elements."""
         inputs = [active, positions, self.data, psd_modes, self._by_element(self._blocks)]
         lanes = self._chunk_lanes
@@ -341,7 +345,7 @@ class ElementSum(Potential):
             )
         self.launch(self.kernels.hessian, *inputs, lanes=lanes)
 
-    def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
+    def gather_hessians(self, active: EnvMask, system: NewtonSystem) -> None:
         """Add the parts of elements or chunks to the matrix, without atomics."""
         m, g, carried = self.model, self._gather, self.group.carried
         inputs = [active, g.blocks, g.source_starts, g.sources, self._blocks, system.values]
@@ -349,7 +353,7 @@ class ElementSum(Potential):
         if carried is not None:
             gather_carried(m, active, carried, self._blocks, system.values)
 
-    def gather_rim(self, moving: wp.array, system: NewtonSystem) -> None:
+    def gather_rim(self, moving: EnvMask, system: NewtonSystem) -> None:
         """Add what prescribed nodes contribute to the right-hand side where they move: in the
         environments of ``moving`` (int32, [env_count])."""
         m, g = self.model, self._gather

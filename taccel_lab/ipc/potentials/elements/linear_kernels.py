@@ -29,6 +29,7 @@ from taccel_lab.ipc.potentials.elements.chunk_stage import (
     sum_forces,
 )
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, modulus_index
+from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -141,13 +142,14 @@ def create_linear_kernels(law: Law) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _linear_energy_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         energies: wp.array2d(dtype=wp.float64),
     ):
-        env, tet = wp.tid()
-        if active[env] == 0:
+        place, tet = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         f = linear_deformation(env, tet, positions, d)
         psi = energy(f, d.moduli, modulus_index(env, tet, d))
@@ -155,13 +157,14 @@ def create_linear_kernels(law: Law) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _linear_gradient_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         parts: wp.array2d(dtype=wp.vec3d),
     ):
-        env, lane = wp.tid()
-        if active[env] == 0:
+        place, lane = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         stage = stage_forces()
         tet = d.lanes[lane]
@@ -175,14 +178,15 @@ def create_linear_kernels(law: Law) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _linear_hessian_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         psd_modes: wp.array(dtype=wp.int32),
         parts: wp.array2d(dtype=wp.mat33d),
     ):
-        env, lane = wp.tid()
-        if active[env] == 0:
+        place, lane = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         stage = stage_blocks()
         tet = d.lanes[lane]

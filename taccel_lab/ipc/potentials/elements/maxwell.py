@@ -42,6 +42,7 @@ from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_la
 from taccel_lab.ipc.potentials.elements.quadratic_shape import needs_none, quadratic_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
@@ -262,7 +263,7 @@ class MaxwellPotential(ElementSum):
         positions: wp.array,
         kept_inverses: wp.array,
         dts: wp.array,
-        mask: wp.array,
+        mask: EnvMask,
         again: wp.array,
     ) -> None:
         """Relax at the deformation of the start, in the environments of ``mask``.
@@ -288,7 +289,7 @@ class MaxwellPotential(ElementSum):
             arguments += [self.data.gradients, self.data.volumes]
             launch(_begin_linear_kernel, self.energies.shape, *arguments)
 
-    def end_step(self, positions: wp.array, kept_inverses: wp.array, mask: wp.array) -> None:
+    def end_step(self, positions: wp.array, kept_inverses: wp.array, mask: EnvMask) -> None:
         """Relax at the deformation of the end and write ``State.viscous_inverses``, in the
         environments of ``mask`` (int32, [env_count]).
 

@@ -52,6 +52,7 @@ from taccel_lab.ipc.potentials.elements.quadratic_shape import (
     row_of,
     shape_gradients,
 )
+from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -101,13 +102,14 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _quadratic_energy_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         energies: wp.array2d(dtype=wp.float64),
     ):
-        env, tet = wp.tid()
-        if active[env] == 0:
+        place, tet = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         i = modulus_index(env, tet, d)
         quarter = wp.float64(0.25)
@@ -239,13 +241,14 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _quadratic_gradient_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         local_gradients: wp.array3d(dtype=wp.vec3d),
     ):
-        env, tet = wp.tid()
-        if active[env] == 0:
+        place, tet = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         rest = env % d.volumes.shape[0]
         i = modulus_index(env, tet, d)
@@ -307,14 +310,15 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
 
     @wp.kernel(module=module)
     def _quadratic_hessian_kernel(
-        active: wp.array(dtype=wp.int32),
+        active: Envs,
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         psd_modes: wp.array(dtype=wp.int32),
         blocks: wp.array3d(dtype=wp.mat33d),
     ):
-        env, lane = wp.tid()
-        if active[env] == 0:
+        place, lane = wp.tid()
+        env = env_at(place, active)
+        if env < 0:
             return
         stage = stage_points()
         psd_mode = psd_modes[env]
