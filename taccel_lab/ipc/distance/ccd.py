@@ -23,7 +23,6 @@ from taccel_lab.ipc.distance.closest_pairs import (
     closest_edge_edge,
     closest_point_triangle,
     combine,
-    edge_parameter,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -74,31 +73,6 @@ def _closest(
     if edge_edge:
         return closest_edge_edge(x0, x1, x2, x3)
     return closest_point_triangle(x0, x1, x2, x3)
-
-
-@wp.func
-def _stays_apart(
-    edge_edge: wp.bool,
-    x1: wp.vec3d,
-    x2: wp.vec3d,
-    x3: wp.vec3d,
-    way: wp.float64,
-    floor: wp.float64,
-    slackness: wp.float64,
-) -> bool:
-    """Whether spheres around the primitives leave more than the ``slackness`` of the first gap on a
-    relative ``way`` [m]; of two edges only the second has one. Node 0 is the origin."""
-    half = wp.float64(0.5)
-    if edge_edge:
-        middle = half * (x2 + x3)
-        radius = half * wp.length(x3 - x2)
-        distance = wp.length(middle - edge_parameter(middle, x1) * x1)
-    else:
-        middle = (x1 + x2 + x3) / wp.float64(3.0)
-        radius = wp.max(wp.length(x1 - middle), wp.length(x2 - middle))
-        radius = wp.max(radius, wp.length(x3 - middle))
-        distance = wp.length(middle)
-    return distance - radius - way > floor + slackness * distance
 
 
 @wp.func
@@ -184,9 +158,6 @@ def _advance(
     # A sum, not a maximum, which would swallow NaN.
     size = wp.length(r1) + wp.length(r2) + wp.length(r3)
     floor = thickness + _ROUNDING * (size + speed)
-    if _stays_apart(edge_edge, r1, r2, r3, speed * t_max, floor, slackness):
-        result.toi = t_max
-        return result
 
     enough = zero
     result.status = CCD_CAPPED
