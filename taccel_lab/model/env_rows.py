@@ -17,7 +17,7 @@ from taccel_lab.model.launches import launch
 wp.set_module_options({"enable_backward": False})
 
 
-_THREADS = 1 << 18
+_THREADS = 1 << 19
 """Threads that keep a large GPU busy."""
 
 

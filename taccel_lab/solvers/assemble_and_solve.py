@@ -215,8 +215,8 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
         for part in s.elements:
             part.write_hessians(active, x, p.curvature.psd_mode)
 
-    def of_contact(part: NewtonSystem) -> None:
-        s.contact.add_hessian(active, x, part, p.curvature.psd_mode)
+    def of_contact(part: NewtonSystem) -> list[Callable[[], None]]:
+        return s.contact.hessian_parts(active, x, part, p.curvature.psd_mode)
 
     def of_friction(part: NewtonSystem) -> None:
         if s.friction is not None:
@@ -241,11 +241,11 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     if not bits_count:
         run.together([aim, clear, start_rhs])
         (only,) = in_any_order
-        run.together([lambda: of_contact(only), of_elements, lambda: of_friction(only), of_affine])
+        run.together([*of_contact(only), of_elements, lambda: of_friction(only), of_affine])
     else:
         run.together([aim, clear])
         measuring, adding = in_any_order
-        run.together([lambda: of_contact(measuring), of_elements, lambda: of_friction(measuring)])
-        run.together([lambda: of_contact(adding), lambda: of_friction(adding)])
+        run.together([*of_contact(measuring), of_elements, lambda: of_friction(measuring)])
+        run.together([*of_contact(adding), lambda: of_friction(adding)])
         run.together([start_rhs, of_affine])
     run.together([gather, gather_rim, *beside])

@@ -139,8 +139,9 @@ class Clearance:
 
     near: wp.array(dtype=wp.int32)
     """Mask of those whose way may meet something, and is checked by CCD."""
-    curved: wp.array(dtype=wp.int32)
-    """Mask of those whose trials may leave the chords that were checked, and are checked again."""
+    safe: wp.array(dtype=wp.float64)
+    """Fraction up to which trials keep to the chords that were checked; longer ones are checked
+    again."""
     limit: wp.array(dtype=wp.float64)
     """Collision-free fraction of the search direction, or of a turning trial's path."""
     margin: wp.array(dtype=wp.float64)

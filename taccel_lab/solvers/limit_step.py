@@ -70,10 +70,20 @@ def longest(env: int, p: Progress) -> wp.float64:
 
 
 @wp.func
-def leaves_chords(env: int, gap: wp.float64, p: Progress) -> bool:
-    """Whether the ways of what turns leave the chords that CCD checks by more than CCD leaves of
-    the smallest ``gap`` [m]: the search reaches as far beyond ``dhat`` as any node does."""
-    return p.clearance.reach[env] - p.rules.dhat > wp.float64(_CHORD_SHARE) * gap
+def safe_fraction(env: int, gap: wp.float64, p: Progress) -> wp.float64:
+    """Fraction of the direction along which what turns leaves the chords that CCD checks by less
+    than CCD leaves of the smallest ``gap`` [m].
+
+    The search reaches as far beyond ``dhat`` as any node leaves its chord: what frames carry, by
+    ``margin``, and affine bodies, by the rest, which falls with the square of the fraction.
+    """
+    spare = wp.float64(_CHORD_SHARE) * gap - (p.clearance.margin[env] - p.rules.dhat)
+    bent = p.clearance.reach[env] - p.clearance.margin[env]
+    if spare < wp.float64(0.0):
+        return wp.float64(0.0)
+    if bent <= spare:
+        return wp.float64(1.0)
+    return longest(env, p) * wp.sqrt(spare / bent)
 
 
 @wp.kernel
@@ -91,7 +101,7 @@ def _choose_kernel(
         return
     p.clearance.limit[env] = longest(env, p)
     gap = wp.min(p.balance.min_distance[env], gap_limit)
-    p.clearance.curved[env] = int(leaves_chords(env, gap, p))
+    p.clearance.safe[env] = safe_fraction(env, gap, p)
     if not (wp.float64(2.0) * travels[env] < gap):
         p.clearance.near[env] = 1
         p.counts.ccd_passes[env] += 1

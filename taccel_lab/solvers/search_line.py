@@ -47,7 +47,7 @@ def begin_trial(env: int, collisions: ListRoom, p: Progress):
 def search_on(env: int, collisions: ListRoom, p: Progress):
     """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
     begin_trial(env, collisions, p)
-    if p.clearance.curved[env] != 0:
+    if p.search.alpha[env] > p.clearance.safe[env]:
         p.clearance.near[env] = 1
         p.clearance.limit[env] = wp.float64(1.0)
         p.counts.ccd_passes[env] += 1
@@ -140,7 +140,7 @@ def is_good(env: int, p: Progress) -> bool:
     minimises = p.prescribed.progress[env] >= one and p.following.follows[env] == 0
     if minimises and not (after <= before + descent + rounding):
         good = False
-    if p.clearance.curved[env] != 0 and p.clearance.limit[env] < one:
+    if p.search.alpha[env] > p.clearance.safe[env] and p.clearance.limit[env] < one:
         good = False
     return good
 

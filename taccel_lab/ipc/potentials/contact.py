@@ -7,6 +7,7 @@ that of the guard (see ``collisions``); edge pairs carry the mollifier of [Li et
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -41,6 +42,7 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import (
+    MOST_PARTS,
     STENCIL_THREADS,
     add_mollifier,
     add_pair_hessian,
@@ -204,7 +206,8 @@ def add_contact_hessian(
     parts: int,
     system: NewtonSystem,
 ):
-    """Add the blocks [N/m] of one collision to the Newton system, or a part of them."""
+    """Add the blocks [N/m] of one collision to the Newton system, or a part of them; without what
+    comes of a mollifier's slope."""
     kind = lists.kinds[at]
     nodes = lists.stencils[at]
     k = lists.stiffnesses[at]
@@ -217,21 +220,44 @@ def add_contact_hessian(
     reach = lists.ranges[at]
     e1 = contact_potential_d1(d, reach, k)
     e2 = contact_potential_d2(d, reach, k)
-    threshold = lists.thresholds[at]
-    mollified = is_mollified(env, nodes, threshold, positions)
-    scale = wp.float64(1.0)
-    if mollified:
-        scale = edge_edge_mollifier(edge_edge_cross_sq(x0, x1, x2, x3), threshold)
+    scale = mollifier(env, nodes, lists.thresholds[at], positions)
     curvature = mode
     if kind == 4:
         # The height over a plane is linear: its first term is the whole, and it is positive.
         curvature = wp.static(GAUSS_NEWTON)
     h = pair_hessian(pair, x0, x1, x2, x3, scale * e1, scale * e2, curvature)
     add_pair_hessian(env, nodes, h, part, parts, system)
-    if mollified:
-        e0 = contact_potential(d, reach, k)
-        terms = mollifier_terms(pair, x0, x1, x2, x3, threshold, e0, e1, mode)
-        add_mollifier(env, nodes, pair.weights, terms, part, parts, system)
+
+
+@wp.func
+def add_mollifier_hessian(
+    env: int,
+    at: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    mode: int,
+    part: int,
+    parts: int,
+    system: NewtonSystem,
+):
+    """Add what comes of the slope of one collision's mollifier, where that acts."""
+    nodes = lists.stencils[at]
+    threshold = lists.thresholds[at]
+    if not is_mollified(env, nodes, threshold, positions):
+        return
+    x0 = positions[env, nodes[0]]
+    x1 = positions[env, nodes[1]]
+    x2 = positions[env, nodes[2]]
+    x3 = positions[env, nodes[3]]
+    k = lists.stiffnesses[at]
+    reach = lists.ranges[at]
+    pair = closest_pair(env, lists.kinds[at], nodes, positions, geometry)
+    d = collision_gap(pair, nodes, lists.insets[at], geometry)
+    e0 = contact_potential(d, reach, k)
+    e1 = contact_potential_d1(d, reach, k)
+    terms = mollifier_terms(pair, x0, x1, x2, x3, threshold, e0, e1, mode)
+    add_mollifier(env, nodes, pair.weights, terms, part, parts, system)
 
 
 @wp.kernel
@@ -251,6 +277,25 @@ def _contact_hessian_kernel(
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
         add_contact_hessian(env, at, lists, geometry, positions, modes[env], part, parts, system)
+
+
+@wp.kernel
+def _mollifier_hessian_kernel(
+    active: Envs,
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    modes: wp.array(dtype=wp.int32),
+    parts: int,
+    system: NewtonSystem,
+):
+    place, lane, part = wp.tid()
+    env = env_at(place, active)
+    if env < 0:
+        return
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        add_mollifier_hessian(env, at, lists, geometry, positions, modes[env], part, parts, system)
 
 
 class ContactPotential(EnergyTerm):
@@ -296,8 +341,31 @@ class ContactPotential(EnergyTerm):
         self, active: EnvMask, positions: wp.array, system: NewtonSystem, modes: wp.array
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
+        for launch_part in self.hessian_parts(active, positions, system, modes):
+            launch_part()
+
+    def hessian_parts(
+        self, active: EnvMask, positions: wp.array, system: NewtonSystem, modes: wp.array
+    ) -> list[Callable[[], None]]:
+        """Launches of ``add_hessian``, in any order or side by side.
+
+        Few collisions are mollified, and a warp waits for one of them: they have a launch of their
+        own, in which several threads share the blocks of each.
+        """
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, place_count(active), c.largest_room)
-        parts = row_parts(m.device, place_count(active), lanes)
-        inputs = [active, lanes, c.lists, c.geometry, positions, modes, parts, system]
-        launch(_contact_hessian_kernel, (m.env_count, lanes, parts), *inputs)
+        rest = [c.lists, c.geometry, positions, modes]
+
+        def of_all() -> None:
+            parts = row_parts(m.device, place_count(active), lanes)
+            inputs = [active, lanes, *rest, parts, system]
+            launch(_contact_hessian_kernel, (m.env_count, lanes, parts), *inputs)
+
+        def of_mollified() -> None:
+            parts = 1 if m.device.is_cpu else MOST_PARTS
+            few = -(-lanes // parts)
+            inputs = [active, few, *rest, parts, system]
+            launch(_mollifier_hessian_kernel, (m.env_count, few, parts), *inputs)
+
+        plan = m.contact_plan
+        return [of_all, of_mollified] if plan.soft_to_soft or len(plan.edge_target) else [of_all]

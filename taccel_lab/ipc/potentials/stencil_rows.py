@@ -27,7 +27,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_entry, take_
 
 wp.set_module_options({"enable_backward": False})
 
-_MOST_PARTS = 8
+MOST_PARTS = 8
 """Parts that the 15 to 55 blocks of a stencil are shared out in, on an idle GPU."""
 _FEW_LANES = 1 << 13
 """Lanes up to which a GPU is idle enough for several threads a stencil."""
@@ -263,4 +263,4 @@ def add_weighted_block(
 
 def row_parts(device: wp.Device, env_count: int, lanes: int) -> int:
     """Parts that stencils are shared out in, each of which evaluates the stencil anew."""
-    return 1 if device.is_cpu or env_count * lanes > _FEW_LANES else _MOST_PARTS
+    return 1 if device.is_cpu or env_count * lanes > _FEW_LANES else MOST_PARTS
