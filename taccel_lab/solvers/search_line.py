@@ -27,9 +27,6 @@ _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 FREE_SHARE = 0.3
 """Part of the collision-free way that a direction which follows friction is taken along."""
-SHORTEST_CUT = 0.05
-"""Least part of a fraction that is tried next. Of 258 cuts of a peg a tenth have their minimum
-below 0.04, the median at 0.25."""
 SHARPENING = 0.5
 """What a full step adds to the curvature of friction that the next direction counts."""
 
@@ -167,27 +164,15 @@ def accept(env: int, p: Progress):
 
 
 @wp.func
-def shortened(env: int, p: Progress) -> wp.float64:
-    """Part of the fraction to try next: where the parabola through the slope and both energies has
-    its minimum, at most half."""
-    slope = p.search.alpha[env] * wp.min(p.search.derivative[env], wp.float64(0.0))
-    rise = p.search.after[env] - p.search.before[env]
-    half = wp.float64(0.5)
-    if not wp.isfinite(rise) or not (rise > slope):
-        return half
-    return wp.clamp(half * slope / (slope - rise), wp.float64(SHORTEST_CUT), half)
-
-
-@wp.func
 def judge_trial(env: int, collisions: ListRoom, p: Progress):
-    """Accept a trial, or shorten its fraction."""
+    """Accept a trial, or halve its fraction."""
     p.clearance.near[env] = 0
     if overflows(env, collisions):
         stop(env, _CONTACT_OVERFLOW, p)
     elif is_good(env, p):
         accept(env, p)
     else:
-        p.search.alpha[env] = shortened(env, p) * p.search.alpha[env]
+        p.search.alpha[env] = wp.float64(0.5) * p.search.alpha[env]
         p.search.cuts[env] += 1
         if p.search.cuts[env] >= p.rules.max_cuts:
             stop(env, _LINE_SEARCH, p)
