@@ -134,7 +134,7 @@ def test_friction(which: str) -> None:
     assert (errors < 1e-5).all()
 
 
-@pytest.mark.thorough
+@pytest.mark.thorough(cases=FAST[1:])
 @pytest.mark.parametrize("which", variants([*FAST[1:], "a stiffness of its own"], CASES))
 def test_size(which: str) -> None:
     case = CASES[which]

@@ -112,7 +112,6 @@ def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
         run_task(task, [0, 1], "cpu", steps=6, progress=stop)
 
 
-@pytest.mark.thorough
 def test_the_peg_takes_the_step_of_its_file() -> None:
     """Twice as many steps of half the length bring the gels to the same place."""
     poses = []
