@@ -21,12 +21,7 @@ from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.signals.normal_features import color_change, image_features
-from taccel_lab.signals.normal_model import (
-    NormalMap,
-    NormalModel,
-    network,
-    relative_normals,
-)
+from taccel_lab.signals.normal_model import NormalMap, NormalModel, network, relative_normals
 from taccel_lab.signals.read_heights import read_heights
 from taccel_lab.signals.slope_integration import resting_height
 

@@ -174,11 +174,7 @@ class Runner:
         self.solver.reset(self.state, everyone, self.bench.targets(0))
 
     def run(
-        self,
-        steps: int | None = None,
-        *,
-        keep_forces: bool = False,
-        progress: Progress = silent,
+        self, steps: int | None = None, *, keep_forces: bool = False, progress: Progress = silent
     ) -> BenchmarkMotion:
         """The first ``steps`` of the motion, all of it when None, from the start."""
         count = self.bench.steps if steps is None else min(steps, self.bench.steps)

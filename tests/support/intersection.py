@@ -18,11 +18,7 @@ from enum import StrEnum
 import numpy as np
 
 from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.crossings import (
-    crossing_pairs,
-    point_triangle_distances,
-    self_crossings,
-)
+from taccel_lab.bodies.crossings import crossing_pairs, point_triangle_distances, self_crossings
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, unique_edges
 from taccel_lab.bodies.surface_topology import ball_insets, is_closed, one_node_of_each_part

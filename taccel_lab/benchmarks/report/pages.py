@@ -192,11 +192,7 @@ MOMENTS = {
 """Step, and direction that it is looked at from."""
 
 
-BODY_COLORS = {
-    BodyKind.SOFT: "#7fb2d9",
-    BodyKind.AFFINE: "#e0a458",
-    BodyKind.KINEMATIC: "#b8b8b8",
-}
+BODY_COLORS = {BodyKind.SOFT: "#7fb2d9", BodyKind.AFFINE: "#e0a458", BodyKind.KINEMATIC: "#b8b8b8"}
 
 
 def draw_scenes(path: Path) -> Path:

@@ -18,14 +18,7 @@ from taccel_lab.benchmarks.stress.case import (
     material,
     settings,
 )
-from taccel_lab.benchmarks.stress.shapes import (
-    STIFF_SHAPES,
-    about,
-    after,
-    pose,
-    reach,
-    stiff_shape,
-)
+from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
 
