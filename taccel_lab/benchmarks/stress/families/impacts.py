@@ -6,6 +6,7 @@ edges that are nearly parallel.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -183,26 +184,20 @@ def thin_gap(draw: Draw) -> StressCase:
     onto = draw.choose("onto", ("floor", "plate", "gel"))
     place = (draw.between("x", -1e-3, 1e-3), draw.between("y", -1e-3, 1e-3), gap + side / 2)
     heading = about((0, 0, 1), draw.between("heading", 0, np.pi))
-    mu = friction(draw)
-    down = -draw.decades("speed", 1e-4, 1.0)
+    thrown: dict[str, Any] = {
+        "name": "body",
+        "friction_coefficient": friction(draw),
+        "initial_pose": pose(place, heading),
+        "initial_velocity_m_s": (0.0, 0.0, -draw.decades("speed", 1e-4, 1.0)),
+    }
     soft, stiff, kinematic, planes = [], [], [], []
     if draw.chance("soft", 0.5):
-        soft.append(
-            SoftBody(
-                soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed")), material(draw),
-                FREE, name="body", element=draw.choose("element", ELEMENTS),
-                friction_coefficient=mu, initial_pose=pose(place, heading),
-                initial_velocity_m_s=(0.0, 0.0, down),
-            )
-        )  # fmt: skip
+        mesh = soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed"))
+        stuff, element = material(draw), draw.choose("element", ELEMENTS)
+        soft.append(SoftBody(mesh, stuff, FREE, element=element, **thrown))
     else:
-        stiff.append(
-            AffineBody(
-                stiff_shape("box", side), draw.decades("density", 100.0, 2e4), name="body",
-                friction_coefficient=mu, initial_pose=pose(place, heading),
-                initial_velocity_m_s=(0.0, 0.0, down),
-            )
-        )  # fmt: skip
+        density = draw.decades("density", 100.0, 2e4)
+        stiff.append(AffineBody(stiff_shape("box", side), density, **thrown))
     start = None
     if onto == "floor":
         planes.append(Plane(friction_coefficient=0.5))
@@ -210,13 +205,9 @@ def thin_gap(draw: Draw) -> StressCase:
         kinematic.append(KinematicBody(stiff_shape("box", 2 * side), 0.5, name="plate"))
         start = pose((0, 0, -side))[None, None]
     else:
-        mesh = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3))
-        soft.append(
-            SoftBody(
-                mesh, material(draw, "gel"), name="gel", friction_coefficient=0.5,
-                element=Element.LINEAR,
-            )
-        )  # fmt: skip
+        mesh, stuff = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3)), material(draw, "gel")
+        gel = SoftBody(mesh, stuff, name="gel", friction_coefficient=0.5, element=Element.LINEAR)
+        soft.append(gel)
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
     return StressCase(scene, config, 4, start, closed=True)
 

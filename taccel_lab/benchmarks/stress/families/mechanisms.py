@@ -48,27 +48,22 @@ def _drive(draw: Draw, name: str, turning: bool) -> PositionDrive | VelocityDriv
     kind = draw.choose(f"{name} drive", ("none", "position", "velocity"))
     if kind == "none":
         return None
-    effort = (
-        math.inf
-        if draw.chance(f"{name} is strong", 0.5)
-        else draw.decades(f"{name} effort", 1e-6, 1.0)
-    )
+    strong = draw.chance(f"{name} is strong", 0.5)
+    effort = math.inf if strong else draw.decades(f"{name} effort", 1e-6, 1.0)
     # A torque of 1e-5 N m turns a link of some grams at once; a force of 1 N moves it.
-    scale = 1e-5 if turning else 10.0
+    scale, rate, reach = (1e-5, 200.0, 4.0) if turning else (10.0, 1.0, 5e-3)
     stiffness = scale * draw.decades(f"{name} stiffness", 1e-2, 1e4)
     if kind == "velocity":
-        rate = (
-            draw.between(f"{name} rate", -200, 200)
-            if turning
-            else draw.between(f"{name} rate", -1, 1)
-        )
-        return VelocityDrive(1e-2 * stiffness, rate, effort)
-    target = (
-        draw.between(f"{name} target", -4, 4)
-        if turning
-        else draw.between(f"{name} target", -5e-3, 5e-3)
-    )
+        return VelocityDrive(1e-2 * stiffness, draw.between(f"{name} rate", -rate, rate), effort)
+    target = draw.between(f"{name} target", -reach, reach)
     return PositionDrive(stiffness, 1e-3 * stiffness, target, effort)
+
+
+MOVING: dict[str, tuple[type[RevoluteJoint] | type[PrismaticJoint], str, float, float]] = {
+    "hinge": (RevoluteJoint, "limits_deg", 2, 150),
+    "slider": (PrismaticJoint, "limits_mm", 0.1, 3),
+}
+"""Joints that move, and their limits: how they are given, the least and the most."""
 
 
 def mechanism(draw: Draw) -> StressCase:
@@ -93,24 +88,15 @@ def mechanism(draw: Draw) -> StressCase:
         axis = draw.direction(f"axis {number}")
         if kind == "weld":
             joints.append(FixedJoint(name, second, anchor, name=title))
-        elif kind == "hinge":
-            half = draw.between(f"limit {number}", 2, 150)
-            limits = (-half, half) if draw.chance(f"limited {number}", 0.6) else None
-            drive = _drive(draw, title, True)
-            joints.append(
-                RevoluteJoint(
-                    name, second, anchor, axis, name=title, limits_deg=limits, drive=drive
-                )
-            )
         else:
-            half = draw.between(f"limit {number}", 0.1, 3)
-            limits = (-half, half) if draw.chance(f"limited {number}", 0.6) else None
-            drive = _drive(draw, title, False)
-            joints.append(
-                PrismaticJoint(
-                    name, second, anchor, axis, name=title, limits_mm=limits, drive=drive
-                )
-            )
+            joint, limits, least, most = MOVING[kind]
+            half = draw.between(f"limit {number}", least, most)
+            limited = draw.chance(f"limited {number}", 0.6)
+            given = {
+                limits: (-half, half) if limited else None,
+                "drive": _drive(draw, title, kind == "hinge"),
+            }
+            joints.append(joint(name, second, anchor, axis, name=title, **given))
         second = name
     floor = Plane((0.0, 0.0, -draw.between("floor", 1.2e-3, 8e-3)), friction_coefficient=0.5)
     scene = Scene(affine_bodies=bodies, joints=joints, planes=floor, time=stepping)
