@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 from zlib import crc32
 
@@ -15,6 +15,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.scene import (
+    AffineBody,
     Element,
     Material,
     MaterialModel,
@@ -22,6 +23,7 @@ from taccel_lab.scene import (
     SoftBody,
     TimeScheme,
     TimeStepping,
+    TriangleMesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State
@@ -119,6 +121,7 @@ class StressCase:
 FREE = np.zeros(0, dtype=np.int64)
 """No bonded node."""
 Range = tuple[float, float]
+Vector = tuple[float, float, float]
 ELEMENTS = (Element.LINEAR, Element.QUADRATIC)
 LAWS = tuple(MaterialModel)
 WORLD = np.array([0.0, 0, 0, 0, 0, 0, 1])
@@ -183,17 +186,38 @@ def bonded_block(draw: Draw, name: str, size: tuple[float, float, float]) -> Tet
     return _maybe_slivers(draw, name, mesh)
 
 
-def glued_gel(
-    draw: Draw, size: tuple[float, float, float], stuff: str = "gel", rubs: str = "friction",
-    young_pa: Range = (1e3, 1e9), density: Range = (100.0, 1e4), **options: Any,
-) -> SoftBody:  # fmt: skip
-    """A gel glued below of any element; ``stuff``, ``rubs``: what its material and its friction are
-    drawn as; ``options``: of ``SoftBody``."""
-    return SoftBody(
-        bonded_block(draw, "gel", size), material(draw, stuff, young_pa, density),
-        element=draw.choose("element", ELEMENTS), friction_coefficient=friction(draw, rubs),
-        **options,
-    )  # fmt: skip
+def soft_body(
+    draw: Draw,
+    mesh: TetMesh,
+    held: np.ndarray | None = None,
+    young_pa: Range = (1e3, 1e9),
+    density: Range = (100.0, 1e4),
+    stuff: str = "material",
+) -> SoftBody:
+    """A body of any element; ``held``: bonded nodes, those of the mesh when None."""
+    of = material(draw, stuff, young_pa, density)
+    return SoftBody(mesh, of, held, element=draw.choose("element", ELEMENTS))
+
+
+def glued_gel(draw: Draw, size: Vector, rubs: str = "friction", **drawn: Any) -> SoftBody:
+    """A gel glued below; ``rubs``: what its friction is drawn as; ``drawn``: of ``soft_body``."""
+    gel = soft_body(draw, bonded_block(draw, "gel", size), **{"stuff": "gel", **drawn})
+    return replace(gel, friction_coefficient=friction(draw, rubs))
+
+
+def stiff_body(
+    shape: TriangleMesh,
+    density: float,
+    mu: float,
+    at: np.ndarray | None = None,
+    velocity: Vector = (0.0, 0.0, 0.0),
+    spin: Vector = (0.0, 0.0, 0.0),
+    young_pa: float = 1e9,
+    name: str = "body",
+) -> AffineBody:
+    """A free body at a pose; velocity [m/s] and spin [rad/s]."""
+    body = AffineBody(shape, density, young_pa, name, mu, initial_pose=at)
+    return replace(body, initial_velocity_m_s=velocity, initial_spin_rad_s=spin)
 
 
 def free_block(draw: Draw, name: str, size: tuple[float, float, float]) -> TetMesh:

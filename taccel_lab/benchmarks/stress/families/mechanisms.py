@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from taccel_lab.benchmarks.stress.case import (
-    ELEMENTS,
     Draw,
     StressCase,
     bonded_block,
@@ -18,6 +18,8 @@ from taccel_lab.benchmarks.stress.case import (
     material,
     maybe_in_time,
     settings,
+    soft_body,
+    stiff_body,
 )
 from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
 from taccel_lab.bodies.bodies import Surface
@@ -76,12 +78,8 @@ def mechanism(draw: Draw) -> StressCase:
     for number in range(count):
         name = f"link {number}"
         x = (number + 0.5) * 1.2 * LINK[0]
-        bodies.append(
-            AffineBody(
-                box_mesh(LINK), draw.decades(f"density {number}", 100.0, 2e4), name=name,
-                friction_coefficient=0.3, initial_pose=pose((x, 0, 0)),
-            )
-        )  # fmt: skip
+        density, at = draw.decades(f"density {number}", 100.0, 2e4), pose((x, 0, 0))
+        bodies.append(stiff_body(box_mesh(LINK), density, 0.3, at, name=name))
         anchor = np.array([number * 1.2 * LINK[0], 0.0, 0.0])
         kind = draw.choose(f"joint {number}", ("hinge", "hinge", "slider", "weld"))
         title = f"joint {number}"
@@ -143,7 +141,8 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
 def jump(draw: Draw) -> StressCase:
     """A gel on a mount that jumps and turns at random, by up to its own size, onto what rests."""
     config, stepping = settings(draw), maybe_in_time(draw)
-    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e3, 1e8), mount="hand")
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), stuff="material", young_pa=(1e3, 1e8))
+    gel = replace(gel, mount="hand")
     rest = KinematicBody(
         stiff_shape(draw.choose("shape", STIFF_SHAPES), 4e-3),
         friction(draw, "friction of rest"),
@@ -196,14 +195,13 @@ def batch(draw: Draw) -> StressCase:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 2e-2))
-    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e4, 1e7))
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), stuff="material", young_pa=(1e4, 1e7))
     turn = draw.rotation("turn")
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), 2e-3)
     low, high = reach(shape, turn)
-    cube = AffineBody(
-        box_mesh((1e-3, 1e-3, 1e-3)), name="cube", friction_coefficient=0.5,
-        initial_pose=pose((1.8e-3, 1.8e-3, 5.1e-4)), surface=Surface(environments=(0, 2)),
-    )  # fmt: skip
+    at = pose((1.8e-3, 1.8e-3, 5.1e-4))
+    cube = stiff_body(box_mesh((1e-3, 1e-3, 1e-3)), 1000.0, 0.5, at, name="cube")
+    cube = replace(cube, surface=Surface(environments=(0, 2)))
     depth = draw.between("depth", 0.05, 0.3) * 2e-3
     top = 1.1 * config.dhat_m - low
     ends = [-depth - low, top - 1e-4, -5e-3 - high, top]
@@ -220,10 +218,7 @@ def resting(draw: Draw) -> StressCase:
     """A gel as soft as pudding, with slivers, sags under its own weight for some large steps."""
     config = settings(draw)
     stepping = in_time(draw, dt_s=(1e-2, 1e-1))
-    gel = SoftBody(
-        bonded_block(draw, "gel", (2e-2, 2e-2, 1e-2)),
-        material(draw, young_pa=(1e3, 1e4), density=(1e3, 1e4)),
-        element=draw.choose("element", ELEMENTS),
-    )
+    mesh = bonded_block(draw, "gel", (2e-2, 2e-2, 1e-2))
+    gel = soft_body(draw, mesh, young_pa=(1e3, 1e4), density=(1e3, 1e4))
     plane = Plane((0.0, 0.0, -1.2e-2))
     return StressCase(Scene(gel, planes=plane, time=stepping), config, 6, closed=True)
