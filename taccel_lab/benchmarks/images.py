@@ -146,10 +146,15 @@ def build(
     """The signal of the benchmark."""
     grid = PixelGrid(*size, width_mm / size[0], width_mm / size[0])
     return SignalTactile(
-        mesh, grid, env_count=env_count, color_model=color_model(grid),
-        background_rgb=background(grid), markers=MarkerLayout.from_points(mesh, marker_points_mm()),
-        still_levels=still_levels, device=device,
-    )  # fmt: skip
+        mesh,
+        grid,
+        env_count=env_count,
+        color_model=color_model(grid),
+        background_rgb=background(grid),
+        markers=MarkerLayout.from_points(mesh, marker_points_mm()),
+        still_levels=still_levels,
+        device=device,
+    )
 
 
 def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str, float]:

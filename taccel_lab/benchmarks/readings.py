@@ -42,8 +42,10 @@ class Readings(Suite):
     name: ClassVar[str] = "readings"
     what: ClassVar[str] = "Images read a second, and heights against a reading of every pixel."
     shown: ClassVar[tuple[str, ...]] = (
-        "heights: images_per_s", "heights and deviation: images_per_s", "off_mm_max",
-    )  # fmt: skip
+        "heights: images_per_s",
+        "heights and deviation: images_per_s",
+        "off_mm_max",
+    )
     at_once: tuple[int, ...] = (1, 16, 64)
     """Numbers of images read at once, a row each for each size."""
     repeats: int = 20
@@ -73,10 +75,16 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
     """Seeded networks of the real architecture that read a dent."""
     scales = (0.0, *SCALES_PX)
     blank = NormalModelConfig(
-        grid.width_px, grid.height_px, scales_px=scales, slope_scales_px=SCALES_PX,
-        hidden=(64, 64, 64), error_length_px=8.0, height_factor=1.0, along_factor=1.0,
+        grid.width_px,
+        grid.height_px,
+        scales_px=scales,
+        slope_scales_px=SCALES_PX,
+        hidden=(64, 64, 64),
+        error_length_px=8.0,
+        height_factor=1.0,
+        along_factor=1.0,
         depth_share=0.05,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(3)
     images, light, tilts = presses(grid, 1)
     change = color_change(images[0], light)
@@ -89,11 +97,10 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
     }
     # What the last layer has to make of the ones before, at every few pixels.
     inputs = config.normalise(features)[::7]
-    hidden = network(
-        [(torch.tensor(weights[f"layer{i}.weight"]), torch.tensor(weights[f"layer{i}.bias"]))
-         for i in range(3)],
-        torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1),
-    )  # fmt: skip
+    pairs = [(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(3)]
+    layers = [(torch.tensor(weight), torch.tensor(bias)) for weight, bias in pairs]
+    given = torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1)
+    hidden = network(layers, given)
     active = torch.nn.functional.silu(hidden).numpy()
     wanted = tilts[0].reshape(-1, 2)[::7]
     for k in range(config.members):

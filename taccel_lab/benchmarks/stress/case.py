@@ -109,8 +109,8 @@ class StressCase:
         """Kinematic bodies go along a path of poses [kinematic_count, 7], [7] of a single one: the
         start, and the target of each step."""
         poses = [place.reshape(1, -1, 7) for place in path]
-        return cls(scene, config, len(poses) - 1, poses[0], lambda i: poses[i + 1],
-                   possible=possible)  # fmt: skip
+        case = cls(scene, config, len(poses) - 1, poses[0], lambda i: poses[i + 1])
+        return replace(case, possible=possible)
 
     @property
     def watches_energy(self) -> bool:
@@ -141,10 +141,11 @@ def material(
     if law is MaterialModel.MOONEY_RIVLIN:
         # nu >= r / (1 + 2 r)
         ratio = draw.between(f"{name} mooney part", 0.0, 0.99) * min(1.0, nu / (1 - 2 * nu))
-    return Material(
-        draw.decades(f"{name} young", *young_pa), nu, draw.decades(f"{name} density", *density),
-        law, ratio,
-    )  # fmt: skip
+    young, heavy = (
+        draw.decades(f"{name} young", *young_pa),
+        draw.decades(f"{name} density", *density),
+    )
+    return Material(young, nu, heavy, law, ratio)
 
 
 def in_time(
@@ -238,12 +239,10 @@ def thrown_body(
     draw: Draw, name: str, mesh: TetMesh, at: np.ndarray, velocity_m_s: tuple[float, float, float]
 ) -> SoftBody:
     """A soft body that flies."""
-    return SoftBody(
-        mesh, material(draw, name), FREE, name=name,
-        element=draw.choose(f"{name} element", ELEMENTS),
-        friction_coefficient=friction(draw, f"friction of {name}"), initial_pose=at,
-        initial_velocity_m_s=velocity_m_s,
-    )  # fmt: skip
+    body = SoftBody(mesh, material(draw, name), FREE, name=name)
+    body = replace(body, element=draw.choose(f"{name} element", ELEMENTS), initial_pose=at)
+    mu = friction(draw, f"friction of {name}")
+    return replace(body, friction_coefficient=mu, initial_velocity_m_s=velocity_m_s)
 
 
 def _maybe_slivers(draw: Draw, name: str, mesh: TetMesh) -> TetMesh:
