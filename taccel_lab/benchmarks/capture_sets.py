@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -145,48 +146,35 @@ class Captures(Suite):
         if self.device != "cpu":
             raise InputError(f"captures are calibrated on the CPU, got --device {self.device}")
         with tempfile.TemporaryDirectory() as scratch:
-            imported = ImportedSets(Path(scratch))
+            imported = cache(partial(_imported, Path(scratch)))
             for case in CASES:
                 if self.only and case.command not in self.only:
                     continue
-                folder = None if result.deadline.passed else imported.folder(case)
+                folder = None if result.deadline.passed else imported(case.source)
                 if folder is None:
                     spent = "the budget is spent" if result.deadline.passed else "not here"
                     note(f"{case.name}, {case.command}: {spent}")
                     continue
-                for row in _run_case(case, folder, Path(scratch)):
+                for row in _run_case(case, folder / case.part, Path(scratch)):
                     result.add(row, case.name)
 
 
-class ImportedSets:
-    """Each set is imported once."""
+def _imported(scratch: Path, source: str) -> Path | None:
+    """Folder of an imported set, or None where the set is not on this machine."""
+    from taccel_lab.calibration.capture import find_taxim_pack
 
-    def __init__(self, scratch: Path) -> None:
-        self._scratch = scratch
-        self._done: dict[str, Path | None] = {}
-
-    def folder(self, case: CaptureCase) -> Path | None:
-        """Capture folder of a case, or None where the set is not on this machine."""
-        if case.source not in self._done:
-            self._done[case.source] = self._import(case.source)
-        done = self._done[case.source]
-        return None if done is None else done / case.part
-
-    def _import(self, source: str) -> Path | None:
-        from taccel_lab.calibration.capture import find_taxim_pack
-
-        if source.startswith("taxim:"):
-            try:
-                path = find_taxim_pack()
-            except InputError:
-                return None
-        else:
-            path = data_folder() / source
-        if not path.exists():
+    if source.startswith("taxim:"):
+        try:
+            path = find_taxim_pack()
+        except InputError:
             return None
-        out = self._scratch / source.replace(":", "_")
-        _main("capture", "import", str(path), str(out), *STATED.get(source, ()))
-        return out
+    else:
+        path = data_folder() / source
+    if not path.exists():
+        return None
+    out = scratch / source.replace(":", "_")
+    _main("capture", "import", str(path), str(out), *STATED.get(source, ()))
+    return out
 
 
 def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[str, Any]]:
@@ -207,7 +195,7 @@ def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[s
             "at_least": figure.at_least,
             "met": bool(met),
             "verdict": report.get("verdict"),
-            "fit_seconds": _fit_seconds(report),
+            "fit_seconds": report.get("fit_seconds", report.get("color", {}).get("fit_seconds")),
             "seconds": seconds,
         }
 
@@ -250,13 +238,6 @@ def _pick(report: dict[str, Any], path: str) -> float:
     for key in dotted.split("."):
         value = value[key]
     return abs(float(value) / float(reference) - 1) if reference else float(value)
-
-
-def _fit_seconds(report: dict[str, Any]) -> float | None:
-    for holder in (report, report.get("color", {})):
-        if "fit_seconds" in holder:
-            return float(holder["fit_seconds"])
-    return None
 
 
 def _main(*arguments: str) -> str:

@@ -72,15 +72,12 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
     """
     if first["suite"] != second["suite"]:
         raise InputError(f"suites differ: {first['suite']} and {second['suite']}")
+    settings = sorted({*first["settings"], *second["settings"]})
     remarks = [
-        f"{name}: {first['run'].get(name)} -> {second['run'].get(name)}"
-        for name in MACHINE
-        if first["run"].get(name) != second["run"].get(name)
-    ]
-    remarks += [
-        f"setting {name}: {first['settings'].get(name)} -> {second['settings'].get(name)}"
-        for name in sorted({*first["settings"], *second["settings"]})
-        if first["settings"].get(name) != second["settings"].get(name)
+        f"{title}{name}: {first[part].get(name)} -> {second[part].get(name)}"
+        for part, title, names in (("run", "", MACHINE), ("settings", "setting ", settings))
+        for name in names
+        if first[part].get(name) != second[part].get(name)
     ]
     if first["suite"] not in IDENTITY:
         raise InputError(f"results of {first['suite']!r} are not compared row by row")

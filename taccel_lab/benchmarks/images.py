@@ -146,10 +146,15 @@ def build(
     """The signal of the benchmark."""
     grid = PixelGrid(*size, width_mm / size[0], width_mm / size[0])
     return SignalTactile(
-        mesh, grid, env_count=env_count, color_model=color_model(grid),
-        background_rgb=background(grid), markers=MarkerLayout.from_points(mesh, marker_points_mm()),
-        still_levels=still_levels, device=device,
-    )  # fmt: skip
+        mesh,
+        grid,
+        env_count=env_count,
+        color_model=color_model(grid),
+        background_rgb=background(grid),
+        markers=MarkerLayout.from_points(mesh, marker_points_mm()),
+        still_levels=still_levels,
+        device=device,
+    )
 
 
 def timed(work: Callable[[], Any], device: wp.Device, repeats: int) -> dict[str, float]:
@@ -264,27 +269,25 @@ def measure(
     if env_count <= 64:
         row["captured_equals_eager"] = replay_agrees(signal, env_count)
     del signal
-    lazy = build(mesh, size, env_count, device, STILL_LEVELS)
-    still: dict[str, Any] = {"still_levels": STILL_LEVELS}
-    row["still"] = still
-    for reach_m in (None, 4e-3):
+
+    def seen(signal: SignalTactile, reach_m: float | None = None) -> dict[str, Any]:
         positions = pressed(mesh, env_count, reach_m)
         on_device = wp.array(positions, dtype=wp.vec3d, device=device)
-        name = "unbounded press" if reach_m is None else f"reach of {reach_m * 1e3:g} mm"
-        still[name] = {
-            **speed(lazy, on_device, "rgb", "markers_px"),
-            "errors": errors(lazy, positions, min(env_count, 2)),
-        }
+        figures = speed(signal, on_device, "rgb", "markers_px")
+        return {**figures, "errors": errors(signal, positions, min(env_count, 2))}
+
+    lazy = build(mesh, size, env_count, device, STILL_LEVELS)
+    row["still"] = {
+        "still_levels": STILL_LEVELS,
+        "unbounded press": seen(lazy),
+        "reach of 4 mm": seen(lazy, 4e-3),
+    }
     del lazy
     wide = build(mesh, size, env_count, device, width_mm=WIDE_MM)
-    positions = pressed(mesh, env_count)
-    on_device = wp.array(positions, dtype=wp.vec3d, device=device)
-    figures = speed(wide, on_device, "rgb", "markers_px")
     row["view beyond the pad"] = {
-        **figures,
+        **seen(wide),
         "width_mm": WIDE_MM,
         "environments_rasterized": wide.rasterized_count(),
-        "errors": errors(wide, positions, min(env_count, 2)),
     }
     if wp_device.is_cuda:
         row["device_memory_high_mib"] = wp.get_mempool_used_mem_high(wp_device) / 2**20

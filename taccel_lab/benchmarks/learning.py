@@ -368,7 +368,7 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "motion_steps": bench.steps,
         "phase_thirds": (thirds / thirds.sum()).tolist(),
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
-        "newton_largest_mean": float(np.average(median.newton_max, weights=median.counts)),
+        "newton_largest_mean": median.largest_newton_mean(),
         "memory_mib_per_env": bytes_used / 2**20 / count,
         "observed": observed,
     }

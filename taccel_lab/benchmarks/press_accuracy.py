@@ -106,8 +106,12 @@ class PressAccuracy(Suite):
     name: ClassVar[str] = "press_accuracy"
     what: ClassVar[str] = "Force and heights of presses against those of a fine mesh."
     shown: ClassVar[tuple[str, ...]] = (
-        "cause", "force_error", "estimated_force_error", "height_rms_m", "estimated_height_rms_m",
-    )  # fmt: skip
+        "cause",
+        "force_error",
+        "estimated_force_error",
+        "height_rms_m",
+        "estimated_height_rms_m",
+    )
     families: tuple[str, ...] = ()
     """Sensors of the catalogue; all of them when none is named."""
     tools: tuple[str, ...] = tuple(TOOLS)
@@ -209,10 +213,16 @@ def press(case: PressCase, physics: PressPhysics, at: Resolution, device: str) -
     path = PressPath(case.depth_mm, speed_mm_s=case.speed_mm_s)
     path = path.bounded(branches, case.friction)
     return simulate_press(
-        mesh, layered_material(layers, mesh), indenter, AT_MM, path.with_steps(at.steps),
-        coarse_grid(parameters.grid()), friction_coefficient=case.friction,
-        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m), device=device,
-    )  # fmt: skip
+        mesh,
+        layered_material(layers, mesh),
+        indenter,
+        AT_MM,
+        path.with_steps(at.steps),
+        coarse_grid(parameters.grid()),
+        friction_coefficient=case.friction,
+        physics=replace(physics, dhat_m=at.dhat * physics.dhat_m),
+        device=device,
+    )
 
 
 def measured_case(case: PressCase, accuracy: str, device: str) -> tuple[dict[str, Any], np.ndarray]:

@@ -30,12 +30,16 @@ STEPS = {"peg": 12, "press_239": 14, "squeeze": 4}
 """First steps of each scene."""
 EAGER_STEPS = 3
 """Steps that are launched kernel by kernel, to count kernels."""
-RISE = {
+WORK = {
     "newton_iterations": 0.10,
     "cg_iterations": 0.15,
     "friction_lags": 0.10,
     "searches": 0.10,
     "ccd_passes": 0.10,
+}
+"""What a step is asked for its work, and as below."""
+RISE = {
+    **WORK,
     "launches_per_step": 0.10,
     "eager_launches_per_step": 0.15,
     "allocations": 0.10,
@@ -75,25 +79,20 @@ def measure(scene: str) -> dict[str, Any]:
         runner.reset()
         with LaunchCounter() as launches:
             motion = runner.run(count, keep_forces=True)
-    allocations = meter.allocations()
+    allocations, residual = meter.allocations(), motion.residual()
     with LaunchCounter() as eager:
         Runner(replace(bench, config=replace(bench.config, capture=False))).run(EAGER_STEPS)
     return {
         "steps": count,
-        "newton_iterations": round(sum(motion.newton)),
-        "cg_iterations": round(sum(motion.cg)),
-        "friction_lags": round(sum(motion.lags)),
-        "searches": round(sum(motion.searches)),
-        "ccd_passes": round(sum(motion.ccd_passes)),
-        "starts_taken": round(sum(motion.starts_taken)),
+        **{name: int(motion.of(name).sum()) for name in (*WORK, "starts_taken")},
         "launches_per_step": launches.count / count,
         "eager_launches_per_step": eager.count / EAGER_STEPS,
         "allocations": allocations.count,
         "memory_mib": allocations.peak_bytes / 2**20,
         "kernels": len(eager.kernels),
-        "unconverged": motion.unconverged,
-        "taken_in_parts": motion.halved,
-        "worst_residual_over_allowed": max(motion.residual_over_allowed),
+        "unconverged": residual["unconverged"],
+        "taken_in_parts": residual["taken_in_parts"],
+        "worst_residual_over_allowed": residual["worst_over_allowed"],
         "intersections": sum(len(env) for env in find_overlaps(runner.model, runner.state)),
         "forces_n": motion.forces_n[-1][0].tolist(),
     }

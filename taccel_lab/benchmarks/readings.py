@@ -21,12 +21,7 @@ from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.signals.normal_features import color_change, image_features
-from taccel_lab.signals.normal_model import (
-    NormalMap,
-    NormalModel,
-    network,
-    relative_normals,
-)
+from taccel_lab.signals.normal_model import NormalMap, NormalModel, network, relative_normals
 from taccel_lab.signals.read_heights import read_heights
 from taccel_lab.signals.slope_integration import resting_height
 
@@ -47,28 +42,25 @@ class Readings(Suite):
     name: ClassVar[str] = "readings"
     what: ClassVar[str] = "Images read a second, and heights against a reading of every pixel."
     shown: ClassVar[tuple[str, ...]] = (
-        "heights: images_per_s", "heights and deviation: images_per_s", "off_mm_max",
-    )  # fmt: skip
+        "heights: images_per_s",
+        "heights and deviation: images_per_s",
+        "off_mm_max",
+    )
     at_once: tuple[int, ...] = (1, 16, 64)
     """Numbers of images read at once, a row each for each size."""
     repeats: int = 20
     """Readings of each row; the median counts."""
-    threads: int = 1
-    """Threads of the CPU."""
 
     def settings(self) -> dict[str, Any]:
-        return super().settings() | {"sizes": SIZES}
+        return super().settings() | {"threads": 1, "sizes": SIZES}
 
     def measure_rows(self, result: ResultFile) -> None:
         """All rows, then the best speed of the smaller size."""
-        before = torch.get_num_threads()
-        torch.set_num_threads(self.threads)
-        try:
-            for size, count in itertools.product(SIZES, self.at_once):
-                row = partial(measure, size, count, self.device, self.repeats)
-                result.measure(f"{size[0]}x{size[1]}, {count} at once", row)
-        finally:
-            torch.set_num_threads(before)
+        # The clock of the CPU counts all threads.
+        torch.set_num_threads(1)
+        for size, count in itertools.product(SIZES, self.at_once):
+            row = partial(measure, size, count, self.device, self.repeats)
+            result.measure(f"{size[0]}x{size[1]}, {count} at once", row)
         speeds = [
             row["heights and deviation"]["images_per_s"]
             for row in result.rows
@@ -83,10 +75,16 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
     """Seeded networks of the real architecture that read a dent."""
     scales = (0.0, *SCALES_PX)
     blank = NormalModelConfig(
-        grid.width_px, grid.height_px, scales_px=scales, slope_scales_px=SCALES_PX,
-        hidden=(64, 64, 64), error_length_px=8.0, height_factor=1.0, along_factor=1.0,
+        grid.width_px,
+        grid.height_px,
+        scales_px=scales,
+        slope_scales_px=SCALES_PX,
+        hidden=(64, 64, 64),
+        error_length_px=8.0,
+        height_factor=1.0,
+        along_factor=1.0,
         depth_share=0.05,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(3)
     images, light, tilts = presses(grid, 1)
     change = color_change(images[0], light)
@@ -99,11 +97,10 @@ def networks(grid: PixelGrid, device: str) -> NormalModel:
     }
     # What the last layer has to make of the ones before, at every few pixels.
     inputs = config.normalise(features)[::7]
-    hidden = network(
-        [(torch.tensor(weights[f"layer{i}.weight"]), torch.tensor(weights[f"layer{i}.bias"]))
-         for i in range(3)],
-        torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1),
-    )  # fmt: skip
+    pairs = [(weights[f"layer{i}.weight"], weights[f"layer{i}.bias"]) for i in range(3)]
+    layers = [(torch.tensor(weight), torch.tensor(bias)) for weight, bias in pairs]
+    given = torch.tensor(inputs, dtype=torch.float64).expand(config.members, -1, -1)
+    hidden = network(layers, given)
     active = torch.nn.functional.silu(hidden).numpy()
     wanted = tilts[0].reshape(-1, 2)[::7]
     for k in range(config.members):

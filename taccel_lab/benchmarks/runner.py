@@ -7,6 +7,7 @@ The end-to-end time of a step is that of all three, until the forces on each gel
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -42,40 +43,24 @@ class ForceProbe:
         return self._wrenches.read(state).numpy()[..., :3]
 
 
+KEPT = (
+    "status", "substeps", "newton_iterations", "cg_iterations", "friction_lags", "searches",
+    "ccd_passes", "starts_taken", "residual_n", "contact_force_n", "min_distance_m",
+)  # fmt: skip
+"""Arrays of a report that figures are made of."""
+
+
 @dataclass
 class BenchmarkMotion:
-    """Figures of a run, a list over its steps each unless said otherwise."""
+    """Figures of a run, a list over its calls unless said otherwise."""
 
     env_steps: int = 0
     """Steps of environments, of the whole run."""
     seconds: list[float] = field(default_factory=list)
     """End to end: targets set, stepped, forces read."""
     solver_seconds: list[float] = field(default_factory=list)
-    counts: list[int] = field(default_factory=list)
-    """Environments that have finished; calls that none is have no entry here and below."""
-    newton: list[float] = field(default_factory=list)
-    """Mean over the environments."""
-    newton_max: list[int] = field(default_factory=list)
-    cg: list[float] = field(default_factory=list)
-    lags: list[float] = field(default_factory=list)
-    searches: list[float] = field(default_factory=list)
-    ccd_passes: list[float] = field(default_factory=list)
-    starts_taken: list[float] = field(default_factory=list)
-    residual_n: list[float] = field(default_factory=list)
-    """Largest over the environments, as the next two."""
-    residual_over_contact: list[float] = field(default_factory=list)
-    residual_over_allowed: list[float] = field(default_factory=list)
-    """Residual over max(1e-4 contact force, 1e-5 N)."""
-    contact_force_n: list[float] = field(default_factory=list)
-    """Mean over the environments."""
-    min_distance_um: list[float] = field(default_factory=list)
-    unconverged: int = 0
-    """Steps of environments that did not converge."""
-    halved: int = 0
-    """Steps of environments that were taken in parts."""
-    causes: dict[str, int] = field(default_factory=dict)
-    iterations: list[np.ndarray] = field(default_factory=list)
-    """Newton iterations of each finished step, int, [step of an environment]."""
+    finished: list[dict[str, np.ndarray]] = field(default_factory=list)
+    """What reports say of environments that finished, ``KEPT``."""
     forces_n: list[np.ndarray] = field(default_factory=list)
     """Force on each soft body, [env, body, 3]."""
 
@@ -94,65 +79,53 @@ class BenchmarkMotion:
         self.seconds.append(seconds)
         self.solver_seconds.append(solver_seconds)
         self.env_steps += len(report.status)
-        if len(report.status) == 0:
-            return
-        self.counts.append(len(report.status))
-        self.newton.append(float(report.newton_iterations.mean()))
-        self.newton_max.append(int(report.newton_iterations.max()))
-        self.iterations.append(np.asarray(report.newton_iterations).copy())
-        self.cg.append(float(report.cg_iterations.mean()))
-        self.lags.append(float(report.friction_lags.mean()))
-        self.searches.append(float(report.searches.mean()))
-        self.ccd_passes.append(float(report.ccd_passes.mean()))
-        self.starts_taken.append(float(report.starts_taken.mean()))
-        good = report.converged
-        residual = np.where(good, report.residual_n, 0.0)
-        contact = report.contact_force_n
-        allowed = np.maximum(RESIDUAL_RATIO * contact, RESIDUAL_N)
-        touching = contact > RESIDUAL_N / RESIDUAL_RATIO
-        ratio = residual / np.where(touching, contact, np.inf)
-        self.residual_n.append(float(residual.max()))
-        self.residual_over_contact.append(float(ratio.max()))
-        self.residual_over_allowed.append(float((residual / allowed).max()))
-        self.contact_force_n.append(float(contact.mean()))
-        self.min_distance_um.append(float(report.min_distance_m.min() * 1e6))
-        self.unconverged += int((~good).sum())
-        self.halved += int((good & (report.substeps > 1)).sum())
-        for status in report.status[~good]:
-            name = EnvStatus(status).name
-            self.causes[name] = self.causes.get(name, 0) + 1
+        self.finished.append({name: getattr(report, name) for name in KEPT})
+
+    def of(self, name: str) -> np.ndarray:
+        """One of ``KEPT`` over all steps of environments."""
+        return np.concatenate([figures[name] for figures in self.finished])
+
+    def largest_newton_mean(self) -> float:
+        """Most Newton iterations of a call, in the mean over the steps that it finished."""
+        calls = [figures["newton_iterations"] for figures in self.finished]
+        most = [call.max(initial=0) for call in calls]
+        return float(np.average(most, weights=[len(call) for call in calls]))
 
     def residual(self) -> dict[str, Any]:
         """What the speed was reached at."""
+        status, contact = self.of("status"), self.of("contact_force_n")
+        good = status == EnvStatus.CONVERGED
+        residual = np.where(good, self.of("residual_n"), 0.0)
+        touching = contact > RESIDUAL_N / RESIDUAL_RATIO
+        allowed = np.maximum(RESIDUAL_RATIO * contact, RESIDUAL_N)
         return {
-            "worst_n": max(self.residual_n),
-            "worst_over_contact_force": max(self.residual_over_contact),
-            "worst_over_allowed": max(self.residual_over_allowed),
+            "worst_n": float(residual.max()),
+            "worst_over_contact_force": float(
+                (residual / np.where(touching, contact, np.inf)).max()
+            ),
+            "worst_over_allowed": float((residual / allowed).max()),
             "allowed": f"max({RESIDUAL_RATIO:g} of the contact force, {RESIDUAL_N:g} N)",
             "env_steps": self.env_steps,
-            "unconverged": self.unconverged,
-            "taken_in_parts": self.halved,
-            "causes": self.causes,
+            "unconverged": int((~good).sum()),
+            "taken_in_parts": int((good & (self.of("substeps") > 1)).sum()),
+            "causes": dict(Counter(EnvStatus(one).name for one in status[~good])),
         }
 
     def work(self) -> dict[str, Any]:
         """Iterations a step."""
-
-        def mean(values: list[float]) -> float:
-            return float(np.average(values, weights=self.counts))
-
-        median, p90, p99, p999 = np.percentile(np.concatenate(self.iterations), [50, 90, 99, 99.9])
+        newton = self.of("newton_iterations")
+        median, p90, p99, p999 = np.percentile(newton, [50, 90, 99, 99.9])
         return {
-            "newton_mean": mean(self.newton),
+            "newton_mean": float(newton.mean()),
             "newton_median": float(median),
             "newton_p90": float(p90),
             "newton_p99": float(p99),
             "newton_p999": float(p999),
-            "newton_worst": max(self.newton_max),
-            "cg_mean": mean(self.cg),
-            "friction_lags_mean": mean(self.lags),
-            "contact_force_mean_n": mean(self.contact_force_n),
-            "min_distance_um": min(self.min_distance_um),
+            "newton_worst": int(newton.max()),
+            "cg_mean": float(self.of("cg_iterations").mean()),
+            "friction_lags_mean": float(self.of("friction_lags").mean()),
+            "contact_force_mean_n": float(self.of("contact_force_n").mean()),
+            "min_distance_um": 1e6 * float(self.of("min_distance_m").min()),
         }
 
 
@@ -201,11 +174,7 @@ class Runner:
         self.solver.reset(self.state, everyone, self.bench.targets(0))
 
     def run(
-        self,
-        steps: int | None = None,
-        *,
-        keep_forces: bool = False,
-        progress: Progress = silent,
+        self, steps: int | None = None, *, keep_forces: bool = False, progress: Progress = silent
     ) -> BenchmarkMotion:
         """The first ``steps`` of the motion, all of it when None, from the start."""
         count = self.bench.steps if steps is None else min(steps, self.bench.steps)

@@ -85,14 +85,13 @@ def _unpacked(file: IO[bytes], needed: Sequence[str] | None, hint: str) -> dict[
             # Each has a header besides.
             room = MAX_ARRAY_BYTES + 1024 * len(members)
             require_small(members.values(), room, "arrays")
-            arrays, left = {}, MAX_ARRAY_BYTES
+            arrays = {}
             for name, member in members.items():
                 with archive.open(member) as stream:
                     try:
-                        arrays[name] = _array(stream, member.file_size, left)
+                        arrays[name] = _array(stream, member.file_size)
                     except InputError as error:
                         raise _unreadable(f"{name}: {error}") from None
-                left -= arrays[name].nbytes
             return arrays
     except InputError:
         raise
@@ -129,15 +128,15 @@ def _members(
     return members
 
 
-def _array(stream: IO[bytes], size: int, limit: int) -> np.ndarray:
+def _array(stream: IO[bytes], size: int) -> np.ndarray:
     """The array of a stream of ``size`` bytes, header and all."""
     shape, dtype, fortran, header = _header(stream)
     count = math.prod(shape)
     declared = count * dtype.itemsize
-    if max(declared, count) > limit:
+    if declared > MAX_ARRAY_BYTES:
         raise InputError(
             f"its header declares {in_bytes(declared)} ({dtype}, shape {_short(shape)}); "
-            f"{in_bytes(limit)} is allowed"
+            f"{in_bytes(MAX_ARRAY_BYTES)} is allowed"
         )
     if header + declared != size:
         raise InputError(
@@ -145,7 +144,7 @@ def _array(stream: IO[bytes], size: int, limit: int) -> np.ndarray:
             f"{max(size - header, 0)} are there"
         )
     flat = np.empty(count, dtype)
-    content, at = flat.view(np.uint8) if declared else flat, 0
+    content, at = flat.view(np.uint8), 0
     while at < declared and (chunk := stream.read(min(_CHUNK_BYTES, declared - at))):
         content[at : at + len(chunk)] = np.frombuffer(chunk, np.uint8)
         at += len(chunk)
@@ -174,7 +173,8 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype, bool, int]:
     # The header is a literal of Python, whose parser has errors of many kinds for programmers.
     except Exception:
         raise InputError("its header is damaged: it is no description of an array") from None
-    if dtype.kind not in PLAIN_KINDS:
+    # NumPy makes texts of no length a byte long, which no file fills.
+    if dtype.kind not in PLAIN_KINDS or not dtype.itemsize:
         raise InputError(f"it holds values of type {_short(dtype)}; numbers and texts are allowed")
     if len(shape) > 32 or not all(0 <= int(n) < 2**62 for n in shape):
         raise InputError(f"its header has the shape {_short(shape)}")

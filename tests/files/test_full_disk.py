@@ -19,11 +19,7 @@ from taccel_lab.datasets.part import write_table
 from taccel_lab.errors import InputError
 from taccel_lab.exporters import mesh_files
 from taccel_lab.files.atomic_file import atomic_file, write_by, write_image
-from taccel_lab.files.output_folder import (
-    atomic_directory,
-    require_growable,
-    require_replaceable,
-)
+from taccel_lab.files.output_folder import atomic_directory, require_growable, require_replaceable
 from taccel_lab.processes.cache_place import CACHE_VARIABLE
 from taccel_lab.report.style import new_figure, save_figure
 from tests.support.short_files import files_at_most

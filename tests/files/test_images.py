@@ -27,8 +27,8 @@ RGB = np.random.default_rng(3).integers(0, 256, (12, 16, 3), dtype=np.uint8)
 SUFFIXES = (".png", ".jpg", ".bmp", ".tiff", ".webp")
 
 
-def encoded(suffix: str, rgb: np.ndarray = RGB) -> bytes:
-    return cv2.imencode(suffix, rgb[..., ::-1])[1].tobytes()
+def encoded(suffix: str) -> bytes:
+    return cv2.imencode(suffix, RGB[..., ::-1])[1].tobytes()
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -108,7 +108,6 @@ def test_bad_arrays_are_refused() -> None:
     assert np.isnan(pull_back(motion, record).friction).all()
 
 
-@pytest.mark.thorough
 def test_parameters_of_a_record_are_its_own() -> None:
     """What is set after a motion, even by tet, is not in its gradients, and is there after them."""
     for friction in (0.0, 0.3):

@@ -11,15 +11,7 @@ import numpy as np
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.robots import DrivenRobot, Robot, named, on_seat
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    Material,
-    Plane,
-    Scene,
-    SoftBody,
-    TimeStepping,
-)
+from taccel_lab.scene import AffineBody, Element, Material, Plane, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 

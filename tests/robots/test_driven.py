@@ -14,15 +14,7 @@ from taccel_lab.outputs import GelFrames, Outputs
 from taccel_lab.robots import Robot, drive, load_urdf, named, on_seat
 from taccel_lab.robots.driven import closest_solid
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    Material,
-    Plane,
-    PositionDrive,
-    SoftBody,
-    box_mesh,
-)
+from taccel_lab.scene import AffineBody, Element, Material, Plane, PositionDrive, SoftBody, box_mesh
 from taccel_lab.solvers import Control
 from tests.robots.gels import GEL, PAD, G, Run, driven_scene, moving, with_pads
 from tests.support.robot_files import CHAIN, REAL, write

@@ -168,11 +168,7 @@ WINDOW = {"window_thickness_mm": 9.5}
     ],
 )
 def test_what_needs_no_mesh_is_refused_before_it(
-    changes: dict[str, Any],
-    words: str,
-    step: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, Any], words: str, step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nobody = Mock(side_effect=AssertionError("nobody waits minutes for a mesh of this"))
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", nobody)

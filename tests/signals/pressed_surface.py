@@ -30,11 +30,11 @@ def flat_pad(element_mm: float, half_mm: tuple[float, float], seed: int = 0) -> 
     return extrude(xy * 1e-3, triangles)
 
 
-def extrude(xy_m: np.ndarray, triangles: np.ndarray, thickness_m: float = 1e-3) -> TetMesh:
-    """Prisms under the triangles, three tets each; the upper face is the contact face."""
+def extrude(xy_m: np.ndarray, triangles: np.ndarray) -> TetMesh:
+    """Prisms 1 mm high under the triangles, three tets each; the upper face is the contact face."""
     count = len(xy_m)
     top = np.column_stack([xy_m, np.zeros(count)])
-    nodes = np.concatenate([top, top - [0.0, 0.0, thickness_m]])
+    nodes = np.concatenate([top, top - [0.0, 0.0, 1e-3]])
     a, b, c = np.sort(triangles, axis=1).T
     # Splitting by node number makes the diagonals of neighbouring prisms agree.
     tets = np.concatenate(

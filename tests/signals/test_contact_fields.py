@@ -147,7 +147,8 @@ def test_chunks_and_chosen_environments_change_nothing():
 
 
 def test_what_is_missing_is_said():
-    env = dragged()
+    env = block_env(4, 12.0, 2, friction_coefficient=0.5)
+    env.move_to(0.1)
     stateless = of(env)
     stateless.update(env.state.positions)
     bare = tl.SignalTactile(env.mesh, GRID, env_count=len(AT_MM))

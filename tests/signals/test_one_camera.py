@@ -113,7 +113,7 @@ def test_camera_that_a_profile_has():
     assert lifted[0] > 0.5 and lifted[1] < -0.2, "a press moves what it shows outwards"
 
 
-@pytest.mark.thorough(cases=("rtac",))
+@pytest.mark.thorough(cases=("gelsight_40", "rtac"))
 @pytest.mark.parametrize("name", DOTS)
 def test_cameras_are_kept_as_json_and_scaled(name):
     profile = catalogue_profile(name, DOTS[name])

@@ -19,7 +19,6 @@ from taccel_lab.scene import (
     PrismaticJoint,
     Scene,
     SoftBody,
-    TimeScheme,
     TimeStepping,
     box_mesh,
 )
@@ -65,9 +64,9 @@ def gels(elements: tuple[Element, Element], friction: float, driven: bool) -> li
     ]
 
 
-def time_of(gravity: bool, scheme: TimeScheme = TimeScheme.EULER) -> TimeStepping:
+def time_of(gravity: bool) -> TimeStepping:
     down = (0.0, 0.0, -9.81 if gravity else 0.0)
-    return TimeStepping(quasi_static=False, dt_s=5e-3, gravity_m_s2=down, scheme=scheme)
+    return TimeStepping(quasi_static=False, dt_s=5e-3, gravity_m_s2=down)
 
 
 def held_box() -> KinematicBody:
@@ -78,11 +77,10 @@ def held_box() -> KinematicBody:
 def driven_grasp(
     env_count: int = 2,
     elements: tuple[Element, Element] = (Element.LINEAR, Element.QUADRATIC),
-    scheme: TimeScheme = TimeScheme.EULER,
 ) -> Scene:
     """The box is free, under gravity, on a table."""
     box = cube(2 * HALF_BOX_M, name="box", friction_coefficient=1.0)
-    return _driven([box], [], env_count, elements, 1.0, time_of(True, scheme))
+    return _driven([box], [], env_count, elements, 1.0, time_of(True))
 
 
 def driven_squeeze(elements: tuple[Element, Element], young_pa: float) -> Scene:

@@ -25,11 +25,7 @@ MAX_SLOPE = 2.5
 
 
 def analytic_surface(
-    circle: ContactCircle,
-    grid: PixelGrid,
-    ball_radius_mm: float,
-    *,
-    decay_mm: float = math.inf,
+    circle: ContactCircle, grid: PixelGrid, ball_radius_mm: float, *, decay_mm: float = math.inf
 ) -> BallSurface:
     """Surface of a flat gel under a ball that touches it in ``circle``.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 
@@ -15,11 +14,10 @@ SAID = Provenance(kind="assumed", method="made up for a test", source="none")
 
 
 def with_painted_dots(
-    profile: SensorProfile, places_px: np.ndarray, radius_px: float, grid: PixelGrid | None = None
+    profile: SensorProfile, places_px: np.ndarray, radius_px: float
 ) -> SensorProfile:
-    """The profile with dark dots at places [n, 2] of its picture, which has the pixels of ``grid``
-    (that of the profile)."""
-    grid = grid or profile.grid()
+    """The profile with dark dots at places [n, 2] of its picture."""
+    grid = profile.grid()
     v, u = np.mgrid[: grid.height_px, : grid.width_px]
     image = np.full((*u.shape, 3), LIGHT, np.float32)
     for place in places_px:

@@ -46,9 +46,7 @@ def mount_poses(gaps_m: np.ndarray | list[float], lift_m: float = 0.0) -> np.nda
 
 
 def gel_above_a_table(
-    time: TimeStepping,
-    env_count: int = 1,
-    branches: tuple[MaxwellBranch, ...] = (),
+    time: TimeStepping, env_count: int = 1, branches: tuple[MaxwellBranch, ...] = ()
 ) -> Scene:
     """A gel on a hand, face down, and a table below; move it with ``hand_poses``."""
     material = Material(1e5, 0.4, branches=branches)

@@ -11,23 +11,18 @@ where it is at any of 84 points; its faces may reach into a ball by an inset, it
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from taccel_lab.bodies.bodies import SoftBody
-from taccel_lab.bodies.crossings import (
-    crossing_pairs,
-    point_triangle_distances,
-    self_crossings,
-)
+from taccel_lab.bodies.crossings import crossing_pairs, point_triangle_distances, self_crossings
 from taccel_lab.bodies.mass_properties import winding_number
 from taccel_lab.bodies.primitives import Ball, unique_edges
 from taccel_lab.bodies.surface_topology import ball_insets, is_closed, one_node_of_each_part
 from taccel_lab.geometry.quadratic import TET_EDGES
-from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.state import State, check_state
 
@@ -44,8 +39,7 @@ class IntersectionKind(StrEnum):
     INVERTED_TET = "inverted tet"
 
 
-@dataclass(frozen=True)
-class Intersection:
+class Intersection(NamedTuple):
     """One kind of overlap of two bodies in one environment."""
 
     kind: IntersectionKind
@@ -53,12 +47,6 @@ class Intersection:
     """Name of a body; of two, the stiffer one unless the other is inside it."""
     second: str
     """Name of the other body; the same for inverted tets and crossings of a body with itself."""
-    count: int
-    """Crossing pairs, components inside, nodes below the plane, or tets."""
-    point_m: np.ndarray
-    """One place where it happens [m], shape [3]."""
-    where: str = ""
-    """Numbers of an edge, face, node or tet there, each in its body's own mesh."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +111,17 @@ def _intersections(
     bodies = _bodies(model, x, env)
     found: list[Intersection] = []
     for part, body in zip(model.bodies, model.scene.bodies, strict=True):
-        if isinstance(body, SoftBody):
-            found += _inverted_tets(part.name, x[part.node_slice][body.nodal_mesh.tets])
+        nodes = x[part.node_slice]
+        if isinstance(body, SoftBody) and _any_inverted(nodes[body.nodal_mesh.tets]):
+            found.append(Intersection(IntersectionKind.INVERTED_TET, part.name, part.name))
     for i, j in model.contact_plan.pairs:
-        if present[i] and present[j]:
-            found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
+        first, second = bodies[i], bodies[j]
+        if not (present[i] and present[j]):
+            continue
+        if i != j:
+            found += _overlaps(first, second)
+        elif len(self_crossings(first.nodes, first.faces)[0]):
+            found.append(Intersection(IntersectionKind.SELF_CROSSING, first.name, first.name))
     return found
 
 
@@ -169,88 +163,47 @@ def _bent(nodes: np.ndarray) -> np.ndarray:
     return off > _STRAIGHT * np.ptp(nodes[:, :4], axis=1).max(axis=1)
 
 
-def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
-    """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3] those inverted at any sample."""
-    right = _volume_ratios(nodes[:, :4])[:, 0] > 0
-    if nodes.shape[1] == 10:
-        # Straight tets, as all are at rest, have one determinant.
-        bent = _bent(nodes)
-        right[bent] = (_volume_ratios(nodes[bent]) > 0).all(axis=1)
-    bad = np.flatnonzero(~right)
-    if len(bad) == 0:
-        return []
-    place, where = nodes[bad[0]].mean(axis=0), f"tets {first_of(bad)}"
-    return [Intersection(IntersectionKind.INVERTED_TET, name, name, len(bad), place, where)]
-
-
-def _itself(body: _Body) -> list[Intersection]:
-    edges, faces = self_crossings(body.nodes, body.faces)
-    if len(edges) == 0:
-        return []
-    place, kind = body.nodes[edges[0]].mean(axis=0), IntersectionKind.SELF_CROSSING
-    where = f"edges {first_of(edges)} through faces {first_of(faces)}"
-    return [Intersection(kind, body.name, body.name, len(edges), place, where)]
+def _any_inverted(nodes: np.ndarray) -> bool:
+    """Whether a tet [n, 4, 3] is inverted, or one of ten nodes [n, 10, 3] at any sample."""
+    if not (_volume_ratios(nodes[:, :4]) > 0).all():
+        return True
+    # Straight tets, as all are at rest, have one determinant.
+    return nodes.shape[1] == 10 and not (_volume_ratios(nodes[_bent(nodes)]) > 0).all()
 
 
 def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
     """Overlaps of two bodies in the order of their ids."""
+    crossing = Intersection(IntersectionKind.CROSSING, stiffer.name, softer.name)
+    around = softer.nodes[softer.faces]
     if stiffer.kind is BodyKind.PLANE:
-        used = np.unique(softer.faces)
-        height = (softer.nodes[used] - stiffer.nodes[0]) @ stiffer.normal
-        below = used[~(height > 0)]
-        if len(below) == 0:
-            return []
-        place = softer.nodes[below[0]]
-        kind, where = IntersectionKind.BELOW_PLANE, f"nodes {first_of(below)}"
-        return [Intersection(kind, softer.name, stiffer.name, len(below), place, where)]
+        height = (softer.nodes[np.unique(softer.faces)] - stiffer.nodes[0]) @ stiffer.normal
+        below = Intersection(IntersectionKind.BELOW_PLANE, softer.name, stiffer.name)
+        return [] if (height > 0).all() else [below]
     if stiffer.radius_m > 0:
-        return _ball_overlaps(softer, stiffer)
-    return list(_surface_overlaps(softer, stiffer))
-
-
-def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
-    triangles, centre = body.nodes[body.faces], ball.nodes[0]
-    distance = point_triangle_distances(centre, triangles)
-    inset = ball_insets(ball.radius_m, body.face_reaches_sq)
-    at_nodes = np.linalg.norm(triangles - centre, axis=2).min(axis=1)
-    near = (distance <= ball.radius_m - inset) | (at_nodes <= ball.radius_m)
-    if near.any():
-        place = triangles[int(np.argmin(distance))].mean(axis=0)
-        kind, where = IntersectionKind.CROSSING, f"faces {first_of(np.flatnonzero(near))}"
-        return [Intersection(kind, ball.name, body.name, int(near.sum()), place, where)]
-    if _is_inside(centre, triangles):
-        return [Intersection(IntersectionKind.INSIDE, ball.name, body.name, 1, centre)]
-    return []
-
-
-def _surface_overlaps(softer: _Body, stiffer: _Body) -> Iterator[Intersection]:
-    """Crossings, or else containment: without a crossing a component is inside as a whole."""
-    crossings, where = 0, ""
-    place = np.zeros(3)
+        centre, inset = stiffer.nodes[0], ball_insets(stiffer.radius_m, softer.face_reaches_sq)
+        distance = point_triangle_distances(centre, around)
+        at_nodes = np.linalg.norm(around - centre, axis=2).min(axis=1)
+        if ((distance <= stiffer.radius_m - inset) | (at_nodes <= stiffer.radius_m)).any():
+            return [crossing]
+        inside = _is_inside(centre, around)
+        return [crossing._replace(kind=IntersectionKind.INSIDE)] if inside else []
     for edged, faced in ((softer, stiffer), (stiffer, softer)):
-        edges = unique_edges(edged.faces)
-        segments = edged.nodes[edges]
-        edge, face = crossing_pairs(segments, faced.nodes[faced.faces])
-        crossings += len(edge)
-        if len(edge):
-            place = segments[edge[0]].mean(axis=0)
-            where = f"edges {first_of(edges[edge])} of {edged.name!r} through faces "
-            where += f"{first_of(face)} of {faced.name!r}"
-    if crossings:
-        kind = IntersectionKind.CROSSING
-        yield Intersection(kind, stiffer.name, softer.name, crossings, place, where)
-        return
-    for inner, outer in ((stiffer, softer), (softer, stiffer)):
-        if not is_closed(outer.faces):
-            continue
-        around = outer.nodes[outer.faces]
-        points = inner.nodes[one_node_of_each_part(inner.faces)]
-        low, high = around.min(axis=(0, 1)), around.max(axis=(0, 1))
-        points = points[((points >= low) & (points <= high)).all(axis=1)]
-        inside = [p for p in points if _is_inside(p, around)]
-        if inside:
-            kind = IntersectionKind.INSIDE
-            yield Intersection(kind, inner.name, outer.name, len(inside), inside[0])
+        segments = edged.nodes[unique_edges(edged.faces)]
+        if len(crossing_pairs(segments, faced.nodes[faced.faces])[0]):
+            return [crossing]
+    # Without a crossing a component is inside as a whole.
+    return [
+        Intersection(IntersectionKind.INSIDE, inner.name, outer.name)
+        for inner, outer in ((stiffer, softer), (softer, stiffer))
+        if is_closed(outer.faces) and _any_part_inside(inner, outer.nodes[outer.faces])
+    ]
+
+
+def _any_part_inside(body: _Body, around: np.ndarray) -> bool:
+    points = body.nodes[one_node_of_each_part(body.faces)]
+    low, high = around.min(axis=(0, 1)), around.max(axis=(0, 1))
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    return any(_is_inside(point, around) for point in points)
 
 
 def _is_inside(point: np.ndarray, triangles: np.ndarray) -> bool:

@@ -92,7 +92,7 @@ class Stepped:
     def crossings(self) -> list[str]:
         """Bodies that cross or contain one another, or lie below a plane."""
         found = find_intersections(self.model, self.state)[0]
-        return [f"{item.first} and {item.second}: {item.kind} {item.where}" for item in found]
+        return [f"{item.first} and {item.second}: {item.kind}" for item in found]
 
     def self_contacts(self) -> int:
         """Collisions of a body with itself."""

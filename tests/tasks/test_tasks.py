@@ -59,12 +59,7 @@ def test_draws_fill_their_ranges_evenly() -> None:
         ("grasp-lift", "seeds = 64", "seeds = 64\ncolour = 3", "colour: unknown key"),
         ("peg-insertion", "[0.0, 0.02, 0.1, 1.0]", "[0.0, 1.0]", "each of the 2 times_s, got 4"),
         ("peg-insertion", "[0.0, 0.02,", "[0.0, 0.2,", "times_s must rise"),
-        (
-            "grasp-lift-matrix",
-            'shape = "gear"',
-            'shape = "spoon"',
-            "no shapes spoon; there are",
-        ),
+        ("grasp-lift-matrix", 'shape = "gear"', 'shape = "spoon"', "no shapes spoon; there are"),
         ("grasp-lift-matrix", 'shape = "gear"', 'shape = "dowel"', "names one shape twice"),
         ("object-classification", '"gear"', '"spoon"', "no parts spoon; there are hex nut, washer"),
         ("object-classification", '"gear"', '"washer"', "names one part twice"),
@@ -112,7 +107,6 @@ def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
         run_task(task, [0, 1], "cpu", steps=6, progress=stop)
 
 
-@pytest.mark.thorough
 def test_the_peg_takes_the_step_of_its_file() -> None:
     """Twice as many steps of half the length bring the gels to the same place."""
     poses = []

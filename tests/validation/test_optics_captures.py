@@ -21,11 +21,7 @@ import pytest
 
 from taccel_lab.calibration.capture import load_captures
 from taccel_lab.sensors.registry import sensor_family
-from tests.optics.compare import (
-    compare_backgrounds,
-    compare_press,
-    pressed_top,
-)
+from tests.optics.compare import compare_backgrounds, compare_press, pressed_top
 from tests.support.formula_model import formula_model, render_formula
 from tests.support.real_data import real_data, taxim_presses
 

@@ -71,8 +71,3 @@ def coordinate_probe(x: np.ndarray, nodes: np.ndarray, step: float) -> np.ndarra
     probes[2 * row, node, axis] += step
     probes[2 * row + 1, node, axis] -= step
     return probes
-
-
-def central_difference(values: np.ndarray, step: float) -> np.ndarray:
-    """Derivative along each probe of ``coordinate_probe``, shape [3 len(nodes), ...]."""
-    return (values[0::2] - values[1::2]) / (2 * step)

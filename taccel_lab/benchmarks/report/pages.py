@@ -14,7 +14,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taccel_lab.benchmarks.report.sections import (
@@ -67,8 +66,6 @@ class Report:
 
     results: Path = FOLDER
     """Folder of the results."""
-    pictures: bool = True
-    """Draw the pictures, too."""
     scenes: bool = False
     """Run the scenes and draw them, too (a minute)."""
 
@@ -80,8 +77,7 @@ class Report:
             with atomic_file(page) as target:
                 target.write_text(text, encoding="utf-8")
             written.append(page)
-        if self.pictures:
-            written += draw_all(results, IMAGES)
+        written += draw_all(results, IMAGES)
         if self.scenes:
             written.append(draw_scenes(IMAGES / "scenes.png"))
         for path in written:
@@ -104,13 +100,6 @@ def save(figure: Figure, path: Path) -> Path:
     write_by(path, lambda file: figure.savefig(file, dpi=110))
     plt.close(figure)
     return path
-
-
-def make_logarithmic(axis: Axes) -> None:
-    """Both axes, with few and plain numbers."""
-    axis.set(xscale="log", yscale="log")
-    plain_log_ticks(axis)
-    axis.grid(True, which="major", lw=0.3)
 
 
 def draw_speed(results: Results) -> Figure:
@@ -138,9 +127,10 @@ def draw_speed(results: Results) -> Figure:
         x = [int(count) for count in entry["fps"]]
         label = f"{entry['name']}, {entry['device']} ({entry['stop'].split(';')[0]})"
         axis.plot(x, list(entry["fps"].values()), "--", marker="x", lw=0.9, ms=5, label=label)
-    axis.set(xlabel="environments", ylabel="FPS, all environments")
+    axis.set(xlabel="environments", ylabel="FPS, all environments", xscale="log", yscale="log")
     axis.set_title("Environments x steps / seconds; dashed: peg scene, others")
-    make_logarithmic(axis)
+    plain_log_ticks(axis)
+    axis.grid(True, which="major", lw=0.3)
     axis.legend(fontsize=7)
     return figure
 
@@ -192,11 +182,7 @@ MOMENTS = {
 """Step, and direction that it is looked at from."""
 
 
-BODY_COLORS = {
-    BodyKind.SOFT: "#7fb2d9",
-    BodyKind.AFFINE: "#e0a458",
-    BodyKind.KINEMATIC: "#b8b8b8",
-}
+BODY_COLORS = {BodyKind.SOFT: "#7fb2d9", BodyKind.AFFINE: "#e0a458", BodyKind.KINEMATIC: "#b8b8b8"}
 
 
 def draw_scenes(path: Path) -> Path:

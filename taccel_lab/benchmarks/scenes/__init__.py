@@ -39,12 +39,9 @@ def build_scene(name: str, options: SceneOptions | None = None) -> BenchScene:
 class Scenes:
     """List the scenes: bodies, unknowns, steps, where their meshes are from."""
 
-    source: str = "auto"
-    """Meshes: published, generated, or auto for the published ones where they are."""
-
     def run(self) -> None:
         for name in SCENES:
-            bench = build_scene(name, SceneOptions(source=self.source))
+            bench = build_scene(name)
             print(f"{name:<20} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")
 
 

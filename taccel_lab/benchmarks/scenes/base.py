@@ -146,13 +146,11 @@ def mounted(
 ) -> tuple[list[SoftBody], list[KinematicBody]]:
     """A gel of linear tets for each name, and the mount that carries it; ``options``: of
     ``SoftBody``."""
+    alike = {"friction_coefficient": friction, "element": Element.LINEAR, **options}
     gels = [
-        SoftBody(
-            mesh, GEL, name=name, mount=f"{name} mount", friction_coefficient=friction,
-            element=Element.LINEAR, **options,
-        )
+        SoftBody(mesh, GEL, name=name, mount=f"{name} mount", **alike)
         for name, mesh in meshes.items()
-    ]  # fmt: skip
+    ]
     return gels, [KinematicBody(None, name=f"{name} mount") for name in meshes]
 
 

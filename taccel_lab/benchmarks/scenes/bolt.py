@@ -58,18 +58,15 @@ def build(options: SceneOptions) -> BenchScene:
     source = choose_source(options.source, "bolt_and_nut", "pads/sensor.vtk", "peg/peg.stl")
     gel, bolt, nut, height = parts_of(source)
     gels, mounts = mounted({"left": gel, "right": gel}, GEL_FRICTION)
+    start = np.array([0, 0, height, 0, 0, 0, 1.0])
     middle = height + (nut.vertices_m[:, 2].min() + nut.vertices_m[:, 2].max()) / 2
     scene = Scene(
         gels,
         [*mounts, KinematicBody(bolt, STIFF_FRICTION, name="bolt")],
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
-        affine_bodies=AffineBody(
-            nut, density_kg_m3=DENSITY, young_modulus_pa=1e9, name="nut",
-            friction_coefficient=STIFF_FRICTION,
-            initial_pose=np.array([0, 0, height, 0, 0, 0, 1.0]),
-        ),
-    )  # fmt: skip
+        affine_bodies=AffineBody(nut, DENSITY, 1e9, "nut", STIFF_FRICTION, initial_pose=start),
+    )
     config = make_config({"dhat_m": 1e-4, "friction_speed_m_s": FRICTION_SPEED_M_S}, options.config)
     return BenchScene(
         "bolt",

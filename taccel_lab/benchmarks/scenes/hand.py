@@ -131,10 +131,9 @@ def build(options: SceneOptions) -> BenchScene:
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         affine_bodies=AffineBody(
-            ball, density_kg_m3=BALL_DENSITY, young_modulus_pa=1e9, name="ball",
-            friction_coefficient=STIFF_FRICTION, surface=Surface(layer=BALL_LAYER),
+            ball, BALL_DENSITY, 1e9, "ball", STIFF_FRICTION, Surface(layer=BALL_LAYER)
         ),
-    )  # fmt: skip
+    )
     radius = float(np.linalg.norm(ball.vertices_m, axis=1).max())
     return BenchScene(
         "hand",

@@ -8,6 +8,8 @@ flatten a tet, part of the way.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import (
@@ -155,19 +157,15 @@ def build(options: SceneOptions) -> BenchScene:
     gel, source = pad(239, options.source)
     bear = teddy_mesh()
     gels, mounts = mounted({"front": gel, "back": gel}, FRICTION)
+    start = np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0])
+    soft = SoftBody(bear, TEDDY, name="bear", initial_pose=start, element=Element.LINEAR)
     scene = Scene(
-        [
-            SoftBody(
-                bear, TEDDY, name="bear", friction_coefficient=FRICTION,
-                initial_pose=np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0]), element=Element.LINEAR,
-            ),
-            *gels,
-        ],
+        [replace(soft, friction_coefficient=FRICTION), *gels],
         mounts,
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         planes=Plane(friction_coefficient=FRICTION, name="ground"),
-    )  # fmt: skip
+    )
     return BenchScene(
         "squeeze",
         f"two gels lift a soft bear of {bear.node_count:,} nodes",

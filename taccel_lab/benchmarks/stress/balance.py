@@ -295,45 +295,41 @@ class ForceBalance:
         load: np.ndarray,
     ) -> tuple[float, float]:
         """(force that is left, what is allowed) of the body that is furthest from it [N]: sums of
-        magnitudes over its nodes.
+        magnitudes over its nodes; the least of what each of ``_step_ratios`` leaves.
 
         ``normal``, ``friction``: forces of contact on each node [N], [node_count, 3]; ``load``: the
         same of what the user set. Only for steps taken as a whole, or quasi-static.
         """
-        ratios = (0.0,) if self.scene.time.quasi_static else self._step_ratios(env, before)
-        given = (env, before, now, normal, friction, load)
-        return min((self._residual(*given, ratio) for ratio in ratios), key=_part)
-
-    def _residual(
-        self,
-        env: int,
-        before: Snapshot,
-        now: Snapshot,
-        normal: np.ndarray,
-        friction: np.ndarray,
-        load: np.ndarray,
-        ratio: float,
-    ) -> tuple[float, float]:
-        """``residual`` of a step with one of ``_step_ratios``."""
         x = now.positions[env]
-        total = -(normal + friction + load)
+        still = -(normal + friction + load)
         noise = 0.0
         forces = self.soft[env % self.model.rest_count]
         for body, nodes in zip(forces, self.soft_nodes(), strict=True):
-            total[nodes] += body.elastic_gradient(x[nodes])
+            still[nodes] += body.elastic_gradient(x[nodes])
             noise += body.stiffness_n_m * np.abs(x[nodes]).max()
-        if not self.scene.time.quasi_static:
-            total += self._inertia(env, before, now, ratio)
-        total, stiff = self._reduced(total, x)
-        noise += stiff
-        noise *= 8 * np.finfo(float).eps
-        sizes, forces_n = np.linalg.norm(total, axis=1), np.linalg.norm(normal, axis=1)
+        forces_n = np.linalg.norm(normal, axis=1)
+        if self.scene.time.quasi_static:
+            totals = [still]
+        else:
+            ratios = self._step_ratios(env, before)
+            totals = [still + self._inertia(env, before, now, ratio) for ratio in ratios]
+        left = []
+        for total in totals:
+            reduced, stiff = self._reduced(total, x)
+            rounding = (noise + stiff) * 8 * np.finfo(float).eps
+            left.append(self._worst(env, np.linalg.norm(reduced, axis=1), forces_n, rounding))
+        return min(left, key=_part)
+
+    def _worst(
+        self, env: int, sizes: np.ndarray, forces_n: np.ndarray, rounding: float
+    ) -> tuple[float, float]:
+        """What ``residual`` gives, from the sizes of forces that are left on the nodes [N]."""
         worst = (0.0, self.allowance(0.0))
         for body in np.unique(self.bodies[self.judged]):
             if self.present[env][body]:
                 rows = self.judged[self.bodies[self.judged] == body]
                 force = min(forces_n[self.bodies == body].sum(), 0.5 * forces_n.sum())
-                allowed = self.allowance(float(force)) + np.sqrt(len(rows)) * noise
+                allowed = self.allowance(float(force)) + np.sqrt(len(rows)) * rounding
                 worst = max(worst, (float(sizes[rows].sum()), float(allowed)), key=_part)
         return worst
 

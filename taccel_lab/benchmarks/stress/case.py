@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 from zlib import crc32
 
@@ -15,6 +15,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
 from taccel_lab.scene import (
+    AffineBody,
     Element,
     Material,
     MaterialModel,
@@ -22,6 +23,7 @@ from taccel_lab.scene import (
     SoftBody,
     TimeScheme,
     TimeStepping,
+    TriangleMesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State
@@ -107,8 +109,8 @@ class StressCase:
         """Kinematic bodies go along a path of poses [kinematic_count, 7], [7] of a single one: the
         start, and the target of each step."""
         poses = [place.reshape(1, -1, 7) for place in path]
-        return cls(scene, config, len(poses) - 1, poses[0], lambda i: poses[i + 1],
-                   possible=possible)  # fmt: skip
+        case = cls(scene, config, len(poses) - 1, poses[0], lambda i: poses[i + 1])
+        return replace(case, possible=possible)
 
     @property
     def watches_energy(self) -> bool:
@@ -119,6 +121,7 @@ class StressCase:
 FREE = np.zeros(0, dtype=np.int64)
 """No bonded node."""
 Range = tuple[float, float]
+Vector = tuple[float, float, float]
 ELEMENTS = (Element.LINEAR, Element.QUADRATIC)
 LAWS = tuple(MaterialModel)
 WORLD = np.array([0.0, 0, 0, 0, 0, 0, 1])
@@ -138,10 +141,11 @@ def material(
     if law is MaterialModel.MOONEY_RIVLIN:
         # nu >= r / (1 + 2 r)
         ratio = draw.between(f"{name} mooney part", 0.0, 0.99) * min(1.0, nu / (1 - 2 * nu))
-    return Material(
-        draw.decades(f"{name} young", *young_pa), nu, draw.decades(f"{name} density", *density),
-        law, ratio,
-    )  # fmt: skip
+    young, heavy = (
+        draw.decades(f"{name} young", *young_pa),
+        draw.decades(f"{name} density", *density),
+    )
+    return Material(young, nu, heavy, law, ratio)
 
 
 def in_time(
@@ -183,17 +187,38 @@ def bonded_block(draw: Draw, name: str, size: tuple[float, float, float]) -> Tet
     return _maybe_slivers(draw, name, mesh)
 
 
-def glued_gel(
-    draw: Draw, size: tuple[float, float, float], stuff: str = "gel", rubs: str = "friction",
-    young_pa: Range = (1e3, 1e9), density: Range = (100.0, 1e4), **options: Any,
-) -> SoftBody:  # fmt: skip
-    """A gel glued below of any element; ``stuff``, ``rubs``: what its material and its friction are
-    drawn as; ``options``: of ``SoftBody``."""
-    return SoftBody(
-        bonded_block(draw, "gel", size), material(draw, stuff, young_pa, density),
-        element=draw.choose("element", ELEMENTS), friction_coefficient=friction(draw, rubs),
-        **options,
-    )  # fmt: skip
+def soft_body(
+    draw: Draw,
+    mesh: TetMesh,
+    held: np.ndarray | None = None,
+    young_pa: Range = (1e3, 1e9),
+    density: Range = (100.0, 1e4),
+    stuff: str = "material",
+) -> SoftBody:
+    """A body of any element; ``held``: bonded nodes, those of the mesh when None."""
+    of = material(draw, stuff, young_pa, density)
+    return SoftBody(mesh, of, held, element=draw.choose("element", ELEMENTS))
+
+
+def glued_gel(draw: Draw, size: Vector, rubs: str = "friction", **drawn: Any) -> SoftBody:
+    """A gel glued below; ``rubs``: what its friction is drawn as; ``drawn``: of ``soft_body``."""
+    gel = soft_body(draw, bonded_block(draw, "gel", size), **{"stuff": "gel", **drawn})
+    return replace(gel, friction_coefficient=friction(draw, rubs))
+
+
+def stiff_body(
+    shape: TriangleMesh,
+    density: float,
+    mu: float,
+    at: np.ndarray | None = None,
+    velocity: Vector = (0.0, 0.0, 0.0),
+    spin: Vector = (0.0, 0.0, 0.0),
+    young_pa: float = 1e9,
+    name: str = "body",
+) -> AffineBody:
+    """A free body at a pose; velocity [m/s] and spin [rad/s]."""
+    body = AffineBody(shape, density, young_pa, name, mu, initial_pose=at)
+    return replace(body, initial_velocity_m_s=velocity, initial_spin_rad_s=spin)
 
 
 def free_block(draw: Draw, name: str, size: tuple[float, float, float]) -> TetMesh:
@@ -214,12 +239,10 @@ def thrown_body(
     draw: Draw, name: str, mesh: TetMesh, at: np.ndarray, velocity_m_s: tuple[float, float, float]
 ) -> SoftBody:
     """A soft body that flies."""
-    return SoftBody(
-        mesh, material(draw, name), FREE, name=name,
-        element=draw.choose(f"{name} element", ELEMENTS),
-        friction_coefficient=friction(draw, f"friction of {name}"), initial_pose=at,
-        initial_velocity_m_s=velocity_m_s,
-    )  # fmt: skip
+    body = SoftBody(mesh, material(draw, name), FREE, name=name)
+    body = replace(body, element=draw.choose(f"{name} element", ELEMENTS), initial_pose=at)
+    mu = friction(draw, f"friction of {name}")
+    return replace(body, friction_coefficient=mu, initial_velocity_m_s=velocity_m_s)
 
 
 def _maybe_slivers(draw: Draw, name: str, mesh: TetMesh) -> TetMesh:

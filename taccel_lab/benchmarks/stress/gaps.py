@@ -131,12 +131,7 @@ def edge_edge_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     p, q = first[:, 0], second[:, 0]
     u, v = first[:, 1] - p, second[:, 1] - q
     best = np.full(len(p), np.inf)
-    for point, origin, edge in (
-        (p, q, v),
-        (first[:, 1], q, v),
-        (q, p, u),
-        (second[:, 1], p, u),
-    ):
+    for point, origin, edge in ((p, q, v), (first[:, 1], q, v), (q, p, u), (second[:, 1], p, u)):
         offset = point - origin
         t = np.clip((offset * edge).sum(1) / (edge * edge).sum(1), 0, 1)
         best = np.minimum(best, np.linalg.norm(offset - t[:, None] * edge, axis=1))

@@ -368,12 +368,16 @@ def take(
     load, friction = state.external_forces, solver.friction
     watched = outputs.update(state).energies if watch_energy else {}
     return Taken(
-        report=report, before=before, now=Snapshot.of(state), target=target,
+        report=report,
+        before=before,
+        now=Snapshot.of(state),
+        target=target,
         pairs=[solver.collisions.snapshot(env) for env in range(solver.model.env_count)],
         frozen=None if friction is None else friction.frozen,
         static_m=np.zeros(0) if friction is None else friction.eps_u_m.numpy().copy(),
-        normal=outputs.normal_forces.numpy(), friction=outputs.friction_forces.numpy(),
+        normal=outputs.normal_forces.numpy(),
+        friction=outputs.friction_forces.numpy(),
         load=np.zeros_like(before.positions) if load is None else load.numpy().copy(),
         energies={name: value.copy() for name, value in watched.items()},
         energies_before=earlier.energies if earlier else {},
-    )  # fmt: skip
+    )

@@ -209,11 +209,7 @@ which no signal is heard."""
 
 
 def run_all(
-    cases: Sequence[CaseId],
-    device: str,
-    jobs: int,
-    seconds: float,
-    run: RunCase = run_case,
+    cases: Sequence[CaseId], device: str, jobs: int, seconds: float, run: RunCase = run_case
 ) -> Generator[dict[str, Any], None, None]:
     """Results of the cases as they come, from ``jobs`` processes. Closing this ends them."""
     work = partial(_run, run, device, seconds)

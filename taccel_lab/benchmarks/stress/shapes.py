@@ -50,10 +50,7 @@ def cone(radius: float, height: float, segments: int) -> TriangleMesh:
     tip, top = segments, segments + 1
     i, j = np.arange(segments), (np.arange(segments) + 1) % segments
     faces = np.concatenate(
-        [
-            np.stack([j, i, np.full(segments, tip)], 1),
-            np.stack([i, j, np.full(segments, top)], 1),
-        ]
+        [np.stack([j, i, np.full(segments, tip)], 1), np.stack([i, j, np.full(segments, top)], 1)]
     )
     return TriangleMesh(np.concatenate([ring, [[0, 0, 0], [0, 0, height]]]), faces)
 

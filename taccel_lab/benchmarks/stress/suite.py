@@ -123,12 +123,10 @@ def table(summary: dict[str, Any]) -> str:
         said = ", ".join(f"{name} {count}" for name, count in summary["referees"].items())
         parts.append(f"Referees that objected (cases): {said}.")
     if summary["failing"]:
-        rows = [
-            (f"`{item['case']}`", item["outcome"], item["newton_iterations"],
-             item["says"].replace("|", "/"))
-            for item in summary["failing"]
-        ]  # fmt: skip
-        parts.append(markdown_table(("case", "outcome", "Newton iterations", "what"), rows))
+        names = ("case", "outcome", "newton_iterations", "says")
+        rows = [[str(item[name]) for name in names] for item in summary["failing"]]
+        cells = [(f"`{case}`", *rest, says.replace("|", "/")) for case, *rest, says in rows]
+        parts.append(markdown_table(("case", "outcome", "Newton iterations", "what"), cells))
     return "\n\n".join(parts)
 
 

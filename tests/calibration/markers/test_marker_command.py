@@ -200,7 +200,6 @@ def test_captures_become_a_block_a_report_and_tracks(tmp_path: Path, calibrated)
     assert float(rows[3 * 63]["dx_mm"]) == pytest.approx(12.0 * SCALE, abs=0.01)
 
 
-@pytest.mark.thorough
 def test_the_radius_is_known_better_than_the_dots_differ(tmp_path: Path, calibrated) -> None:
     """By the deviation of a median of 63 and the scale's of 1 %."""
     folder = write_captures(tmp_path / "captures", SCALED + RESTS, [])

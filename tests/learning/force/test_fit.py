@@ -23,12 +23,13 @@ from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.samples import read_samples, split_touches
 from taccel_lab.learning.force.score import outside_rows
 from taccel_lab.learning.force.train import LightDraw, LightSpread, tell, whitening
+from taccel_lab.networks.force_settings import ForceModelConfig
 from taccel_lab.profile import CameraBlock, MarkersBlock, load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.force_network import patch_centers_mm
 from tests.learning.force.conftest import QUICK
-from tests.learning.force.small_touches import TEST, planned, write_touches
-from tests.support.small_data_sets import ASSUMED
+from tests.learning.force.small_touches import COLUMNS, ROWS, TEST, planned, write_touches
+from tests.support.small_data_sets import ASSUMED, SIZE
 
 BRIEF = dataclasses.replace(QUICK, steps=3)
 
@@ -76,10 +77,10 @@ def test_deeper_touches_are_seen(sensor: Path, trained: ForceCalibration, tmp_pa
         assert outside_rows(predicted, dataclasses.replace(config, **limits))[beyond].mean() > 0.7
 
 
-@pytest.mark.thorough
-def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCalibration) -> None:
-    data = Dataset(touches)
-    samples = read_samples(data, np.arange(len(data.episodes)), trained.config)
+def test_labels_are_nominal_and_patches_add_up(sensor: Path, tmp_path: Path) -> None:
+    data = Dataset(write_touches(planned(sensor, episodes=10), tmp_path / "data"))
+    config = ForceModelConfig(*SIZE, columns=COLUMNS, rows=ROWS)
+    samples = read_samples(data, np.arange(len(data.episodes)), config)
     sums = samples.patches_n.sum(axis=(2, 3))
     np.testing.assert_allclose(sums, samples.targets[:, :3], atol=1e-5)
     wrench = data.read("wrench", slice(None))

@@ -7,13 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from taccel_lab.benchmarks.stress.case import Draw, StressCase
-from taccel_lab.benchmarks.stress.families import (
-    grasps,
-    impacts,
-    mechanisms,
-    presses,
-    strains,
-)
+from taccel_lab.benchmarks.stress.families import grasps, impacts, mechanisms, presses, strains
 
 FAMILIES: dict[str, Callable[[Draw], StressCase]] = {
     make.__name__: make

@@ -17,17 +17,11 @@ from taccel_lab.benchmarks.stress.case import (
     in_time,
     material,
     settings,
+    stiff_body,
 )
-from taccel_lab.benchmarks.stress.shapes import (
-    STIFF_SHAPES,
-    about,
-    after,
-    pose,
-    reach,
-    stiff_shape,
-)
+from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
 from taccel_lab.model.embedding import rotate
-from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, SoftBody
+from taccel_lab.scene import Element, KinematicBody, Plane, Scene, SoftBody
 
 GEL = (6e-3, 6e-3, 2e-3)
 
@@ -44,13 +38,11 @@ def _jaws(open_m: float, lift: float = 0.0, turn: float = 0.0) -> np.ndarray:
 def _fingers(draw: Draw, young_pa: tuple[float, float]) -> list[SoftBody]:
     element, mu = draw.choose("element", ELEMENTS), friction(draw)
     stuff = material(draw, "gel", young_pa)
-    return [
-        SoftBody(
-            bonded_block(draw, name, GEL), stuff, name=name, mount=f"{name} jaw", element=element,
-            friction_coefficient=mu,
-        )
+    gels = [
+        SoftBody(bonded_block(draw, name, GEL), stuff, name=name, mount=f"{name} jaw")
         for name in ("left", "right")
-    ]  # fmt: skip
+    ]
+    return [replace(gel, element=element, friction_coefficient=mu) for gel in gels]
 
 
 def throw_and_catch(draw: Draw) -> StressCase:
@@ -59,13 +51,10 @@ def throw_and_catch(draw: Draw) -> StressCase:
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), draw.between("size", 2e-3, 4e-3))
     turn = draw.rotation("turn")
     speed = draw.decades("speed", 0.01, 3.0)
-    away = draw.direction("heading") * speed
-    body = AffineBody(
-        shape, draw.decades("density", 100.0, 2e4), name="body",
-        friction_coefficient=friction(draw, "friction of body"), initial_pose=pose((0, 0, 0), turn),
-        initial_velocity_m_s=(float(away[0]), float(away[1]), float(away[2])),
-        initial_spin_rad_s=(0.0, draw.between("spin", -50, 50), 0.0),
-    )  # fmt: skip
+    away = (draw.direction("heading") * speed).tolist()
+    density, mu = draw.decades("density", 100.0, 2e4), friction(draw, "friction of body")
+    velocity, spin = (away[0], away[1], away[2]), (0.0, draw.between("spin", -50, 50), 0.0)
+    body = stiff_body(shape, density, mu, pose((0, 0, 0), turn), velocity, spin)
     wide = float(np.abs(rotate(turn, shape.vertices_m)[:, 0]).max())
     gap = draw.decades("gap", 1e-5, 3e-4)
     squeeze = draw.between("squeeze", 0.02, 0.3) * GEL[2]
@@ -98,11 +87,9 @@ def ratios(draw: Draw) -> StressCase:
     turn = draw.rotation("turn")
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), 4e-3)
     low, _ = reach(shape, turn)
-    body = AffineBody(
-        shape, draw.decades("density", *density), 1e11 if soft else 1e6, name="body",
-        friction_coefficient=0.5,
-        initial_pose=pose((0, 0, draw.decades("gap", 1e-7, 1e-4) - low), turn),
-    )  # fmt: skip
+    heavy = draw.decades("density", *density)
+    at = pose((0, 0, draw.decades("gap", 1e-7, 1e-4) - low), turn)
+    body = stiff_body(shape, heavy, 0.5, at, young_pa=1e11 if soft else 1e6)
     scene = Scene(gel, affine_bodies=body, time=stepping)
     return StressCase(scene, config, 8, closed=True)
 
@@ -118,13 +105,9 @@ def pile(draw: Draw) -> StressCase:
         turn = draw.rotation(f"turn {number}")
         low, high = reach(shape, turn)
         place = (draw.between(f"x {number}", -5e-4, 5e-4), 0.0, height - low)
-        bodies.append(
-            AffineBody(
-                shape, draw.decades(f"density {number}", 100.0, 2e4), name=f"body {number}",
-                friction_coefficient=mu, initial_pose=pose(place, turn),
-                initial_velocity_m_s=(0.0, 0.0, -0.1 * number),
-            )
-        )  # fmt: skip
+        density, fall = draw.decades(f"density {number}", 100.0, 2e4), (0.0, 0.0, -0.1 * number)
+        at, name = pose(place, turn), f"body {number}"
+        bodies.append(stiff_body(shape, density, mu, at, fall, name=name))
         height += high - low + draw.decades(f"gap {number}", 1e-6, 5e-4)
     gels = []
     floor = Plane(friction_coefficient=0.5)

@@ -6,6 +6,7 @@ edges that are nearly parallel.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from taccel_lab.benchmarks.stress.case import (
     in_time,
     material,
     settings,
+    soft_body,
+    stiff_body,
     thrown_body,
 )
 from taccel_lab.benchmarks.stress.shapes import (
@@ -77,11 +80,11 @@ def soft_impact(draw: Draw) -> StressCase:
     mesh = free_body(draw, "body", size)
     gap = draw.decades("gap", 1e-5, 2e-3)
     low, _ = reach(mesh, turn)
-    body = SoftBody(
-        mesh, material(draw), FREE, name="body", element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw), initial_pose=pose((0, 0, gap - low), turn),
-        initial_velocity_m_s=velocity, self_contact=draw.chance("self-contact", 0.3),
-    )  # fmt: skip
+    body = soft_body(draw, mesh, FREE)
+    mu, at = friction(draw), pose((0, 0, gap - low), turn)
+    body = replace(body, name="body", friction_coefficient=mu, initial_pose=at)
+    folds = draw.chance("self-contact", 0.3)
+    body = replace(body, initial_velocity_m_s=velocity, self_contact=folds)
     onto = draw.choose("onto", ("floor", "ridge", "point"))
     steps = _steps(draw, gap, -velocity[2], stepping.dt_s)
     if onto == "floor":
@@ -97,11 +100,9 @@ def soft_impact(draw: Draw) -> StressCase:
 
 def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), size, draw.seed("shape seed"))
-    return AffineBody(
-        shape, draw.decades("density", low_density, 2e4), draw.decades("young of body", 1e6, 1e11),
-        name="body", friction_coefficient=friction(draw), initial_velocity_m_s=_fall(draw),
-        initial_spin_rad_s=_spin(draw),
-    )  # fmt: skip
+    density = draw.decades("density", low_density, 2e4)
+    young = draw.decades("young of body", 1e6, 1e11)
+    return stiff_body(shape, density, friction(draw), None, _fall(draw), _spin(draw), young)
 
 
 def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
@@ -183,26 +184,20 @@ def thin_gap(draw: Draw) -> StressCase:
     onto = draw.choose("onto", ("floor", "plate", "gel"))
     place = (draw.between("x", -1e-3, 1e-3), draw.between("y", -1e-3, 1e-3), gap + side / 2)
     heading = about((0, 0, 1), draw.between("heading", 0, np.pi))
-    mu = friction(draw)
-    down = -draw.decades("speed", 1e-4, 1.0)
+    thrown: dict[str, Any] = {
+        "name": "body",
+        "friction_coefficient": friction(draw),
+        "initial_pose": pose(place, heading),
+        "initial_velocity_m_s": (0.0, 0.0, -draw.decades("speed", 1e-4, 1.0)),
+    }
     soft, stiff, kinematic, planes = [], [], [], []
     if draw.chance("soft", 0.5):
-        soft.append(
-            SoftBody(
-                soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed")), material(draw),
-                FREE, name="body", element=draw.choose("element", ELEMENTS),
-                friction_coefficient=mu, initial_pose=pose(place, heading),
-                initial_velocity_m_s=(0.0, 0.0, down),
-            )
-        )  # fmt: skip
+        mesh = soft_box((2, 2, 2), (side, side, side), 0.1, draw.seed("seed"))
+        stuff, element = material(draw), draw.choose("element", ELEMENTS)
+        soft.append(SoftBody(mesh, stuff, FREE, element=element, **thrown))
     else:
-        stiff.append(
-            AffineBody(
-                stiff_shape("box", side), draw.decades("density", 100.0, 2e4), name="body",
-                friction_coefficient=mu, initial_pose=pose(place, heading),
-                initial_velocity_m_s=(0.0, 0.0, down),
-            )
-        )  # fmt: skip
+        density = draw.decades("density", 100.0, 2e4)
+        stiff.append(AffineBody(stiff_shape("box", side), density, **thrown))
     start = None
     if onto == "floor":
         planes.append(Plane(friction_coefficient=0.5))
@@ -210,13 +205,9 @@ def thin_gap(draw: Draw) -> StressCase:
         kinematic.append(KinematicBody(stiff_shape("box", 2 * side), 0.5, name="plate"))
         start = pose((0, 0, -side))[None, None]
     else:
-        mesh = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3))
-        soft.append(
-            SoftBody(
-                mesh, material(draw, "gel"), name="gel", friction_coefficient=0.5,
-                element=Element.LINEAR,
-            )
-        )  # fmt: skip
+        mesh, stuff = bonded_block(draw, "gel", (8e-3, 8e-3, 3e-3)), material(draw, "gel")
+        gel = SoftBody(mesh, stuff, name="gel", friction_coefficient=0.5, element=Element.LINEAR)
+        soft.append(gel)
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
     return StressCase(scene, config, 4, start, closed=True)
 
@@ -234,11 +225,8 @@ def parallel_edges(draw: Draw) -> StressCase:
     heading = after(
         about((1, 0, 0), draw.choose("pitch", (0.0, 1e-7, 1e-4))), about((0, 0, 1), angle)
     )
-    body = AffineBody(
-        upper, draw.decades("density", 100.0, 2e4), name="upper",
-        friction_coefficient=friction(draw), initial_pose=pose((shift, 0, gap + 2.5e-7), heading),
-        initial_velocity_m_s=(0.0, 0.0, down),
-    )  # fmt: skip
+    density, at = draw.decades("density", 100.0, 2e4), pose((shift, 0, gap + 2.5e-7), heading)
+    body = stiff_body(upper, density, friction(draw), at, (0.0, 0.0, down), name="upper")
     over = about((1, 0, 0), np.pi)
     rest = KinematicBody(lower, 0.5, name="lower")
     start = pose((0, 0, 0), over)[None, None]

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from taccel_lab.benchmarks.stress.case import (
-    ELEMENTS,
     Draw,
     StressCase,
     bonded_block,
@@ -18,6 +18,8 @@ from taccel_lab.benchmarks.stress.case import (
     material,
     maybe_in_time,
     settings,
+    soft_body,
+    stiff_body,
 )
 from taccel_lab.benchmarks.stress.shapes import STIFF_SHAPES, about, after, pose, reach, stiff_shape
 from taccel_lab.bodies.bodies import Surface
@@ -48,27 +50,22 @@ def _drive(draw: Draw, name: str, turning: bool) -> PositionDrive | VelocityDriv
     kind = draw.choose(f"{name} drive", ("none", "position", "velocity"))
     if kind == "none":
         return None
-    effort = (
-        math.inf
-        if draw.chance(f"{name} is strong", 0.5)
-        else draw.decades(f"{name} effort", 1e-6, 1.0)
-    )
+    strong = draw.chance(f"{name} is strong", 0.5)
+    effort = math.inf if strong else draw.decades(f"{name} effort", 1e-6, 1.0)
     # A torque of 1e-5 N m turns a link of some grams at once; a force of 1 N moves it.
-    scale = 1e-5 if turning else 10.0
+    scale, rate, reach = (1e-5, 200.0, 4.0) if turning else (10.0, 1.0, 5e-3)
     stiffness = scale * draw.decades(f"{name} stiffness", 1e-2, 1e4)
     if kind == "velocity":
-        rate = (
-            draw.between(f"{name} rate", -200, 200)
-            if turning
-            else draw.between(f"{name} rate", -1, 1)
-        )
-        return VelocityDrive(1e-2 * stiffness, rate, effort)
-    target = (
-        draw.between(f"{name} target", -4, 4)
-        if turning
-        else draw.between(f"{name} target", -5e-3, 5e-3)
-    )
+        return VelocityDrive(1e-2 * stiffness, draw.between(f"{name} rate", -rate, rate), effort)
+    target = draw.between(f"{name} target", -reach, reach)
     return PositionDrive(stiffness, 1e-3 * stiffness, target, effort)
+
+
+MOVING: dict[str, tuple[type[RevoluteJoint] | type[PrismaticJoint], str, float, float]] = {
+    "hinge": (RevoluteJoint, "limits_deg", 2, 150),
+    "slider": (PrismaticJoint, "limits_mm", 0.1, 3),
+}
+"""Joints that move, and their limits: how they are given, the least and the most."""
 
 
 def mechanism(draw: Draw) -> StressCase:
@@ -81,36 +78,23 @@ def mechanism(draw: Draw) -> StressCase:
     for number in range(count):
         name = f"link {number}"
         x = (number + 0.5) * 1.2 * LINK[0]
-        bodies.append(
-            AffineBody(
-                box_mesh(LINK), draw.decades(f"density {number}", 100.0, 2e4), name=name,
-                friction_coefficient=0.3, initial_pose=pose((x, 0, 0)),
-            )
-        )  # fmt: skip
+        density, at = draw.decades(f"density {number}", 100.0, 2e4), pose((x, 0, 0))
+        bodies.append(stiff_body(box_mesh(LINK), density, 0.3, at, name=name))
         anchor = np.array([number * 1.2 * LINK[0], 0.0, 0.0])
         kind = draw.choose(f"joint {number}", ("hinge", "hinge", "slider", "weld"))
         title = f"joint {number}"
         axis = draw.direction(f"axis {number}")
         if kind == "weld":
             joints.append(FixedJoint(name, second, anchor, name=title))
-        elif kind == "hinge":
-            half = draw.between(f"limit {number}", 2, 150)
-            limits = (-half, half) if draw.chance(f"limited {number}", 0.6) else None
-            drive = _drive(draw, title, True)
-            joints.append(
-                RevoluteJoint(
-                    name, second, anchor, axis, name=title, limits_deg=limits, drive=drive
-                )
-            )
         else:
-            half = draw.between(f"limit {number}", 0.1, 3)
-            limits = (-half, half) if draw.chance(f"limited {number}", 0.6) else None
-            drive = _drive(draw, title, False)
-            joints.append(
-                PrismaticJoint(
-                    name, second, anchor, axis, name=title, limits_mm=limits, drive=drive
-                )
-            )
+            joint, limits, least, most = MOVING[kind]
+            half = draw.between(f"limit {number}", least, most)
+            limited = draw.chance(f"limited {number}", 0.6)
+            given = {
+                limits: (-half, half) if limited else None,
+                "drive": _drive(draw, title, kind == "hinge"),
+            }
+            joints.append(joint(name, second, anchor, axis, name=title, **given))
         second = name
     floor = Plane((0.0, 0.0, -draw.between("floor", 1.2e-3, 8e-3)), friction_coefficient=0.5)
     scene = Scene(affine_bodies=bodies, joints=joints, planes=floor, time=stepping)
@@ -157,7 +141,8 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
 def jump(draw: Draw) -> StressCase:
     """A gel on a mount that jumps and turns at random, by up to its own size, onto what rests."""
     config, stepping = settings(draw), maybe_in_time(draw)
-    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e3, 1e8), mount="hand")
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), stuff="material", young_pa=(1e3, 1e8))
+    gel = replace(gel, mount="hand")
     rest = KinematicBody(
         stiff_shape(draw.choose("shape", STIFF_SHAPES), 4e-3),
         friction(draw, "friction of rest"),
@@ -210,14 +195,13 @@ def batch(draw: Draw) -> StressCase:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 2e-2))
-    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), "material", young_pa=(1e4, 1e7))
+    gel = glued_gel(draw, (5e-3, 5e-3, 2e-3), stuff="material", young_pa=(1e4, 1e7))
     turn = draw.rotation("turn")
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), 2e-3)
     low, high = reach(shape, turn)
-    cube = AffineBody(
-        box_mesh((1e-3, 1e-3, 1e-3)), name="cube", friction_coefficient=0.5,
-        initial_pose=pose((1.8e-3, 1.8e-3, 5.1e-4)), surface=Surface(environments=(0, 2)),
-    )  # fmt: skip
+    at = pose((1.8e-3, 1.8e-3, 5.1e-4))
+    cube = stiff_body(box_mesh((1e-3, 1e-3, 1e-3)), 1000.0, 0.5, at, name="cube")
+    cube = replace(cube, surface=Surface(environments=(0, 2)))
     depth = draw.between("depth", 0.05, 0.3) * 2e-3
     top = 1.1 * config.dhat_m - low
     ends = [-depth - low, top - 1e-4, -5e-3 - high, top]
@@ -234,10 +218,7 @@ def resting(draw: Draw) -> StressCase:
     """A gel as soft as pudding, with slivers, sags under its own weight for some large steps."""
     config = settings(draw)
     stepping = in_time(draw, dt_s=(1e-2, 1e-1))
-    gel = SoftBody(
-        bonded_block(draw, "gel", (2e-2, 2e-2, 1e-2)),
-        material(draw, young_pa=(1e3, 1e4), density=(1e3, 1e4)),
-        element=draw.choose("element", ELEMENTS),
-    )
+    mesh = bonded_block(draw, "gel", (2e-2, 2e-2, 1e-2))
+    gel = soft_body(draw, mesh, young_pa=(1e3, 1e4), density=(1e3, 1e4))
     plane = Plane((0.0, 0.0, -1.2e-2))
     return StressCase(Scene(gel, planes=plane, time=stepping), config, 6, closed=True)

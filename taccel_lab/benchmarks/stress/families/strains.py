@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from taccel_lab.benchmarks.stress.case import (
-    ELEMENTS,
     FREE,
     Draw,
     StressCase,
@@ -16,6 +17,7 @@ from taccel_lab.benchmarks.stress.case import (
     material,
     maybe_in_time,
     settings,
+    soft_body,
 )
 from taccel_lab.benchmarks.stress.shapes import about, after, pose, reach, soft_box
 from taccel_lab.scene import Element, KinematicBody, Plane, Scene, SoftBody, box_mesh
@@ -61,10 +63,8 @@ def swing(draw: Draw) -> StressCase:
     config = settings(draw)
     mesh = soft_box((6, 2, 2), (8e-3, 1.5e-3, 1.5e-3), 0.1, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -4e-3 + 1e-9)
-    bar = SoftBody(
-        mesh, material(draw, young_pa=(1e4, 1e9)), held, mount="mount",
-        element=draw.choose("element", ELEMENTS), self_contact=draw.chance("self-contact", 0.5),
-    )  # fmt: skip
+    bar = soft_body(draw, mesh, held, (1e4, 1e9))
+    bar = replace(bar, mount="mount", self_contact=draw.chance("self-contact", 0.5))
     stepping = maybe_in_time(draw)
     axis = draw.direction("axis")
     jump = draw.direction("jump") * draw.decades("jump size", 1e-5, 1e-2)
@@ -83,11 +83,11 @@ def squeeze(draw: Draw) -> StressCase:
     side = 2e-3
     mesh = free_block(draw, "block", (side, side, side))
     stepping = in_time(draw)
-    block = SoftBody(
-        mesh, material(draw, young_pa=(1e3, 1e8)), FREE, element=draw.choose("element", ELEMENTS),
-        self_contact=True, friction_coefficient=friction(draw),
-        initial_pose=pose((0, 0, side / 2 + 1.5 * config.dhat_m)),
-    )  # fmt: skip
+    block, at = (
+        soft_body(draw, mesh, FREE, (1e3, 1e8)),
+        pose((0, 0, side / 2 + 1.5 * config.dhat_m)),
+    )
+    block = replace(block, self_contact=True, friction_coefficient=friction(draw), initial_pose=at)
     lowest, steps = draw.between("lowest part", 0.25, 0.8), draw.whole("steps", 2, 8)
     plate = KinematicBody(box_mesh((8e-3, 8e-3, 0.5e-3)), friction(draw, "friction of plate"))
     top = side + 3 * config.dhat_m + 0.25e-3
@@ -104,10 +104,8 @@ def fold(draw: Draw) -> StressCase:
     long, high = 8e-3, 0.4e-3
     mesh = soft_box((14, 2, 1), (long, 1.5e-3, high), 0.1, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -2e-3)
-    strip = SoftBody(
-        mesh, material(draw, young_pa=(1e3, 1e7)), held, element=draw.choose("element", ELEMENTS),
-        self_contact=True, friction_coefficient=friction(draw),
-    )  # fmt: skip
+    strip = soft_body(draw, mesh, held, (1e3, 1e7))
+    strip = replace(strip, self_contact=True, friction_coefficient=friction(draw))
     bar = KinematicBody(box_mesh((0.6e-3, 3e-3, 0.6e-3)), friction(draw, "friction of bar"))
     # About the end of the glued part, from below to nearly flat.
     steps, last = draw.whole("steps", 6, 14), draw.between("last angle", 1.5, 2.7)
@@ -128,11 +126,10 @@ def pull(draw: Draw) -> StressCase:
     config = settings(draw)
     mesh = soft_box((5, 2, 2), (6e-3, 1.5e-3, 1.5e-3), 0.15, draw.seed("seed"))
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -3e-3 + 1e-9)
-    stuff = material(draw)
-    body = SoftBody(mesh, stuff, held, element=draw.choose("element", ELEMENTS))
+    body = soft_body(draw, mesh, held)
     stepping = in_time(draw)
     strain = draw.decades("force over stiffness", 1e-3, 3.0)
-    total = strain * stuff.young_modulus_pa * 1.5e-3**2 * draw.direction("direction")
+    total = strain * body.material.young_modulus_pa * 1.5e-3**2 * draw.direction("direction")
 
     def prepare(solver: SolverIPC, state: State, step: int) -> None:
         x = solver.model.rest_positions.numpy()[0]
@@ -150,11 +147,11 @@ def roll_over(draw: Draw) -> StressCase:
     config = settings(draw, (1e-5, 1e-4))
     side = 3e-3
     mesh = free_block(draw, "block", (side, side, side))
-    block = SoftBody(
-        mesh, material(draw, young_pa=(1e3, 1e8)), FREE, element=draw.choose("element", ELEMENTS),
-        friction_coefficient=friction(draw),
-        initial_pose=pose((0, 0, side / 2 + 0.5 * config.dhat_m)),
-    )  # fmt: skip
+    block, at = (
+        soft_body(draw, mesh, FREE, (1e3, 1e8)),
+        pose((0, 0, side / 2 + 0.5 * config.dhat_m)),
+    )
+    block = replace(block, friction_coefficient=friction(draw), initial_pose=at)
     tilt = about(draw.direction("tilt axis"), draw.between("tilt", 0, 0.1))
     shape = box_mesh((9e-3, 9e-3, 0.5e-3))
     plate = KinematicBody(shape, draw.between("friction of plate", 0, 2), name="plate")
