@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Envs:
-    """For kernels, whose first index is a place.
+    """Environments of a launch for its kernel, whose first index is a place.
 
     mask: environments that take part, 0 or 1, [env_count].
     listed: environment of each place, [places]; without a list empty: place e is environment e.
