@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from taccel_lab.solvers.env_progress import FEW, SOME, Progress
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -128,7 +128,7 @@ def go_on(env: int, p: Progress):
         elif p.flags.rounds[0] < p.flags.most_rounds[0]:
             before = wp.atomic_add(p.flags.going, 0, 1)
             p.flags.running[0] = 1
-            if before >= wp.static(FEW):
+            if before >= p.rules.few:
                 p.flags.some_running[0] = 1
-            if before >= wp.static(SOME):
+            if before >= p.rules.some:
                 p.flags.many_running[0] = 1

@@ -8,12 +8,14 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model import Model
+from taccel_lab.model.env_lists import EnvList
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.step_report import ReportBlock
 
 FEW, SOME = 64, 512
-"""Environments that have a list, and launches of their own size, once no more are left."""
+"""Environments that have a list, and launches of their own size, once no more are left of a batch
+twice as large."""
 LARGEST_BOOST = 64.0
 """Longest step along Newton's direction where CG solves: the way off a saddle."""
 FOLLOW_AFTER = 1
@@ -44,6 +46,9 @@ class Rules:
     has_friction: wp.int32
     follow_after: wp.int32
     """Freezings of a step before its directions follow friction."""
+    few: wp.int32
+    some: wp.int32
+    """Environments that stand on a list once no more are left."""
     largest_boost: wp.float64
     """Longest step along Newton's direction, off a saddle."""
 
@@ -266,13 +271,13 @@ class Flags:
     going: wp.array(dtype=wp.int32)
     """How many environments are active and have rounds left."""
     running: wp.array(dtype=wp.int32)
-    """Whether any is; ``some_running``: more than ``FEW``; ``many_running``: more than ``SOME``."""
+    """Whether any is; ``some_running``: more than ``few``; ``many_running``: more than ``some``."""
     some_running: wp.array(dtype=wp.int32)
     many_running: wp.array(dtype=wp.int32)
     searching: wp.array(dtype=wp.int32)
     """How many line searches go on."""
     many_searching: wp.array(dtype=wp.int32)
-    """Whether more than ``FEW`` do."""
+    """Whether more than ``few`` do."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     following: wp.array(dtype=wp.int32)
@@ -389,6 +394,14 @@ class EnvProgress:
         self.again &= ~who
 
 
+def list_places(model: Model) -> tuple[EnvList | None, EnvList | None]:
+    """Places for the environments of a step when few are left, and when some are."""
+    few, some = (
+        EnvList(size, model.device) if model.env_count >= 2 * size else None for size in (FEW, SOME)
+    )
+    return few, some
+
+
 def follow_after(model: Model) -> int:
     """Freezings before directions follow friction, in the batch that a model is."""
     if model.device.is_cuda and model.env_count > 1:
@@ -421,5 +434,6 @@ def make_rules(
     rules.has_joints = int(joint_tolerance_m is not None)
     rules.has_friction = int(has_friction)
     rules.follow_after = follow_after
+    rules.few, rules.some = FEW, SOME
     rules.largest_boost = 1.0 if turns_pivots else LARGEST_BOOST
     return rules

@@ -16,7 +16,7 @@ from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_
 from taccel_lab.model.env_lists import Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
-from taccel_lab.solvers.env_progress import FEW, Progress
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.limit_step import longest
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
@@ -94,7 +94,7 @@ def _open_search_kernel(
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)
             search_on(env, collisions, p)
-            if wp.atomic_add(p.flags.searching, 0, 1) >= wp.static(FEW):
+            if wp.atomic_add(p.flags.searching, 0, 1) >= p.rules.few:
                 p.flags.many_searching[0] = 1
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
@@ -179,7 +179,7 @@ def judge_trial(env: int, collisions: ListRoom, p: Progress):
         else:
             search_on(env, collisions, p)
     if p.phases.phase[env] != SEARCHING:
-        if wp.atomic_sub(p.flags.searching, 0, 1) == wp.static(FEW + 1):
+        if wp.atomic_sub(p.flags.searching, 0, 1) == p.rules.few + 1:
             p.flags.many_searching[0] = 0
 
 

@@ -28,11 +28,15 @@ from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential, StepMotion, step_motion
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.model import Model
-from taccel_lab.model.env_lists import EnvList
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import Scratch, launch
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.env_progress import FEW, SOME, EnvProgress, follow_after, make_rules
+from taccel_lab.solvers.env_progress import (
+    EnvProgress,
+    follow_after,
+    list_places,
+    make_rules,
+)
 from taccel_lab.state import State, StepHistory, no_viscous_strain
 
 wp.set_module_options({"enable_backward": False})
@@ -256,11 +260,7 @@ class SolverParts:
             rules,
             device,
         )
-        few, some = model.env_count >= 2 * FEW, model.env_count >= 2 * SOME
-        self.few_places = EnvList(FEW, device) if few else None
-        """Places of the environments of a step when few are left."""
-        self.some_places = EnvList(SOME, device) if some else None
-        """Likewise when some are."""
+        self.few_places, self.some_places = list_places(model)
         self.share_energies()
 
     @property

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.benchmarks.learning import Learning, LearningLoop
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.model.build import build_model
 from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, TimeStepping
-from taccel_lab.solvers import SolverIPC
+from taccel_lab.solvers import SolverIPC, env_progress
 from taccel_lab.state import State
 from tests.solvers.driven_grasp import base_poses, driven_grasp
 from tests.solvers.steps import Begun, begun, left, stepped
@@ -21,6 +23,7 @@ from tests.support.blocks import cube, pose, soft_block
 from tests.support.variants import variants
 
 STEPS = range(1, 6)
+PEGS = 5
 FALLING = TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81))
 HAND = KinematicBody(None, name="hand")
 RUBS = {"friction_coefficient": 0.5}
@@ -200,3 +203,31 @@ def test_contact_in_the_pattern_changes_no_result(make: Callable[[], Scene], met
         counts.append(model.pattern.block_count)
     np.testing.assert_allclose(*ends, atol=1e-10 if make is cube_on_a_gel else 1e-9)
     assert extras[0] > 0 == extras[1] and counts[1] > counts[0]
+
+
+# Lists of those that are left -------------------------------------------------------------------
+
+
+def pegs(own_pace: bool, few: int, some: int, monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """Pegs between gels, each in its own phase, and what their steps took."""
+    monkeypatch.setattr(env_progress, "FEW", few)
+    monkeypatch.setattr(env_progress, "SOME", some)
+    options = Learning(device="cpu", envs=(PEGS,), source="generated", offset_mm=0.3)
+    bench = build_scene("peg", SceneOptions(PEGS, "generated", {}))
+    loop = LearningLoop(bench, options, "own" if own_pace else "together")
+    loop.phases.now[:] = 20 * np.arange(PEGS)
+    places = (loop.solver.few_places, loop.solver.some_places)
+    assert [one is not None for one in places] == [2 * few <= PEGS, 2 * some <= PEGS]
+    motion = loop.run(2)
+    found = [loop.solver.work.positions.numpy(), loop.solver.contact_gradient.numpy()]
+    return [*found, motion.of("newton_iterations"), motion.of("ccd_passes")]
+
+
+@pytest.mark.parametrize("own_pace", [False, True])
+def test_lists_of_those_left_change_no_bit(own_pace: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = pegs(own_pace, 64, 512, monkeypatch)
+    newton, checks = expected[2:]
+    assert newton.max() > 2 * newton.min(), "all take as long"
+    assert checks.sum() < 1.6 * newton.sum(), "trials are checked again"
+    for found, known in zip(pegs(own_pace, 1, 2, monkeypatch), expected, strict=True):
+        np.testing.assert_array_equal(found, known)

@@ -29,7 +29,9 @@ NODES_M = np.array([[-1, 0, 0], [1, 0, 0], [0, 1, 2], [0, -1, 2]]) * HALF_M
 RIDGES = [0, 1, 4, 5]
 
 
-def limits(x: np.ndarray, dx: np.ndarray, thickness_m: float = 0.0) -> np.ndarray:
+def limits(
+    x: np.ndarray, dx: np.ndarray, thickness_m: float = 0.0, most: float = 1.0
+) -> np.ndarray:
     bodies = [
         SoftBody(
             TetMesh(NODES_M, TETS, FACES, np.zeros(len(FACES), dtype=np.int64)),
@@ -44,7 +46,7 @@ def limits(x: np.ndarray, dx: np.ndarray, thickness_m: float = 0.0) -> np.ndarra
     ]
     time, count = TimeStepping(quasi_static=False), len(x)
     model = Scene(bodies, env_count=count, time=time).finalize()
-    flags, found = wp.full(count, 1, dtype=wp.int32), wp.full(count, 1.0, dtype=wp.float64)
+    flags, found = wp.full(count, 1, dtype=wp.int32), wp.full(count, most, dtype=wp.float64)
     positions, way = wp.array(x, dtype=wp.vec3d), wp.array(dx, dtype=wp.vec3d)
     poses = wp.zeros((count, 0), dtype=wp.transformd)
     candidates = Candidates(model)
@@ -140,6 +142,17 @@ def test_ridges_that_pass_or_part_do_not_stop() -> None:
     ridges = Ridges(rng, rng.uniform(0.5, 2.5, 100), gap)
     assert np.all(limits(ridges.x, ridges.closing(-3 * gap)) == 1.0)
     assert np.all(limits(ridges.x, ridges.closing(0 * gap, 0.1 * HALF_M)) == 1.0)
+
+
+def test_a_limit_that_is_known_is_only_lowered() -> None:
+    """What may be taken of a way says up to where pairs are looked at."""
+    rng = np.random.default_rng(5)
+    gap = 10.0 ** rng.uniform(-6, -4, 100)
+    ridges = Ridges(rng, rng.uniform(0.5, 2.5, 100), gap)
+    way = ridges.closing(gap * rng.uniform(0.5, 20, 100))
+    alone = limits(ridges.x, way)
+    np.testing.assert_array_equal(limits(ridges.x, way, most=0.08), np.minimum(alone, 0.08))
+    assert 20 < (alone > 0.08).sum() < 80
 
 
 def test_the_thickness_of_a_corner_and_of_a_face_is_kept() -> None:
