@@ -20,6 +20,7 @@ IDENTITY = {
     ),
     "stress": ("family",),
     "captures": ("set", "command", "figure"),
+    "slow_steps": ("group",),
     "images": ("size", "sensors"),
     "readings": ("size", "at_once"),
 }  # fmt: skip

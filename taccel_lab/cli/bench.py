@@ -13,6 +13,7 @@ from typing import Protocol
 COMMANDS = {
     "speed": "speed:Speed",
     "learning": "learning:Learning",
+    "slow_steps": "slow_steps:SlowSteps",
     "press_accuracy": "press_accuracy:PressAccuracy",
     "stress": "stress.suite:Stress",
     "captures": "capture_sets:Captures",
