@@ -34,7 +34,7 @@ class Workshop:
     name: str
     folder: Path
     solid: LabelledSolid | None
-    """None of a gel that is too many triangles for the CAD kernel; only its mesh is written."""
+    """None of a gel of triangles of which nobody asks for files; only its mesh is written."""
     surface: LabelledSurface
     layers: Mapping[str, LabelledSolid]
     """The gel's layers by name, core first."""
@@ -43,6 +43,8 @@ class Workshop:
     """Name -> (value, unit) for the table of a drawing."""
     stiffness: str = ""
     """How hard the gel is, in words for its drawing."""
+    faceted: str = ""
+    """How the solid stands for triangles of a file, in words; empty for an exact one."""
     issue: Issue | None = None
     """Revision and date on drawings."""
     files: dict[str, str] = field(default_factory=dict)
@@ -136,6 +138,7 @@ class Workshop:
             material=material,
             parameters=self.table,
             layers=layers,
+            faceted=self.faceted,
             issue=self.issue,
         ).save(self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf"))
         if self.assembly is not None:
