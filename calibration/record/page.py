@@ -20,6 +20,7 @@ from taccel_lab.calibration.capture.coverage import CELLS, cell_of
 from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.lamps import Lamp
 from taccel_lab.calibration.record.session import Order, SessionStatus
+from taccel_lab.report.live_page import BRAND
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 
 if TYPE_CHECKING:
@@ -228,9 +229,12 @@ def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> floa
     return max(min(wide / image.shape[1], high / image.shape[0]), 1e-3)
 
 
-def wide_panel(server: ViserServer) -> None:
+def wide_panel(server: ViserServer, dark: bool = False) -> None:
     """A panel as wide as there is, always there: it has pictures of its own."""
-    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    server.gui.configure_theme(
+        control_width="large", dark_mode=dark, show_logo=False, show_share_button=False,
+        brand_color=BRAND,
+    )  # fmt: skip
     server.gui.main_panel.dock_right()
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SHOWN = 40
 """Most designs of the table at the end."""
-_MOST_METRICS = 6
+_MOST_METRICS = 4
 """Most metrics of that table, the first ones that the study names."""
 
 
@@ -121,7 +121,7 @@ def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
     if goal is not None:
         metrics = [goal, *(name for name in metrics if name != goal)][:_MOST_METRICS]
     units = {name: outcome.study.metrics[name].unit for name in metrics}
-    columns = [name if units[name] == "1" else f"{name} [{units[name]}]" for name in metrics]
+    columns = [name if units[name] == "1" else f"{name}\n[{units[name]}]" for name in metrics]
     ordered = _ordered(outcome, goal)
     rows = [(values["names"][row.id], *_cells(outcome, row, metrics)) for row in ordered[:SHOWN]]
     by = f"all designs: {values['goal']}" if goal else "all designs"
