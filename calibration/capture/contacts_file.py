@@ -7,7 +7,6 @@ A line that is replaced stays as a comment, so that the file tells what was said
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -117,16 +116,24 @@ def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None
     return "\n".join(blocks)
 
 
-def with_contact(text: str, press: str, circle: ContactCircle | None, when: str) -> str:
+def with_contact(
+    text: str, names: Sequence[str], press: str, circle: ContactCircle | None, when: str
+) -> str:
     """Contents of a ``contacts.toml`` in which ``press`` has another circle, or is left out.
 
-    Every line stays; those of the press before become comments.
+    Every line stays; those of the press before become comments. ``names`` are the presses of its
+    tables, in order. Raises InputError where the file has others, as entries of one list.
     """
     import tomli_w
 
     lines = text.rstrip("\n").splitlines()
-    for begin, end in _tables(lines):
-        if tomllib.loads("\n".join(lines[begin:end]))["contact"][0].get("press") == press:
+    tables = _tables(lines)
+    if len(tables) != len(names):
+        raise InputError(
+            f"{CONTACTS_NAME} has entries that are no table; write each as [[contact]]"
+        )
+    for name, (begin, end) in zip(names, tables, strict=True):
+        if name == press:
             lines[begin:end] = [f"# until {when}: {line}" for line in lines[begin:end]]
     entry: dict[str, object] = {"press": press}
     if circle is None:
@@ -157,10 +164,10 @@ def save_contact(
 
     Raises InputError where the file is damaged, and where no press would be left.
     """
-    text = HEADER.format(source=printable(str(path.parent)))
+    text, names = HEADER.format(source=printable(str(path.parent))), []
     if path.is_file():
-        override_presses(presses, path)
+        names = list(read_overrides(presses, path))
         text = read_text(path, TOML_LIMIT_BYTES, "a file of contacts")
     with atomic_file(path) as staging:
-        staging.write_text(with_contact(text, name, circle, when), encoding="utf-8")
+        staging.write_text(with_contact(text, names, name, circle, when), encoding="utf-8")
         override_presses(presses, staging)

@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.report.page_text import PageText, add_note
 
 if TYPE_CHECKING:
-    from viser import SceneClickEvent, ViserServer
+    from viser import ClientHandle, SceneClickEvent, ViserServer
 
 SHEET_PX = 1280
 DARK = 25
@@ -141,7 +141,7 @@ class LabelPage:
             gui.add_button(label).on_click(lambda _, order=order: self._act(order))
         self._told = add_note(gui)
         server.scene.on_click()(self._clicked)
-        server.on_client_connect(lambda client: client.camera.on_update(self._turned))
+        server.on_client_connect(self._joined)
         self._act(lambda: None)
 
     def place(self, u_px: float, v_px: float) -> tuple[float, float]:
@@ -179,6 +179,9 @@ class LabelPage:
     def _leave_out(self) -> str:
         self._labelling.leave_out()
         return f"Left out, in {self._labelling.path}. A saved circle brings the press back"
+
+    def _joined(self, client: ClientHandle) -> None:
+        client.camera.on_update(self._turned)
 
     def _turned(self, camera: object) -> None:
         """Draw anew where the window has other proportions."""

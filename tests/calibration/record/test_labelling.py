@@ -129,10 +129,21 @@ def test_folders_without_anything_to_label_are_refused(folder: Path, tmp_path: P
 
 
 def test_a_name_with_odd_characters_survives() -> None:
-    text = with_contact("", 'a "b" \\ ü#[]', WANTED, "now")
-    again = with_contact(text, 'a "b" \\ ü#[]', None, "later")
-    assert tomllib.loads(again)["contact"] == [{"press": 'a "b" \\ ü#[]', "skip": True}]
+    odd = 'a "b" \\ ü#[]'
+    text = with_contact("", [], odd, WANTED, "now")
+    again = with_contact(text, [odd], odd, None, "later")
+    assert tomllib.loads(again)["contact"] == [{"press": odd, "skip": True}]
     assert all(f"# until later: {line}" in again for line in text.splitlines()[1:])
+
+
+def test_entries_of_a_list_are_not_overwritten(folder: Path) -> None:
+    text = 'contact = [{ press = "p0", skip = true }]\n'
+    (folder / "contacts.toml").write_text(text)
+    page = labelling(folder)
+    page.go(1)
+    with pytest.raises(InputError, match=r"write each as \[\[contact\]\]"):
+        page.leave_out()
+    assert (folder / "contacts.toml").read_text() == text
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.5])
