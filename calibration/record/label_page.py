@@ -120,6 +120,7 @@ class LabelPage:
         """Fill the page of ``server``; ``dark``: its background."""
         self._server, self._labelling = server, labelling
         self._lock = threading.RLock()
+        self.done = threading.Event()
         self._aspect = 4 / 3
         self._sheet: Sheet | None = None
         self._paper = DARK if dark else PAPER
@@ -139,6 +140,7 @@ class LabelPage:
             ("Leave this press out", self._leave_out),
         ):
             gui.add_button(label).on_click(lambda _, order=order: self._act(order))
+        gui.add_button("Done", color="gray").on_click(lambda _: self.done.set())
         self._told = add_note(gui)
         server.scene.on_click()(self._clicked)
         server.on_client_connect(self._joined)

@@ -63,6 +63,8 @@ class Labelling:
     """Number of the press that is looked at."""
     clicks: list[tuple[float, float]] = field(default_factory=list)
     """Places on its rim [px]."""
+    saved: dict[str, ContactCircle | None] = field(default_factory=dict)
+    """What was kept so far by the presses' names; None for one that is left out."""
 
     @classmethod
     def of(cls, path: Path) -> Labelling:
@@ -159,4 +161,5 @@ class Labelling:
 
     def _write(self, circle: ContactCircle | None) -> None:
         save_contact(self.path, self.folder.presses, self.press.name, circle, self.now())
+        self.saved[self.press.name] = circle
         self.clicks.clear()

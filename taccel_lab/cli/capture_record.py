@@ -7,7 +7,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -266,24 +266,35 @@ class CaptureLabel:
     Each ball press is shown with its circle: labelled, clicked earlier or found in the image. Three
     clicks on the rim make a circle, more make it better. What is saved goes into contacts.toml of
     the folder, which all commands use; labels of captures.toml and earlier circles stay on record.
-    Ctrl-C closes the page.
+    Done, or Ctrl-C, closes the page.
     """
 
     captures: Positional[Path]
     """Capture folder with captures.toml."""
-    where: OmitArgPrefixes[PageOptions] = field(default_factory=lambda: PageOptions(port=PORT))
+    where: OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
     """Where the page is served and how it looks."""
+    json: bool = False
+    """Print what was saved as JSON."""
 
     def run(self) -> None:
         from taccel_lab.calibration.record.label_page import LabelPage
         from taccel_lab.calibration.record.labelling import Labelling
-        from taccel_lab.cli.console import say
+        from taccel_lab.cli.console import print_json, results, say
+        from taccel_lab.printable import counted
         from taccel_lab.report.live_page import live_page, serve_until_stopped
 
         labelling = Labelling.of(self.captures)
         with live_page(f"Labels of {self.captures.name}", self.where, say) as server:
-            LabelPage(server, labelling, self.where.dark)
-            serve_until_stopped()
+            serve_until_stopped(LabelPage(server, labelling, self.where.dark).done)
+        saved = labelling.saved
+        if self.json:
+            circles = {name: None if c is None else asdict(c) for name, c in saved.items()}
+            print_json({"contacts": str(labelling.path), "saved": circles})
+            return
+        where = f" in {labelling.path}" if saved else ""
+        results().print(f"{counted(len(saved), 'press', 'presses')} corrected{where}")
+        if saved:
+            results().print(f"next: taccel-lab capture check {shlex.quote(str(self.captures))}")
 
 
 class _Lines:

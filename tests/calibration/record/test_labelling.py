@@ -177,6 +177,9 @@ def test_clicks_in_the_browser_become_a_label(folder: Path) -> None:
             page.wait_for_selector("text=Saved: centre", timeout=60_000)
             page.get_by_text("Next", exact=True).click()
             page.wait_for_selector("text=p1: 2 of 5", timeout=60_000)
+            page.get_by_role("button", name="Done").click()
+            wait_for(page, page_of.done.is_set, 60)
+    assert list(on.saved) == ["p0"]
     assert vars(circles(folder)["p0"]) == pytest.approx(vars(WANTED), abs=0.5)  # type: ignore[arg-type]
 
 
