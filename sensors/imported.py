@@ -123,7 +123,14 @@ def import_design(
     faceted = "" if made is None else made.faceted
     with atomic_directory(out_dir) as folder:
         workshop = Workshop(
-            gel.name, folder, solid, gel.surface, layers, faceted=faceted, issue=issue
+            gel.name,
+            folder,
+            solid,
+            gel.surface,
+            layers,
+            faceted=faceted,
+            facets_mm=tolerance_mm if made is not None and made.deviation else 0.0,
+            issue=issue,
         )
         for kind in parts:
             tell(kind)

@@ -45,6 +45,8 @@ class Workshop:
     """How hard the gel is, in words for its drawing."""
     faceted: str = ""
     """How the solid stands for triangles of a file, in words; empty for an exact one."""
+    facets_mm: float = 0.0
+    """How far its facets may lie off the faces that they stand for [mm]."""
     issue: Issue | None = None
     """Revision and date on drawings."""
     files: dict[str, str] = field(default_factory=dict)
@@ -113,7 +115,7 @@ class Workshop:
         from taccel_lab.cad.moulds import casting_moulds
 
         report: dict[str, Any] = {}
-        for mould, checked in casting_moulds(self.gel, self.layers):
+        for mould, checked in casting_moulds(self.gel, self.layers, self.facets_mm):
             for part in mould.parts:
                 write_part_step(part, self.path(part.name, f"{part.name}.step"))
             write_3mf(mould.parts, self.path(f"{mould.name}_3mf", f"{mould.name}.3mf"))

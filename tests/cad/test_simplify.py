@@ -14,6 +14,7 @@ from taccel_lab.cad.mesh.closest import surface_distance
 from taccel_lab.cad.mesh.simplify import simplified
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.moulds import casting_moulds
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.solids import base_outline
@@ -55,6 +56,19 @@ def test_a_rounded_pad_becomes_a_solid_within_the_tolerance(gel: ImportedGel) ->
     window = gel.surface.areas_mm2()[gel.surface.regions == int(Region.WINDOW)].sum()
     assert made.solid.area_mm2(Region.WINDOW) == pytest.approx(window)
     base_outline(made.solid.solid)  # Widest where it is glued, as moulds need it.
+
+
+@pytest.mark.thorough
+def test_walls_of_facets_are_drafted(gel: ImportedGel) -> None:
+    """Facets of a wall lean a little. The wall of 3.1 mm is drafted by 2 degrees, without a gap
+    behind the wedge: the mould holds what the gel and its draft have."""
+    ((mould, report),) = casting_moulds(workshop_solid(gel).solid, facets_mm=TOLERANCE_MM)
+    assert report.draft_height_mm == pytest.approx(3.1, abs=0.1)
+    assert report.draft_width_mm == pytest.approx(np.tan(np.radians(2)) * report.draft_height_mm)
+    around_mm = 2 * (24 + 20) - 8 * 2 + 2 * np.pi * 2
+    wedge = around_mm * report.draft_height_mm * report.draft_width_mm / 2
+    assert report.draft_volume_mm3 == pytest.approx(wedge, rel=0.1)
+    assert report.undercut_mm2 < 0.05 and len(mould.body.solid.shells()) == 1
 
 
 def test_simplified_surfaces_stay_closed_and_glued_in_their_plane(gel: ImportedGel) -> None:
