@@ -7,14 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from build123d import Solid, export_step
 
 from taccel_lab.cad.export import write_stl
-from taccel_lab.cad.gel_import import FaceSelection, ImportedGel, import_gel, workshop_solid
+from taccel_lab.cad.gel_import import (
+    FaceSelection,
+    ImportedGel,
+    import_gel,
+    part_faces,
+    workshop_solid,
+)
 from taccel_lab.cad.mesh.closest import surface_distance
 from taccel_lab.cad.mesh.simplify import simplified
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.moulds import casting_moulds
+from taccel_lab.cad.parts.dome_pad import SolidDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.solids import base_outline
@@ -131,3 +139,32 @@ def test_thicknesses_that_the_shape_does_not_have_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=words):
         import_gel(rounded, FaceSelection(thickness_mm=thickness_mm))
+
+
+def test_a_step_gel_of_another_thickness_gets_a_solid_too(tmp_path: Path) -> None:
+    export_step(Solid.make_box(8, 7, 3), tmp_path / "box.step")
+    faces = {"contact": ("plane:+z",), "bond": ("plane:-z",), "window": ("rect:5x4",)}
+    moved = import_gel(tmp_path / "box.step", FaceSelection(**faces, thickness_mm=2.0))
+    assert moved.part is None and moved.thickness_mm == pytest.approx(2)
+    solid = workshop_solid(moved).solid
+    assert solid.volume_mm3 == pytest.approx(8 * 7 * 2)
+    assert solid.area_mm2(Region.WINDOW) == pytest.approx(20)
+    assert solid.area_mm2(Region.BOND) == pytest.approx(8 * 7 - 20)
+
+
+@pytest.mark.thorough
+def test_a_curved_bond_moves_as_it_is(tmp_path: Path) -> None:
+    """A dome with a lens in its back, which the camera looks through."""
+    surface = tessellate_solid(labelled_solid(SolidDomePad()), tolerance_mm=0.05, angle_rad=0.2)
+    write_stl(surface, tmp_path / "dome.stl")
+    curved = [info for info in part_faces(tmp_path / "dome.stl").table if info.kind == "curved"]
+    (lens,) = [info for info in curved if info.normal[2] < -0.99]
+    window = (f"index:{lens.index}",)
+    gel = import_gel(tmp_path / "dome.stl", FaceSelection(window=window))
+    wanted = gel.thickness_mm - 0.4
+    thin = import_gel(tmp_path / "dome.stl", FaceSelection(window=window, thickness_mm=wanted))
+    shift = thin.surface.vertices_mm - gel.surface.vertices_mm
+    glued = np.unique(gel.surface.of(Region.BOND, Region.WINDOW))
+    assert shift[glued] == pytest.approx(np.tile([0, 0, 0.4], (len(glued), 1)))
+    assert not np.delete(shift, glued, axis=0).any()
+    assert (thin.surface.regions == gel.surface.regions).all()
