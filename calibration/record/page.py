@@ -20,7 +20,6 @@ from taccel_lab.calibration.capture.coverage import CELLS, cell_of
 from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.lamps import Lamp
 from taccel_lab.calibration.record.session import Order, SessionStatus
-from taccel_lab.report.live_page import BRAND
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 
 if TYPE_CHECKING:
@@ -232,9 +231,8 @@ def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> floa
 def wide_panel(server: ViserServer, dark: bool = False) -> None:
     """A panel as wide as there is, always there: it has pictures of its own."""
     server.gui.configure_theme(
-        control_width="large", dark_mode=dark, show_logo=False, show_share_button=False,
-        brand_color=BRAND,
-    )  # fmt: skip
+        control_width="large", dark_mode=dark, show_logo=False, show_share_button=False
+    )
     server.gui.main_panel.dock_right()
 
 
