@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,9 @@ class ImportOptions:
     """Scale along the image's rows [mm/px], if you measured it."""
     mm_per_px_y: float | None = None
     """Scale along the image's columns [mm/px]. Default: that of the rows."""
+    scale: Literal["stated", "catalogue"] = "stated"
+    """Source of the scale where neither you nor a file states it: catalogue uses the sensor's usual
+    one, noted as assumed."""
     background: str | None = None
     """Image of the untouched sensor, or "median" for the median of the presses."""
     edge_mm: float | None = None

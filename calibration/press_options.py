@@ -60,9 +60,10 @@ def _require_settings(
     options: ColorFitOptions | InverseFitOptions, model: str, counts: Sequence[str], fastest: float
 ) -> None:
     for name in counts:
-        require_range(name, getattr(options, name), 1, math.inf)
+        option = f"--{name.replace('_', '-')}"
+        require_range(option, getattr(options, name), 1, math.inf)
     _require_between("learning_rate", options.learning_rate, fastest)
-    require_range(f"{model} position_bands", options.position_bands, 0, MAX_BANDS)
+    require_range(f"--position-bands of the {model}", options.position_bands, 0, MAX_BANDS)
     require_seed(options.seed)
 
 

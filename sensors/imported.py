@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from taccel_lab.cad.gel_import.gel_file import MAX_FACETS
+from taccel_lab.cad.gel_import.gel_file import TOLERANCE_MM
 from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
 from taccel_lab.cad.mesh.quality import (
     GateResult,
@@ -72,6 +72,8 @@ class ImportResult:
     """Time of each stage [s]."""
     assumed: dict[str, str]
     """What nobody has stated, and what was done to the file's body, in words."""
+    deviation: dict[str, float]
+    """Triangles, distance and tolerance of a simplified solid, as in gel.json."""
 
 
 def import_design(
@@ -83,6 +85,7 @@ def import_design(
     like: str = LIKE,
     overrides: Mapping[str, Any] | None = None,
     parts: Sequence[str] = IMPORT_PARTS,
+    tolerance_mm: float = TOLERANCE_MM,
     progress: Progress = silent,
 ) -> ImportResult:
     """Import the gel of a file, mesh it and write everything to ``out_dir``.
@@ -93,6 +96,9 @@ def import_design(
     Besides ``parts``: the labelled mesh, its quality, a picture, gel.json, which says what was
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
+
+    ``parts`` of a gel of many triangles are made of fewer, within ``tolerance_mm`` of the file's;
+    where they cannot be, or there is no mould, InputError says so before anything is meshed.
     """
     for kind in parts:
         require_known("part of an imported gel", kind, IMPORT_PARTS)
@@ -100,29 +106,38 @@ def import_design(
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
     refused = refused_folder(out_dir)
-    found = _meshed(Path(path), selection, edge_mm, like, overrides or {}, refused, tell)
-    gel = found.gel
-    tell("files")
-    out_dir = Path(out_dir)
-    with atomic_directory(out_dir) as folder:
-        from taccel_lab.cad.export import dimensions
-        from taccel_lab.cad.gel_import import workshop_solid
-        from taccel_lab.cad.preview import write_faces
+    path, out_dir, overrides = Path(path), Path(out_dir), overrides or {}
+    gel = _checked(path, selection, like, overrides, tell)
+    from taccel_lab.cad.export import dimensions
+    from taccel_lab.cad.gel_import import WorkshopSolid, workshop_solid
+    from taccel_lab.cad.preview import write_faces
 
-        solid = workshop_solid(gel) if parts else gel.part
-        if parts and solid is None:
-            parts = ()
-            found.assumed["parts"] = (
-                f"none: moulds and drawings are made of up to {MAX_FACETS:,} triangles, and the "
-                f"gel has {len(gel.surface.triangles):,}"
-            )
-        described = {} if solid is None else dimensions(solid)
-        issue = issue_of({"body": gel.name, "thickness_mm": gel.thickness_mm, **described})
-        layers = {} if solid is None else {"gel": solid}
-        workshop = Workshop(gel.name, folder, solid, gel.surface, layers, issue=issue)
+    made = None if gel.part is None else WorkshopSolid(gel.part)
+    if parts:
+        tell("cad")
+        made = workshop_solid(gel, tolerance_mm)
+    solid = None if made is None else made.solid
+    described = {} if solid is None else dimensions(solid)
+    issue = issue_of({"body": gel.name, "thickness_mm": gel.thickness_mm, **described})
+    layers = {} if solid is None else {"gel": solid}
+    faceted = "" if made is None else made.faceted
+    with atomic_directory(out_dir) as folder:
+        workshop = Workshop(
+            gel.name,
+            folder,
+            solid,
+            gel.surface,
+            layers,
+            faceted=faceted,
+            facets_mm=tolerance_mm if made is not None and made.deviation else 0.0,
+            issue=issue,
+        )
         for kind in parts:
             tell(kind)
             workshop.write(kind)
+        found = _meshed(path, gel, edge_mm, like, overrides, refused, tell)
+        if faceted:
+            found.assumed["solid"] = f"moulds and drawings have {faceted}"
         tell("files")
         workshop.write_mesh(found.mesh, found.mesher)
         profile = found.profile()
@@ -131,8 +146,10 @@ def import_design(
         write_faces(gel.faces, gel.face_regions, gel.window_outline, picture, title=gel.name)
         tell(None)
         workshop.write_quality(found.quality, found.passed, found.mesher, found.edge_mm, seconds)
-        description = _description(Path(path), found, described)
-        write_json(workshop.path("gel", "gel.json"), description)
+        deviation = {} if made is None else made.deviation
+        write_json(
+            workshop.path("gel", "gel.json"), _description(path, found, described, deviation)
+        )
     return ImportResult(
         gel=gel,
         profile=profile,
@@ -142,6 +159,7 @@ def import_design(
         files={kind: out_dir / name for kind, name in workshop.files.items()},
         seconds=seconds,
         assumed=found.assumed,
+        deviation=deviation,
     )
 
 
@@ -154,7 +172,9 @@ def imported_sensor(
     overrides: Mapping[str, Any] | None = None,
 ) -> SensorProfile:
     """The profile that ``import_design`` writes, without files."""
-    return _meshed(Path(path), selection, edge_mm, like, overrides or {}).profile()
+    path, overrides = Path(path), overrides or {}
+    gel = _checked(path, selection, like, overrides)
+    return _meshed(path, gel, edge_mm, like, overrides).profile()
 
 
 @dataclass(frozen=True)
@@ -223,28 +243,40 @@ def family_like(like: str, overrides: Mapping[str, Any]) -> SensorFamily:
     return family
 
 
-def _meshed(
+def _untold(stage: str) -> None:
+    """Nobody to tell which stage begins."""
+
+
+def _checked(
     path: Path,
     selection: FaceSelection,
-    edge_mm: float | None,
     like: str,
     overrides: Mapping[str, Any],
-    refused: Path | None = None,
-    tell: Callable[[str], None] = lambda stage: None,
-) -> _Meshed:
-    """The gel meshed; what needs no mesh is refused before, and a mesh that is refused is drawn in
-    the folder ``refused``.
-
-    Raises InputError also for a family, or a parameter, that an imported gel cannot take.
-    """
+    tell: Callable[[str], None] = _untold,
+) -> ImportedGel:
+    """The gel of a file. Raises InputError also for a family, or a parameter, that an imported gel
+    cannot take."""
     family = family_like(like, overrides)
     tell("import")
     from taccel_lab.cad.gel_import import import_gel
-    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
 
     gel = import_gel(path, selection)
     # Camera, markers and window against this gel: the profile would say it after minutes.
     imported_gel(family, SurfacePad(gel.thickness_mm, surface=gel.surface)).parameters(overrides)
+    return gel
+
+
+def _meshed(
+    path: Path,
+    gel: ImportedGel,
+    edge_mm: float | None,
+    like: str,
+    overrides: Mapping[str, Any],
+    refused: Path | None = None,
+    tell: Callable[[str], None] = _untold,
+) -> _Meshed:
+    """The gel meshed; a mesh that is refused is drawn in the folder ``refused``."""
+    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
 
     remade: dict[str, str] = {}
 
@@ -273,7 +305,9 @@ def _meshed(
     return result(mesh, "tetwild", edge, quality, passed)
 
 
-def _description(path: Path, found: _Meshed, measured: dict[str, Any]) -> dict[str, Any]:
+def _description(
+    path: Path, found: _Meshed, measured: dict[str, Any], deviation: dict[str, float]
+) -> dict[str, Any]:
     """What was read, selected and moved, as plain values."""
     gel = found.gel
     return {
@@ -285,6 +319,7 @@ def _description(path: Path, found: _Meshed, measured: dict[str, Any]) -> dict[s
         "min_thickness_mm": gel.min_thickness_mm,
         "thickness_mm": gel.thickness_mm,
         "part": measured,
+        **({"workshop": deviation} if deviation else {}),
         "faces": [vars(face) for face in gel.faces.table],
     }
 

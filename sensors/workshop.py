@@ -34,7 +34,7 @@ class Workshop:
     name: str
     folder: Path
     solid: LabelledSolid | None
-    """None of a gel that is too many triangles for the CAD kernel; only its mesh is written."""
+    """None of a gel of triangles of which nobody asks for files; only its mesh is written."""
     surface: LabelledSurface
     layers: Mapping[str, LabelledSolid]
     """The gel's layers by name, core first."""
@@ -43,6 +43,10 @@ class Workshop:
     """Name -> (value, unit) for the table of a drawing."""
     stiffness: str = ""
     """How hard the gel is, in words for its drawing."""
+    faceted: str = ""
+    """How the solid stands for triangles of a file, in words; empty for an exact one."""
+    facets_mm: float = 0.0
+    """How far its facets may lie off the faces that they stand for [mm]."""
     issue: Issue | None = None
     """Revision and date on drawings."""
     files: dict[str, str] = field(default_factory=dict)
@@ -111,7 +115,7 @@ class Workshop:
         from taccel_lab.cad.moulds import casting_moulds
 
         report: dict[str, Any] = {}
-        for mould, checked in casting_moulds(self.gel, self.layers):
+        for mould, checked in casting_moulds(self.gel, self.layers, self.facets_mm):
             for part in mould.parts:
                 write_part_step(part, self.path(part.name, f"{part.name}.step"))
             write_3mf(mould.parts, self.path(f"{mould.name}_3mf", f"{mould.name}.3mf"))
@@ -136,6 +140,7 @@ class Workshop:
             material=material,
             parameters=self.table,
             layers=layers,
+            faceted=self.faceted,
             issue=self.issue,
         ).save(self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf"))
         if self.assembly is not None:

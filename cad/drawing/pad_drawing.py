@@ -72,12 +72,14 @@ def pad_drawing(
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
+    faceted: str = "",
     issue: Issue | None = None,
 ) -> DrawingSheet:
     """The drawing of ``gel``.
 
     ``parameters`` are name -> (value, unit) for the table, named as ``--set`` takes them;
-    ``layers`` by name are cut with a hatch each.
+    ``layers`` by name are cut with a hatch each; ``faceted`` says how plane facets stand for the
+    gel's faces: it becomes a note, and walls, which facets cut up, get no height.
     """
     box = gel.box
     size = np.array([box.size.X, box.size.Y, box.size.Z])
@@ -107,7 +109,7 @@ def pad_drawing(
                 sheet.area(
                     [view(loop) for loop in loops], fill=_FILLS[k % 3], hatch=_HATCHES[k % 3]
                 )
-        _dimension_section(sheet, view, cut, gel, along)
+        _dimension_section(sheet, view, cut, gel, along, walls=not faceted)
     if layers:
         _dimension_layers(sheet, below, layers)
     _draw_cutting_lines(sheet, plan, box)
@@ -115,7 +117,8 @@ def pad_drawing(
         sheet,
         TitleBlock(
             title=title, material=material, scale=scale, sheet=name,
-            parameters=dict(parameters or {}), volume_mm3=gel.solid.volume, issue=issue,
+            parameters=dict(parameters or {}), volume_mm3=gel.solid.volume,
+            notes=(faceted,) if faceted else (), issue=issue,
         ),
     )  # fmt: skip
     return sheet
@@ -201,7 +204,13 @@ def _dimension_window(sheet: DrawingSheet, view: _View, gel: LabelledSolid) -> N
 
 
 def _dimension_section(
-    sheet: DrawingSheet, view: _View, cut: DrawnSection, gel: LabelledSolid, along: str
+    sheet: DrawingSheet,
+    view: _View,
+    cut: DrawnSection,
+    gel: LabelledSolid,
+    along: str,
+    *,
+    walls: bool,
 ) -> None:
     every = np.concatenate([loop for loops in cut.faces for loop in loops])
     low, high = every.min(axis=0), every.max(axis=0)
@@ -210,9 +219,12 @@ def _dimension_section(
     if along == "x":
         label_at = (view.at(low[0], 0)[0] + 12, view.at(0, low[1])[1] - 14)
         _dimension_heights(sheet, view, cut, low, high, gel.box.size.Z)
+        if walls:
+            _dimension_wall(sheet, view, cut, low, high, "x")
     else:
         label_at = (view.at(0, (low[1] + high[1]) / 2)[0], view.at(high[0], 0)[1] + 14)
-        _dimension_wall(sheet, view, cut, low, low, along)
+        if walls:
+            _dimension_wall(sheet, view, cut, low, low, along)
     sheet.text(label_at, f"section {letters}", align="center", bold=True)
     _label_radii(sheet, view, cut, contact, along)
 
@@ -241,7 +253,6 @@ def _dimension_heights(
     start = view.at(low[0], low[1])
     more = f" (max {mm_words(greatest)})" if greatest > total + 2e-3 else ""
     sheet.dimension(start, view.at(low[0], high[1]), 20, mm_words(total) + more, along="y")
-    _dimension_wall(sheet, view, cut, low, high, "x")
     apex = _apex_thickness(cut)
     if apex is not None and apex < total - 1e-3:
         sheet.dimension(view.at(0, high[1] - apex), view.at(0, high[1]), view.scale * 0.12 *

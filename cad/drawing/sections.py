@@ -19,6 +19,8 @@ from taccel_lab.cad.parts.solids import section_faces
 _PLANES = {"x": Plane.XZ, "y": Plane.YZ}
 _STEP_MM = 0.15
 _STRAIGHT = (GeomType.LINE,)
+_CREASE_DEG = 30.0
+"""Planes that turn less are facets of a curved surface, as in files of triangles."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +99,32 @@ def chain(wire: Wire) -> np.ndarray:
 
 
 def plan_edges(faces: Sequence[Face]) -> list[np.ndarray]:
-    """Edges of faces seen along z, without seams and upright ones, each [n, 2] [mm]."""
+    """Edges of faces seen along z, without seams, upright ones and those between facets of a curved
+    surface, each [n, 2] [mm]."""
+    facets = _facet_edges(faces)
     chains = [
         edge_points(edge)[:, :2]
         for face in faces
         for edge in face.edges()
-        if not BRep_Tool.IsClosed_s(edge.wrapped, face.wrapped)
+        if not BRep_Tool.IsClosed_s(edge.wrapped, face.wrapped) and _ends(edge) not in facets
     ]
     return [points for points in chains if np.ptp(points, axis=0).max() > 1e-6]
+
+
+def _facet_edges(faces: Sequence[Face]) -> set[frozenset[tuple[float, ...]]]:
+    """Straight edges, by their ends, at which two planes turn less than ``_CREASE_DEG``."""
+    normals: dict[frozenset[tuple[float, ...]], list[np.ndarray]] = {}
+    for face in faces:
+        if face.geom_type == GeomType.PLANE:
+            normal = np.array(tuple(face.normal_at()))
+            for edge in face.edges():
+                normals.setdefault(_ends(edge), []).append(normal)
+    least = np.cos(np.radians(_CREASE_DEG))
+    return {ends for ends, own in normals.items() if len(own) == 2 and own[0] @ own[1] > least}
+
+
+def _ends(edge: Edge) -> frozenset[tuple[float, ...]]:
+    return frozenset(tuple(np.round(tuple(edge.position_at(t)), 6) + 0.0) for t in (0, 0.5, 1))
 
 
 def circle_through(points: np.ndarray) -> float:

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gels from files of other programs, their faces selected by name, direction or number."""
 
-from taccel_lab.cad.gel_import.gel_file import SUFFIXES, import_gel, part_faces, workshop_solid
+from taccel_lab.cad.gel_import.gel_file import (
+    SUFFIXES,
+    WorkshopSolid,
+    import_gel,
+    part_faces,
+    workshop_solid,
+)
 from taccel_lab.cad.gel_import.importer import (
     FaceSelection,
     ImportedGel,
@@ -13,6 +19,7 @@ __all__ = [
     "SUFFIXES",
     "FaceSelection",
     "ImportedGel",
+    "WorkshopSolid",
     "import_gel",
     "listing",
     "part_faces",

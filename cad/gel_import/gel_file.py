@@ -11,16 +11,18 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Hashable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel, PartFaces
+from taccel_lab.cad.gel_import.selection import rectangle_of
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files import tet_file, triangle_file
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.regular_file import read_regular_file, require_regular_file
-from taccel_lab.guards import require_known
+from taccel_lab.guards import require_known, require_range
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.part import LabelledSolid
@@ -31,7 +33,12 @@ SUFFIXES = (*STEP, *triangle_file.SUFFIXES, *tet_file.SUFFIXES)
 LIMIT_S = 120.0
 """Time limit of the CAD kernel with a file: 271 faces take it 8 s."""
 MAX_FACETS = 1_000
-"""Triangles of a gel that get a solid."""
+"""Triangles of a gel that get a solid; the CAD kernel makes moulds of them in a minute."""
+TOLERANCE_MM = 0.05
+"""Distance of the solid of more triangles from these [mm]: half of what ISO 3302-1 class M2, which
+drawings state, allows of the smallest lengths."""
+TOLERANCES_MM = (0.001, 1.0)
+"""Tolerances that may be asked for [mm]."""
 _ORIGINS = ("center", "file")
 MAX_BYTES = 50 << 20
 """Limit of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces
@@ -73,21 +80,71 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
         require_known("origin", selection.origin, _ORIGINS)
         kind = _kind(path)
         if kind == "step":
-            return _by_kernel(str(path), "gel_of_step", require_step_file(path), selection)
-        from taccel_lab.cad.gel_import.triangle_gel import gel_of_cells
+            gel = _by_kernel(str(path), "gel_of_step", require_step_file(path), selection)
+        else:
+            from taccel_lab.cad.gel_import.triangle_gel import gel_of_cells
 
-        return gel_of_cells(path, kind, selection)
+            gel = gel_of_cells(path, kind, selection)
+        if not selection.thickness_mm:
+            return gel
+        from taccel_lab.cad.gel_import.thickness import with_thickness
+
+        return with_thickness(gel, selection.thickness_mm)
 
 
-def workshop_solid(gel: ImportedGel) -> LabelledSolid | None:
+@dataclass(frozen=True)
+class WorkshopSolid:
+    """What moulds and drawings are made of."""
+
+    solid: LabelledSolid
+    faceted: str = ""
+    """How the solid stands for the triangles of the file, in words; empty for the file's own."""
+    deviation: dict[str, float] = field(default_factory=dict)
+    """Figures of a solid that was simplified: triangles before and after, distance, tolerance."""
+
+
+def workshop_solid(gel: ImportedGel, tolerance_mm: float = TOLERANCE_MM) -> WorkshopSolid:
     """The solid that moulds and drawings are made of: the file's own, or one of plane faces for
-    triangles; None of more than ``MAX_FACETS``, which the CAD kernel takes minutes for.
+    triangles, simplified within ``tolerance_mm`` where they are more than ``MAX_FACETS``.
 
-    Raises InputError where the kernel makes no solid of the triangles.
+    Raises InputError where the tolerance cannot be held, and where the kernel makes no solid.
     """
-    if gel.part is not None or len(gel.surface.triangles) > MAX_FACETS:
-        return gel.part
-    return _by_kernel(gel.name, "facet_solid", gel.surface)
+    if gel.part is not None:
+        return WorkshopSolid(gel.part)
+    count = len(gel.surface.triangles)
+    if count <= MAX_FACETS:
+        solid = _by_kernel(gel.name, "facet_solid", gel.surface)
+        return WorkshopSolid(solid, f"faces of the file's {count:,} triangles")
+    from taccel_lab.cad.gel_import.triangle_gel import with_window, without_window
+    from taccel_lab.cad.mesh.simplify import simplified
+
+    require_range("tolerance_mm", tolerance_mm, *TOLERANCES_MM, "mm")
+    # The window's rectangle is no shape: it would vanish among the triangles of its plane.
+    rectangle = rectangle_of(gel.selection.window)
+    try:
+        found = simplified(
+            gel.surface if rectangle is None else without_window(gel.surface),
+            tolerance_mm,
+            MAX_FACETS,
+        )
+    except InputError as error:
+        raise InputError(
+            f"{gel.name}: {error}. Allow more with --tolerance-mm, smooth or remesh the surface, "
+            "or leave the workshop's files out with --parts"
+        ) from None
+    surface = found.surface if rectangle is None else with_window(found.surface, rectangle)
+    words = (
+        f"faces of {len(surface.triangles):,} triangles in place of the file's {count:,}; "
+        f"Hausdorff distance of both surfaces {found.hausdorff_mm:.3f} mm, allowed "
+        f"{tolerance_mm:g} mm"
+    )
+    figures = {
+        "triangles": count,
+        "simplified_triangles": len(surface.triangles),
+        "hausdorff_mm": found.hausdorff_mm,
+        "tolerance_mm": tolerance_mm,
+    }
+    return WorkshopSolid(_by_kernel(gel.name, "facet_solid", surface), words, figures)
 
 
 def _kind(path: Path) -> str:

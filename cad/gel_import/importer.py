@@ -95,6 +95,8 @@ class FaceSelection(StrictModel):
     """Name of the solid in a file with several."""
     unit: str = ""
     """Unit of the numbers as read; millimetres, checked for plausibility, if empty."""
+    thickness_mm: float = 0.0
+    """Thickness that moves the glued surface; 0 leaves the gel as its file has it."""
 
     def assumed(self) -> dict[str, str]:
         """How the body lies in its file, as far as nobody has stated it, by the field's name."""

@@ -199,6 +199,13 @@ def with_window(surface: LabelledSurface, size_mm: tuple[float, float]) -> Label
     return LabelledSurface(surface.vertices_mm, surface.triangles, regions)
 
 
+def without_window(surface: LabelledSurface) -> LabelledSurface:
+    """The surface with its window as bond."""
+    regions = surface.regions.copy()
+    regions[regions == int(Region.WINDOW)] = int(Region.BOND)
+    return LabelledSurface(surface.vertices_mm, surface.triangles, regions)
+
+
 def _level_bond(surface: LabelledSurface) -> np.ndarray:
     heights = surface.vertices_mm[surface.triangles][..., 2]
     return (surface.regions == int(Region.BOND)) & (np.ptp(heights, axis=1) < _LEVEL_MM)

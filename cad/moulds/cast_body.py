@@ -4,6 +4,9 @@
 The draft adds a wedge round the foot of the wall, from the lowest edge of the contact face down to
 the parting plane; contact face, window and inner surfaces stay exact. Where a crowned face makes
 the wall higher than its lowest place, the rest above the wedge stays vertical.
+
+Plane facets that stand for a wall lean a little. The wedge then begins inside of the outline, so
+that no gap is left behind it.
 """
 
 from __future__ import annotations
@@ -42,12 +45,19 @@ class CastBody:
     """Greatest height of wall above the wedge that stays vertical."""
 
 
-def cast_body(gel: Solid, *, draft_deg: float, shrinkage_percent: float) -> CastBody:
-    """Scale ``gel`` about the origin by 1 / (1 - shrinkage) and draft its outer walls."""
+def cast_body(
+    gel: Solid, *, draft_deg: float, shrinkage_percent: float, facets_mm: float = 0.0
+) -> CastBody:
+    """Scale ``gel`` about the origin by 1 / (1 - shrinkage) and draft its outer walls.
+
+    ``facets_mm``: how far plane facets of ``gel`` lie off the faces that they stand for; 0 for
+    exact ones.
+    """
     grown_gel = gel if not shrinkage_percent else gel.scale(1 / (1 - shrinkage_percent / 100))
     base = grown_gel.bounding_box().min.Z
     outline = base_outline(grown_gel)
-    walls = _outer_walls(grown_gel, outline, base)
+    lean = math.sin(math.radians(draft_deg)) if facets_mm else _VERTICAL
+    walls = _outer_walls(grown_gel, outline, base, lean, max(facets_mm, _ON_OUTLINE_MM))
     tops = _wall_tops_mm(walls, base)
     # A little lower than the edge of the contact face, which the wedge must not touch.
     height = float(tops.min() - base) - _BELOW_EDGE_MM if len(tops) else 0.0
@@ -55,7 +65,7 @@ def cast_body(gel: Solid, *, draft_deg: float, shrinkage_percent: float) -> Cast
     slope = math.tan(math.radians(draft_deg))
     if height < _LEAST_WEDGE_MM or draft_deg == 0:
         return CastBody(grown_gel, base, outline, 0.0, 0.0, 0.0, highest)
-    wedge = _wedge(outline, base, height, draft_deg)
+    wedge = _wedge(outline, base, height, draft_deg, facets_mm)
     merged = (grown_gel + wedge).solids()
     if len(merged) != 1 or not merged[0].is_valid:
         raise InputError(
@@ -68,32 +78,35 @@ def cast_body(gel: Solid, *, draft_deg: float, shrinkage_percent: float) -> Cast
         outline=outline,
         draft_height_mm=height,
         draft_width_mm=slope * height,
-        draft_volume_mm3=wedge.volume,
+        draft_volume_mm3=merged[0].volume - grown_gel.volume,
         vertical_mm=highest - height,
     )
 
 
-def _wedge(outline: Wire, base: float, height: float, draft_deg: float) -> Solid:
-    """The ring between the outline pulled straight up and a cone that meets it at the top."""
+def _wedge(outline: Wire, base: float, height: float, draft_deg: float, inside_mm: float) -> Solid:
+    """The ring from ``inside_mm`` within the outline, pulled straight up, to a cone that meets the
+    outline at the top."""
     top = grown(outline, 0.0, base + height)
     cone = Solid.extrude_taper(top, (0, 0, -height), -draft_deg)
-    return cone.cut(prism(grown(outline, 0.0, base), height)).solids()[0]
+    return cone.cut(prism(grown(outline, -inside_mm, base), height)).solids()[0]
 
 
-def is_vertical(face: Face) -> bool:
-    """Whether the face's normals are all horizontal."""
+def is_vertical(face: Face, lean: float = _VERTICAL) -> bool:
+    """Whether the face's normals are all horizontal, up to a z of ``lean``."""
     points = [face.position_at(u, v) for u in _SAMPLES for v in _SAMPLES]
-    return max(abs(face.normal_at(point).Z) for point in points) < _VERTICAL
+    return max(abs(face.normal_at(point).Z) for point in points) < lean
 
 
-def _outer_walls(solid: Solid, outline: Wire, base: float) -> list[Face]:
-    """Vertical faces that stand on the outline."""
+def _outer_walls(
+    solid: Solid, outline: Wire, base: float, lean: float, near_mm: float
+) -> list[Face]:
+    """Upright faces that stand on the outline."""
     walls = []
     for face in solid.faces():
-        if not is_vertical(face):
+        if not is_vertical(face, lean):
             continue
         middle = face.position_at(0.5, 0.5)
-        if outline.distance_to(Vector(middle.X, middle.Y, base)) < _ON_OUTLINE_MM:
+        if outline.distance_to(Vector(middle.X, middle.Y, base)) < near_mm:
             walls.append(face)
     return walls
 

@@ -130,16 +130,18 @@ def _undercut(mould: Mould) -> tuple[float, np.ndarray]:
 def casting_moulds(
     gel: LabelledSolid,
     layers: Mapping[str, LabelledSolid] | None = None,
+    facets_mm: float = 0.0,
 ) -> list[tuple[Mould, MouldReport]]:
     """Build and check the moulds of ``gel``.
 
     ``layers`` are its layers by name, core first; two make two moulds: the first casts the core,
-    the second the skin round the core, which lies in it on the lid. Raises InputError when a layer
+    the second the skin round the core, which lies in it on the lid. ``facets_mm`` says how far
+    plane facets of ``gel`` lie off the faces that they stand for. Raises InputError when a layer
     cannot be cast.
     """
     names = list(layers or {})
     if len(names) < 2:
-        mould = gel_mould(gel)
+        mould = gel_mould(gel, facets_mm=facets_mm)
         return [(mould, check_mould(mould, gel))]
     if len(names) > 2 or layers is None:
         raise InputError(f"moulds cast gels of one or two layers, this one has {len(names)}")

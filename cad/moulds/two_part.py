@@ -106,17 +106,21 @@ def gel_mould(
     name: str = "mould",
     insert: LabelledSolid | None = None,
     fill: LabelledSolid | None = None,
+    facets_mm: float = 0.0,
 ) -> Mould:
     """The mould that casts ``gel`` (the gel frame).
 
     For a skin, ``gel`` is the whole body, ``insert`` the core that was cast before and ``fill`` the
-    skin alone, over whose back the holes then lie.
+    skin alone, over whose back the holes then lie. ``facets_mm`` is that of ``cast_body``.
 
     Raises InputError when the gel cannot be cast in two parts, with the reason.
     """
     options = options or MouldOptions()
     body = cast_body(
-        gel.solid, draft_deg=options.draft_deg, shrinkage_percent=options.shrinkage_percent
+        gel.solid,
+        draft_deg=options.draft_deg,
+        shrinkage_percent=options.shrinkage_percent,
+        facets_mm=facets_mm,
     )
     scale = 1 / (1 - options.shrinkage_percent / 100)
     box = body.solid.bounding_box()

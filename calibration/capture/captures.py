@@ -306,7 +306,7 @@ def split_presses(
     if holdout_every == 0:
         return PressSplit(tuple(range(len(presses))), (), (), "nothing")
     if holdout_every < 2:
-        raise InputError(f"holdout_every must be 0 or at least 2, got {holdout_every}")
+        raise InputError(f"--holdout-every must be 0 or at least 2, got {holdout_every}")
     if stated is not None:
         return _taken(presses, stated, source)
     count = len(presses)
@@ -315,7 +315,7 @@ def split_presses(
         or_fewer = f" or 2 to {count}" if count > 2 else " or 2" if count == 2 else ""
         raise InputError(
             f"{source} holds {count} press{'es' if count != 1 else ''}, too few to hold "
-            f"out one in {holdout_every}; give more captures, or holdout_every of 0{or_fewer}"
+            f"out one in {holdout_every}; give more captures, or --holdout-every 0{or_fewer}"
         )
     places = _places(presses)
     by: Literal["place", "press"] = "place"

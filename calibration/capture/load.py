@@ -5,16 +5,14 @@ unfit is refused.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle, Frame
+from taccel_lab.calibration.capture.contacts_file import CONTACTS_NAME, override_presses
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
@@ -32,14 +30,11 @@ from taccel_lab.calibration.capture.schema import (
 )
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.errors import InputError
-from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.images import KeptImages, read_grey
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.files.regular_file import file_sha256
-from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.files.videos import count_frames, read_frames
 from taccel_lab.guards import require_size
-from taccel_lab.printable import printable
 from taccel_lab.sensors.registry import profile_folder
 
 MIN_SIZE_PX = 32
@@ -56,10 +51,11 @@ def load_captures(path: Path | str) -> CaptureSet:
     return load_capture_folder(path).ball_presses()
 
 
-def load_capture_folder(path: Path | str) -> CaptureFolder:
+def load_capture_folder(path: Path | str, *, corrected: bool = True) -> CaptureFolder:
     """Load everything that ``captures.toml`` names, checked; each image is decoded once.
 
-    ``path`` is the folder, its manifest, or a Taxim ``dataPack.npz``.
+    ``path`` is the folder, its manifest, or a Taxim ``dataPack.npz``; ``corrected``: whether
+    ``contacts.toml`` beside the manifest has its say.
 
     Raises:
         InputError: Names the file, what was found and what is allowed.
@@ -79,7 +75,7 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
             f"{path}: {found}; a capture folder holds {MANIFEST_NAME} (see docs/captures.md); "
             "taccel-lab capture import makes one of a folder in another layout"
         )
-    return _load_folder(manifest_path)
+    return _load_folder(manifest_path, corrected)
 
 
 def _sensor(manifest_path: Path, name: str) -> str:
@@ -95,7 +91,7 @@ def _sensor(manifest_path: Path, name: str) -> str:
     return str(folder)
 
 
-def _load_folder(manifest_path: Path) -> CaptureFolder:
+def _load_folder(manifest_path: Path, corrected: bool) -> CaptureFolder:
     manifest = CaptureManifest.read(manifest_path)
     folder = manifest_path.parent
     images = KeptImages()
@@ -120,7 +116,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         presses.append(CapturedPress(name, frame.source, frame.sha256, frame.read, circle, **said))
     provenance = {"manifest_sha256": file_sha256(manifest_path)}
     contacts = inner_path(folder, CONTACTS_NAME)
-    if contacts.is_file():
+    if corrected and contacts.is_file():
         presses = list(override_presses(presses, contacts))
         provenance["contacts_sha256"] = file_sha256(contacts)
     if "captures.toml" in manifest.raw_sha256:
@@ -273,93 +269,3 @@ def _expand(folder: Path, name: str) -> list[Path]:
     wild = any(c in name for c in "*?[")
     paths = sorted(folder.glob(name)) if wild else [folder / name]
     return [inner_path(folder, path.relative_to(folder).as_posix()) for path in paths]
-
-
-CONTACTS_NAME = "contacts.toml"
-
-HEADER = """\
-# Contact circles of {source}
-# Lines that begin with # have no effect. To correct a circle, take the # away and edit it; to leave
-# a press out, write skip = true in its table. Then put this file into the capture folder.
-"""
-
-
-class ContactOverride(StrictModel):
-    """What a person says about one press: its circle, or that it is left out."""
-
-    press: str = Field(min_length=1)
-    """Name of the press."""
-    u_px: Number | None = None
-    v_px: Number | None = None
-    radius_px: Number | None = Field(default=None, gt=0)
-    skip: Flag = False
-    """Leave the press out of every calibration."""
-
-    @model_validator(mode="after")
-    def _check_whole(self) -> ContactOverride:
-        given = [value is not None for value in (self.u_px, self.v_px, self.radius_px)]
-        if any(given) and not all(given):
-            raise ValueError("u_px, v_px and radius_px go together; one is missing")
-        return self
-
-    def circle(self) -> ContactCircle | None:
-        """The circle, or None when the found one stays."""
-        if self.u_px is None or self.v_px is None or self.radius_px is None:
-            return None
-        return ContactCircle(self.u_px, self.v_px, self.radius_px)
-
-
-class _OverrideFile(StrictModel):
-    contact: list[ContactOverride] = Field(default_factory=list)
-
-
-def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[CapturedPress, ...]:
-    """The presses with the circles of ``path``, less those that it leaves out.
-
-    Raises InputError with the file and what is wrong.
-    """
-    entries = _OverrideFile.read(path).contact
-    twice = first_repeated(entry.press for entry in entries)
-    if twice is not None:
-        raise InputError(f"{path}: {twice} appears twice")
-    overrides = {entry.press: entry for entry in entries}
-    unknown = sorted(set(overrides) - {press.name for press in presses})
-    if unknown:
-        raise InputError(
-            f"{path} names {', '.join(unknown)}, which is no press of the captures (there are "
-            f"{', '.join(press.name for press in presses[:6])}{' ...' if len(presses) > 6 else ''})"
-        )
-    kept = []
-    for press in presses:
-        override = overrides.get(press.name)
-        if override is None:
-            kept.append(press)
-        elif not override.skip:
-            circle = override.circle()
-            checked = dataclasses.replace(press, circle=circle, checked=True)
-            kept.append(press if circle is None else checked)
-    if presses and not kept:
-        raise InputError(f"{path} leaves out every press; at least one has to stay")
-    return tuple(kept)
-
-
-def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None, str]]) -> str:
-    """Contents of a ``contacts.toml``: (press, circle found, note); no circle leaves it out."""
-    import tomli_w
-
-    blocks = [HEADER.format(source=printable(source))]
-    for name, circle, note in entries:
-        quoted = tomli_w.dumps({"press": name}).strip()
-        lines = [f"# {printable(line)}" for line in note.splitlines() if line]
-        if circle is None:
-            lines += ["[[contact]]", quoted, "skip = true"]
-        else:
-            lines += [
-                "# [[contact]]",
-                f"# {quoted}",
-                f"# u_px = {circle.u_px:.2f}",
-                f"# v_px = {circle.v_px:.2f}",
-                f"# radius_px = {circle.radius_px:.2f}",
-            ]
-        blocks.append("\n".join(lines) + "\n")
-    return "\n".join(blocks)

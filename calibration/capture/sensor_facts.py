@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student_t
 
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.optical_design import Light
-from taccel_lab.sensors.registry import known_sensor, sensor_families
+from taccel_lab.sensors.registry import known_sensor, sensor_families, sensor_family
 
 GENERIC = ("flat_pad",)
 """Families that stand for any sensor: their figures contradict nothing."""
@@ -121,3 +122,34 @@ def handedness(lamps: np.ndarray) -> float:
     unit = lamps / np.maximum(np.linalg.norm(lamps, axis=-1, keepdims=True), 1e-9)
     following = np.roll(unit, -1, axis=0)
     return float((unit[:, 0] * following[:, 1] - unit[:, 1] * following[:, 0]).sum())
+
+
+SAME_SHAPE = 0.02
+"""Difference of two images' proportions up to which they count as of one framing."""
+USUAL = "the usual one of the catalogue's {}"
+"""Reason of a scale that is taken from the catalogue."""
+
+
+def catalogue_scale(sensor: str, width_px: int, height_px: int) -> tuple[float, float]:
+    """Scale of a sensor's usual view over images of this size, along x and y [mm/px].
+
+    Raises InputError where the images have other proportions, so that they cannot show the same.
+    """
+    grid = sensor_family(sensor).parameters().grid()
+    factor = grid.width_px / width_px
+
+    def alike(width: int, height: int) -> bool:
+        return abs(height * grid.width_px / width / grid.height_px - 1) <= SAME_SHAPE
+
+    if not alike(width_px, height_px):
+        advice = (
+            "they are turned by a quarter: turn the camera back"
+            if alike(height_px, width_px)
+            else "cut them (capture record has --crop)"
+        )
+        raise InputError(
+            f"--scale catalogue: {sensor} has images of {grid.width_px}x{grid.height_px} px, "
+            f"these are {width_px}x{height_px} px and cannot show the same part of the gel; "
+            f"{advice}, or state --mm-per-px-x"
+        )
+    return grid.mm_per_px_x * factor, grid.mm_per_px_y * grid.height_px / height_px

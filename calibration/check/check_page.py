@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.contacts_file import CONTACTS_NAME, override_text
 from taccel_lab.calibration.capture.coverage import coverage_map
-from taccel_lab.calibration.capture.load import CONTACTS_NAME, override_text
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.check.light import BackgroundCheck
 from taccel_lab.calibration.check.presses import found_circles

@@ -37,4 +37,4 @@ class MaterialOptions:
                 )
             require_range(name, value, *limits[name])
         if self.touch_sigma_mm is not None:
-            require_range("touch_sigma_mm", self.touch_sigma_mm, 0, 1, "mm")
+            require_range("--touch-sigma-mm", self.touch_sigma_mm, 0, 1, "mm")

@@ -32,6 +32,7 @@ from taccel_lab.calibration.capture.schema import (
     manifest_notes,
     manifest_text,
 )
+from taccel_lab.calibration.capture.sensor_facts import USUAL, catalogue_scale
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_image
 from taccel_lab.files.documents import read_toml
@@ -53,8 +54,6 @@ QUICK_LEAVES_OUT = (
     "time: a few minutes. Drift over a session, and from one day to the next, is not seen",
 )
 """What twenty presses of a ball, without a board and without a load cell, cannot tell."""
-SAME_SHAPE = 0.02
-"""Difference of two images' proportions up to which they count as of one framing."""
 
 ScaleFrom = Literal["stated", "catalogue", "later"]
 
@@ -143,10 +142,8 @@ class RecordFacts:
             found["unit"] = unit
         scale = self.mm_per_px
         if self.scale == "catalogue":
-            scale = self.catalogue_scale(width_px, height_px)
-            found["assumed"] = {
-                "mm_per_px": f"{scale[0]:.4g} mm/px, the usual one of the catalogue's {self.sensor}"
-            }
+            scale = catalogue_scale(self.sensor, width_px, height_px)
+            found["assumed"] = {"mm_per_px": f"{scale[0]:.4g} mm/px, {USUAL.format(self.sensor)}"}
         if scale is not None:
             found["mm_per_px_x"], found["mm_per_px_y"] = scale
         found["source"] = self.source or f"recorded from {self.camera.name}"
@@ -159,32 +156,6 @@ class RecordFacts:
             "left_out": list(QUICK_LEAVES_OUT) if self.quick else [],
         }
         return found
-
-    def catalogue_scale(self, width_px: int, height_px: int) -> tuple[float, float]:
-        """Scale of the family's usual view over images of this size [mm/px].
-
-        Raises:
-            InputError: The images have other proportions than the family's, so that they cannot
-                show the same.
-        """
-        grid = sensor_family(self.sensor).parameters().grid()
-        factor = grid.width_px / width_px
-
-        def alike(width: int, height: int) -> bool:
-            return abs(height * grid.width_px / width / grid.height_px - 1) <= SAME_SHAPE
-
-        if not alike(width_px, height_px):
-            advice = (
-                "the camera is turned by a quarter: turn it back"
-                if alike(height_px, width_px)
-                else "cut them with --crop"
-            )
-            raise InputError(
-                f"--scale catalogue: {self.sensor} has images of {grid.width_px}x{grid.height_px} "
-                f"px, the camera's are {width_px}x{height_px} px and cannot show the same part of "
-                f"the gel; {advice}, or state --mm-per-px-x"
-            )
-        return grid.mm_per_px_x * factor, grid.mm_per_px_y * grid.height_px / height_px
 
     def notes(self) -> tuple[str, ...]:
         """Comments for the head of the manifest."""

@@ -228,9 +228,11 @@ def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> floa
     return max(min(wide / image.shape[1], high / image.shape[0]), 1e-3)
 
 
-def wide_panel(server: ViserServer) -> None:
+def wide_panel(server: ViserServer, dark: bool = False) -> None:
     """A panel as wide as there is, always there: it has pictures of its own."""
-    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    server.gui.configure_theme(
+        control_width="large", dark_mode=dark, show_logo=False, show_share_button=False
+    )
     server.gui.main_panel.dock_right()
 
 

@@ -34,7 +34,7 @@ from taccel_lab.calibration.capture.coverage import (
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
-from taccel_lab.calibration.capture.sensor_facts import sensor_facts
+from taccel_lab.calibration.capture.sensor_facts import catalogue_scale, sensor_facts
 from taccel_lab.calibration.circles.contact_finder import detect_contact
 from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.record.folder import RecordFacts, RecordFolder
@@ -164,7 +164,7 @@ class Recorder:
                     "px are needed"
                 )
             if self.facts.scale == "catalogue":
-                self.facts.catalogue_scale(width, height)  # Refuses what cannot have it.
+                catalogue_scale(self.facts.sensor, width, height)  # Refuses what cannot have it.
         self._hangs = self._frozen.see(shot)
         if self._background is not None:
             require_size(

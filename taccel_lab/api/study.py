@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from taccel_lab.files.documents import TOML_LIMIT_BYTES
 from taccel_lab.files.inner_path import file_or_example
-from taccel_lab.files.regular_file import read_text
 from taccel_lab.model.launches import require_device
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.report.page import first_figure
@@ -17,6 +15,7 @@ from taccel_lab.studies.evaluate.runner import Listener, StudyOutcome, default_k
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.report.page import study_page
 from taccel_lab.studies.spec.study import read_study
+from taccel_lab.studies.spec.study_table import Swept, study_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,6 +48,7 @@ def study(
     accuracy: Accuracy | None = None,
     limit: int | None = None,
     listener: Listener | None = None,
+    swept: Swept | None = None,
 ) -> StudyResult:
     """Evaluate the designs of a study file; write their rows as they come, table and report.
 
@@ -62,6 +62,7 @@ def study(
         accuracy: Of the presses; the file's when None.
         limit: New designs at most.
         listener: Receives how it goes.
+        swept: Values by parameter in place of the file's, such as ``{"thickness_mm": [3, 4]}``.
 
     Raises:
         InputError: A file or a folder that cannot be used.
@@ -69,17 +70,19 @@ def study(
     file = file_or_example(Path(file), "studies")
     root = Path("out") / file.stem if out is None else Path(out)
     outcome = evaluate_study(
-        plan_study(file, accuracy), file, root,
-        processes=processes, device=device, limit=limit, listener=listener,
+        plan_study(file, accuracy, swept), file, root,
+        processes=processes, device=device, limit=limit, listener=listener, swept=swept,
     )  # fmt: skip
     write_study_report(outcome)
     return StudyResult(**vars(outcome))
 
 
-def plan_study(file: Path | str, accuracy: Accuracy | None = None) -> Study:
+def plan_study(
+    file: Path | str, accuracy: Accuracy | None = None, swept: Swept | None = None
+) -> Study:
     """The study of a file, checked; see ``study``."""
     start_warp()
-    return read_study(Path(file), default_kit(), accuracy)
+    return read_study(Path(file), default_kit(), accuracy, swept)
 
 
 def evaluate_study(
@@ -92,6 +95,7 @@ def evaluate_study(
     limit: int | None = None,
     shard: Shard | None = None,
     listener: Listener | None = None,
+    swept: Swept | None = None,
 ) -> StudyOutcome:
     """Evaluate the designs of a planned study, or a shard of them, without a report."""
     require_device(device or planned.spec.run.device)
@@ -102,6 +106,6 @@ def evaluate_study(
         processes=processes,
         limit=limit,
         shard=shard,
-        source=read_text(Path(file), TOML_LIMIT_BYTES, "a study file"),
+        source=study_text(Path(file), swept),
         listener=listener,
     )

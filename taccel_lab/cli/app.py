@@ -98,7 +98,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "preview": design.Preview,
         "press": press.PressCommand,
         "capture": Group(
-            "Plan, record, import, check, review and rectify captures.",
+            "Plan, record, import, label, check and rectify captures.",
             {
                 "check": capture.CaptureCheckCommand,
                 "guide": capture.CaptureGuide,
@@ -106,6 +106,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
                 "record": capture_record.CaptureRecord,
                 "quick": capture_record.CaptureQuick,
                 "import": capture.CaptureImport,
+                "label": capture_record.CaptureLabel,
                 "rectify": capture.CaptureRectify,
             },
         ),

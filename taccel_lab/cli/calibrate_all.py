@@ -34,6 +34,8 @@ class CalibrateAll(CalibrationFiles):
     out."""
     only: tuple[str, ...] = ()
     """Blocks to fit, by name. Default: all."""
+    holdout_every: int = 4
+    """One press in this many is held out to score color and normals; 0 holds none out."""
     thickness: ThicknessMode = "auto"
     """Thickness of the gel, for color and normals: auto fits an unmeasured one, and rejects a
     stated one that the presses contradict. fit always fits it."""
@@ -75,9 +77,10 @@ class CalibrateAll(CalibrationFiles):
     def _options(self) -> dict[str, Any]:
         from taccel_lab.calibration.press_options import ColorOptions, NormalOptions
 
+        every, thickness = self.holdout_every, self.thickness
         return {
-            "color": ColorOptions(thickness=self.thickness),
-            "normals": NormalOptions(thickness=self.thickness),
+            "color": ColorOptions(holdout_every=every, thickness=thickness),
+            "normals": NormalOptions(holdout_every=every, thickness=thickness),
         }
 
 

@@ -232,8 +232,8 @@ class CaptureCheckCommand:
     """Capture folder with captures.toml, or captures in any layout that capture import reads."""
     report: Path | None = None
     """Folder for report.html with a picture of each press, worst first, and contacts.toml with the
-    circles found. Correct that file where it is wrong and copy it into the capture folder; all
-    commands then use your circles. Default: none."""
+    circles found, to copy into the capture folder and edit; taccel-lab capture label does that by
+    clicks. Default: none."""
     json: bool = False
     """Print everything found as JSON."""
 

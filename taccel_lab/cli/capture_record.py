@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab capture record`` and ``quick``: a camera in, a capture folder out; and the flags of
-a camera, for all commands that read one."""
+"""``taccel-lab capture record`` and ``quick``: a camera in, a capture folder out; ``label``: its
+circles clicked; and the flags of a camera, for all commands that read one."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from taccel_lab.errors import InputError, keeping
+from taccel_lab.report.live_page import PageOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -112,7 +113,7 @@ class _Session(CameraFlags):
         from taccel_lab.calibration.record.page import RecordPage
         from taccel_lab.calibration.record.session import Recorder, Watcher, run_session
         from taccel_lab.cli.console import notes, say
-        from taccel_lab.report.live_page import PageOptions, live_page
+        from taccel_lab.report.live_page import live_page
 
         if presses is not None and not 1 <= presses <= 1000:
             raise InputError(f"--presses is {presses}; 1 to 1000 are allowed")
@@ -256,6 +257,44 @@ class CaptureQuick(_Session):
         from taccel_lab.calibration.record.folder import QUICK_PRESSES
 
         self.run_as(QUICK_PRESSES, quick=True)
+
+
+@dataclass(frozen=True)
+class CaptureLabel:
+    """Correct contact circles by clicks on a page in the browser (needs the extra view).
+
+    Each ball press is shown with its circle: labelled, clicked earlier or found in the image. Three
+    clicks on the rim make a circle, more make it better. What is saved goes into contacts.toml of
+    the folder, which all commands use; labels of captures.toml and earlier circles stay on record.
+    Done, or Ctrl-C, closes the page.
+    """
+
+    captures: Positional[Path]
+    """Capture folder with captures.toml."""
+    where: OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
+    json: bool = False
+    """Print what was saved as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.calibration.record.label_page import LabelPage
+        from taccel_lab.calibration.record.labelling import Labelling
+        from taccel_lab.cli.console import print_json, results, say
+        from taccel_lab.printable import counted
+        from taccel_lab.report.live_page import live_page, serve_until_stopped
+
+        labelling = Labelling.of(self.captures)
+        with live_page(f"Labels of {self.captures.name}", self.where, say) as server:
+            serve_until_stopped(LabelPage(server, labelling, self.where.dark).done)
+        saved = labelling.saved
+        if self.json:
+            circles = {name: None if c is None else asdict(c) for name, c in saved.items()}
+            print_json({"contacts": str(labelling.path), "saved": circles})
+            return
+        where = f" in {labelling.path}" if saved else ""
+        results().print(f"{counted(len(saved), 'press', 'presses')} corrected{where}")
+        if saved:
+            results().print(f"next: taccel-lab capture check {shlex.quote(str(self.captures))}")
 
 
 class _Lines:

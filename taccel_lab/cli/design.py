@@ -197,6 +197,9 @@ class ImportGel:
     """Name of the solid in a file with several, or its number there, from 1."""
     unit: Literal["", "mm", "cm", "m", "um", "in"] = ""
     """Unit of the numbers, when the file declares none or a wrong one. [mm]"""
+    thickness_mm: float = 0.0
+    """Thickness of the gel [mm] in place of the file's: the glued surface moves along the normal,
+    contact face and outline stay. [0: as in the file]"""
     edge_mm: float | None = None
     """Target edge length of the mesh [mm]. [2, or the tets of the file where they are good]"""
     like: str = "flat_pad"
@@ -205,7 +208,10 @@ class ImportGel:
     """Parameters of it other than the defaults, e.g. young_modulus_mpa=0.2 camera_distance_mm=25;
     ``taccel-lab sensors show`` lists them. Not those of its gel, which the file gives."""
     parts: tuple[Literal["pad", "mould", "drawing"], ...] = ("pad", "mould", "drawing")
-    """Files for the workshop."""
+    """Files for the workshop; --parts alone for none."""
+    tolerance_mm: float = 0.05
+    """Largest distance of moulds and drawings from the file's triangles, where these are more than
+    1,000 and are simplified [mm]."""
     json: bool = False
     """Print the faces, or the quality of the mesh and the files, as JSON instead of tables."""
 
@@ -239,11 +245,13 @@ class ImportGel:
                 like=self.like,
                 overrides=overrides,
                 parts=self.parts,
+                tolerance_mm=self.tolerance_mm,
                 progress=lambda stage, _, __: say(_IMPORT_STAGES[stage]),
             )
         if self.json:
             figures = {"quality": result.quality.to_json(), "files": result.files}
-            print_json({**figures, "seconds": result.seconds, "assumed": result.assumed})
+            figures |= {"seconds": result.seconds, "assumed": result.assumed}
+            print_json({**figures, "workshop": result.deviation})
             return
         quality = result.quality
         figures = (
@@ -253,7 +261,8 @@ class ImportGel:
             ("tets", quality.tet_count, ",", ""),
             ("smallest dihedral angle", quality.min_dihedral_deg, ".1f", "deg"),
             ("volume error", quality.volume_error_percent, ".3f", "%"),
-            ("Hausdorff distance to the CAD", quality.hausdorff_mm, ".4f", "mm"),
+            ("Hausdorff distance of the mesh", quality.hausdorff_mm, ".4f", "mm"),
+            ("Hausdorff distance of moulds", result.deviation.get("hausdorff_mm"), ".4f", "mm"),
         )
         _print_figures(f"{result.gel.name}: imported gel", figures, result.files)
         for name, text in result.assumed.items():

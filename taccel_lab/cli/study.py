@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import shlex
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -16,13 +14,9 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError, SimulationError, keeping
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from taccel_lab.studies.evaluate.cluster import Where
-    from taccel_lab.studies.evaluate.design_row import DesignRow
     from taccel_lab.studies.evaluate.runner import StudyOutcome
     from taccel_lab.studies.spec.study import Study
-    from taccel_lab.studies.spec.study import Study as StudyToRun
 
 
 @dataclass(frozen=True)
@@ -58,6 +52,9 @@ class StudyCommand:
     """Jobs of --submit."""
     job: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """Settings of submitit's jobs, e.g. slurm_partition=cpu timeout_min=240 cpus_per_task=8."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES")] = ()
+    """Values of parameters in place of what the study file says of them, e.g. thickness_mm=3,4,5
+    young_modulus_mpa=0.2."""
     report_only: bool = False
     """Write table and report from the designs that are there; evaluate nothing."""
     list_metrics: bool = False
@@ -80,6 +77,8 @@ class StudyCommand:
             raise InputError(f"limit must be at least 1, got {self.limit}")
         if self.shard is not None and (self.submit or self.report_only):
             raise InputError("--shard cannot be combined with --submit or --report-only")
+        if self.set and self.submit:
+            raise InputError("--submit's jobs read the study file; write there what --set says")
         if self.shard is not None:
             Shard.parse(self.shard)
         if self.processes is not None and not 1 <= self.processes <= 1024:
@@ -116,23 +115,29 @@ class StudyCommand:
     def _run(self, file: Path) -> None:
         from taccel_lab.api.study import plan_study
         from taccel_lab.cli.console import notes, print_json, say, working
+        from taccel_lab.printable import counted
         from taccel_lab.studies.evaluate.runner import read_outcome
         from taccel_lab.studies.evaluate.study_folder import StudyFolder
         from taccel_lab.studies.report import write_study_report
 
         console = notes()
-        study = plan_study(file, self.accuracy)
+        swept = self._swept()
+        study = plan_study(file, self.accuracy, swept)
         root = self.out or Path("out") / file.stem
 
         def what() -> str:
-            kept = f"what is finished stays in {root}; go on with: {self._again(root)}"
-            return kept if StudyFolder(root).is_study() else ""
+            folder = StudyFolder(root)
+            if not folder.is_study():
+                return ""
+            count = len(folder.ids())
+            kept = f"{counted(count, 'finished design stays', 'finished designs stay')} in {root}"
+            return f"{kept if count else 'no design has finished'}; go on with: {self._again(root)}"
 
         with keeping(what):
             if self.report_only:
                 outcome = read_outcome(study, root)
             else:
-                outcome = self._evaluate(study, root, file)
+                outcome = self._evaluate(study, root, file, swept)
             if self.shard is not None:
                 say(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
@@ -146,16 +151,27 @@ class StudyCommand:
                 values = write_study_report(outcome)
         self._conclude(outcome, values, root, self._again(root))
 
+    def _swept(self) -> dict[str, list[float | str]]:
+        from taccel_lab.cad.parameters import parse_overrides
+
+        given = parse_overrides(self.set)
+        return {name: v if isinstance(v, list) else [v] for name, v in given.items()}
+
     def _again(self, root: Path) -> str:
         words = ["taccel-lab", "study", str(self.study), "--out", str(root)]
         for name in ("processes", "device", "accuracy"):
             if getattr(self, name) is not None:
                 words += [f"--{name}", str(getattr(self, name))]
+        if self.set:
+            words += ["--set", *self.set]
         return shlex.join(words)
 
-    def _evaluate(self, study: StudyToRun, root: Path, file: Path) -> StudyOutcome:
+    def _evaluate(
+        self, study: Study, root: Path, file: Path, swept: dict[str, list[float | str]]
+    ) -> StudyOutcome:
         from taccel_lab.api.study import evaluate_study
         from taccel_lab.cli.console import notes, say
+        from taccel_lab.cli.study_lines import StudyProgress
         from taccel_lab.files.shard import Shard
 
         presses = ", ".join(study.presses) or "none"
@@ -173,10 +189,12 @@ class StudyCommand:
                 limit=self.limit,
                 shard=None if self.shard is None else Shard.parse(self.shard),
                 listener=progress,
+                swept=swept,
             )
 
     def _conclude(self, outcome: StudyOutcome, values: dict, root: Path, again: str) -> None:
         from taccel_lab.cli.console import print_json, say
+        from taccel_lab.cli.study_lines import print_summary
         from taccel_lab.studies.evaluate.study_folder import CSV_NAME, has_parquet
 
         if self.json:
@@ -184,7 +202,10 @@ class StudyCommand:
         else:
             print_summary(outcome, values)
         note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
-        say(f"table: {root / CSV_NAME}{note}")
+        if outcome.rows:
+            say(f"table: {root / CSV_NAME}{note}")
+        else:
+            say("no table: none of the designs has been evaluated")
         say(f"report: {root / 'report.html'}")
         if not outcome.complete:
             say(f"not finished; go on with:\n  {again}")
@@ -227,112 +248,3 @@ def _print_lists(options: StudyCommand) -> None:
         print_table(columns, rows, "metrics")
     if options.list_presses:
         print_table(("press", "what it does"), list(presses.items()), "standard presses")
-
-
-LINE_EVERY_S = 20.0
-"""Where there is no terminal to draw a bar on, a line is written at most this often."""
-
-
-class StudyProgress:
-    """A ``Listener`` that shows a bar over the designs with the time left and the failures, and a
-    line a process."""
-
-    def __init__(self, console: Console, study: Study) -> None:
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
-        self._console = console
-        self._study = study
-        self._bar = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", markup=False),
-            console=console,
-            speed_estimate_period=3600,
-        )
-        self._task: Any = None
-        self._workers: dict[int, Any] = {}
-        self._total = self._done = self._lost = 0
-        self._begun = self._line_at = time.monotonic()
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
-
-    def begins(self, total: int, there: int, to_do: int) -> None:
-        if there:
-            self._bar.console.print(f"{there} of {total} designs are there already, {to_do} to do")
-        self._total, self._begun = to_do, time.monotonic()
-        self._task = self._bar.add_task("designs", total=to_do, note="")
-
-    def finished(self, design: DesignRow) -> None:
-        if design.status != "done":
-            self._lost += 1
-            name = self._study.name_of(design.parameters)
-            self._bar.console.print(f"{name} {design.status}: {design.cause}")
-        self._done += 1
-        self._write_line()
-        note = f"{self._lost} failed" if self._lost else ""
-        self._bar.update(self._task, advance=1, note=note)
-
-    def _write_line(self) -> None:
-        now = time.monotonic()
-        last = self._done == self._total
-        if self._console.is_terminal or (now - self._line_at < LINE_EVERY_S and not last):
-            return
-        self._line_at = now
-        spent = now - self._begun
-        left = spent * (self._total - self._done) / self._done
-        self._console.print(
-            f"{self._done} of {self._total} designs, {self._lost} failed, {spent:.0f} s spent, "
-            f"about {left:.0f} s left",
-            soft_wrap=True,
-        )
-
-    def underway(self, worker: int, what: str, done: int, total: int) -> None:
-        if not total:
-            return
-        if worker not in self._workers:
-            self._workers[worker] = self._bar.add_task(f"process {worker + 1}", note="")
-        self._bar.update(self._workers[worker], completed=done, total=total, note=what)
-
-
-def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
-    """The verdict and the best designs, on standard output."""
-    from taccel_lab.cli.console import print_table, results
-    from taccel_lab.report.page import format_number
-
-    console = results()
-    verdict = values["verdict"]
-    console.print(verdict["headline"], style="green" if verdict["good"] else "yellow")
-    for sentence in verdict["sentences"]:
-        console.print(f"- {sentence}")
-    if not values["best"]:
-        return
-    rows = {row.id: row for row in outcome.rows}
-    best = [rows[design_id] for design_id in values["best"]]
-    columns = ("figure", "unit", *(values["names"][row.id] for row in best))
-    table = []
-    for name, item in (values["parameters"] | values["metrics"]).items():
-        cells = [{**row.parameters, **row.figures}[name] for row in best]
-        unit = "" if item["unit"] == "1" else item["unit"]
-        table.append((name, unit, *map(format_number, cells)))
-    print_table(columns, table, f"best designs: {values['goal']}")

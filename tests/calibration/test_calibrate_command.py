@@ -61,7 +61,7 @@ def test_bands_of_the_positional_encoding_are_asked_for(folder, capsys, monkeypa
     assert "No press was held out" in capsys.readouterr().out
     assert block is not None and block.architecture["position_bands"] == 2
     assert "2 bands of position" in block.provenance.method
-    with pytest.raises(InputError, match=r"position_bands must lie in \[0, 8\], got 9"):
+    with pytest.raises(InputError, match=r"--position-bands of the color model .* 8\], got 9"):
         run(folder, position_bands=9)
 
 

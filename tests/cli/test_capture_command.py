@@ -6,8 +6,10 @@ from __future__ import annotations
 import errno
 import json
 import os
+import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import pytest
 from taccel_lab.calibration.capture import importers, load, load_capture_folder
 from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.record.folder import RecordFolder
+from taccel_lab.calibration.record.labelling import Labelling
 from taccel_lab.files.videos import count_frames
 from tests.calibration.record.sessions import source
 from tests.cli.conftest import Cli
@@ -173,3 +176,30 @@ def test_lamps_are_printed_where_there_is_no_page(bench: Path, cli: Cli) -> None
     write_image(bench / "set" / "p00.png", dim)
     lines = cli(RECORD).err.splitlines()
     assert sum(line.startswith("drift: ") for line in lines) == 1
+
+
+def test_labels_that_were_clicked_are_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    """Done is pressed at once, with nothing saved, and after one press was left out."""
+    pytest.importorskip("viser", reason="the extra view is not installed")
+    folder = write_captures(tmp_path / "set")
+    name = "taccel_lab.calibration.record.label_page.LabelPage"
+    monkeypatch.setattr(name, _done_at_once)
+    words = ("capture label", folder, "--port", "0", "--no-browser")
+    assert cli(*words).out == "0 presses corrected\n"
+
+    def leave_out(server: object, labelling: Labelling, dark: bool) -> SimpleNamespace:
+        labelling.leave_out()
+        return _done_at_once()
+
+    monkeypatch.setattr(name, leave_out)
+    printed = cli(*words).out
+    assert "1 press corrected in" in printed and "next: taccel-lab capture check" in printed
+    assert cli.json(*words)["saved"] == {"p0": None}
+
+
+def _done_at_once(*_: object) -> SimpleNamespace:
+    done = threading.Event()
+    done.set()
+    return SimpleNamespace(done=done)

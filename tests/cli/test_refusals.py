@@ -53,7 +53,7 @@ REFUSALS = {
     },
     COLOR: {
         "--steps 0": "steps must be at least 1, got 0",
-        "--holdout-every 1": "holdout_every must be 0 or at least 2, got 1",
+        "--holdout-every 1": "--holdout-every must be 0 or at least 2, got 1",
         "--holdout-every 6": "captures.toml holds 5 presses, too few to hold out",
         "--base absent": "'absent' is neither a profile folder nor a sensor of the catalogue",
     },

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.api.study import plan_study
 from taccel_lab.cli.dataset import with_make
 from taccel_lab.studies.evaluate.runner import default_kit
 from tests.cli.conftest import DATASET, Cli, use
@@ -26,7 +27,9 @@ def stopped(designs, presses, metrics, **rest):
 def test_a_study_runs_and_says_where_to_look(study: Path, cli: Cli) -> None:
     _, out, err = cli("study", study)
     assert "3 designs compared" in out and "stiffness" in out
-    assert "3 of 3 designs, 0 failed" in err
+    lines = [line for line in err.splitlines() if " designs: thickness " in line]
+    assert len(lines) == 3 and lines[0].startswith("1 of 3 designs: thickness 4 mm: stiffness 0.")
+    assert all(f"thickness {mm} mm" in out for mm in (4, 5, 6))
     assert "out/thickness/designs.csv" in err and "out/thickness/report.html" in err
     root = study.parent / "out" / "thickness"
     assert (root / "study.toml").read_text() == study.read_text(encoding="utf-8")
@@ -51,13 +54,75 @@ def test_limit_and_report_only(study: Path, cli: Cli) -> None:
     assert len(logged(study.parent / "a b")) == 2
 
 
+def test_a_report_alone_names_no_table_that_is_not_there(study: Path, cli: Cli) -> None:
+    """A study of which no design has finished, and one of which there is no folder."""
+    root = study.parent / "out"
+    assert "holds no study; run it first" in cli("study", study, "--report-only", code=2).err
+    root.mkdir()
+    (root / ".taccel_lab_study").touch()
+    printed = cli("study", study, "--out", "out", "--report-only")
+    assert "no table: none of the designs has been evaluated" in printed.err
+    assert "designs.csv" not in printed.err + printed.out
+    assert (root / "report.html").is_file() and "report: out/report.html" in printed.err
+
+
+@pytest.mark.parametrize(
+    ("changes", "given", "there"),
+    [
+        ([], ["thickness_mm=3,4.5"], [3, 4.5]),
+        ([], ["thickness_mm=4"], [4]),
+        ([("[parameters.thickness_mm]\nvalues =", "[parameters]\nthickness_mm =")], [], [4, 5, 6]),
+        # What the file fixes or ties is swept just as well.
+        ([("[sweep]", "[fixed]\nfriction = 0.5\n[sweep]")], ["friction=0.2,0.4"], [4, 5, 6]),
+    ],
+)
+def test_values_may_be_set_and_lists_be_plain(
+    changes: list[tuple[str, str]], given: list[str], there: list[float], study: Path, cli: Cli
+) -> None:
+    text = study.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    study.write_text(text, encoding="utf-8")
+    told = cli("study", study, "--out", "out", "--limit", "1", *(["--set", *given] * bool(given)))
+    more = " --set ".join(["", *given])
+    if len(there) > 1 or "friction" in str(given):
+        assert f"taccel-lab study {study} --out out{more}" in told.err
+    plan = plan_study(study.parent / "out" / "study.toml")
+    axes = {axis.name: list(axis.values or ()) for axis in plan.axes}
+    assert axes["thickness_mm"] == there
+    assert axes.get("friction", [0.2, 0.4]) == [0.2, 0.4]
+
+
+def test_what_is_set_wrongly_is_refused(study: Path, cli: Cli) -> None:
+    for words, said in (
+        (("--set", "thicknes_mm=3"), "thickness_mm"),
+        (("--set", "thickness_mm=3,3"), "repeat"),
+        (("--set", "thickness_mm=-3,4"), "thickness_mm"),
+        (("--set", "thickness_mm"), "name=value"),
+        (("--set", "thickness_mm=3", "--submit", "local"), "--set"),
+    ):
+        assert said in cli.refusal("study", study, "--out", "out", *words)
+    assert not (study.parent / "out").exists()
+
+
+def test_the_terminal_ranks_all_designs_by_the_metric_that_is_named(study: Path, cli: Cli) -> None:
+    text = study.read_text(encoding="utf-8")
+    study.write_text(f'{text}[objective]\nminimize = "stiffness"\n', encoding="utf-8")
+    cli("study", study, "--out", "out", "--set", "thickness_mm=3,4,5,6,7")
+    printed = cli("study", study, "--out", "out", "--set", "thickness_mm=3,4,5,6,7").out
+    table = printed[printed.index("all designs: least stiffness") :]
+    shown = [float(line.split()[1]) for line in table.splitlines() if " mm " in line]
+    assert shown == [7, 6, 5, 4, 3]
+
+
 @pytest.mark.thorough
 def test_interruption_says_how_to_go_on(
     study: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     use(monkeypatch, stopped)
     told = cli("study", study, "--out", "out", code=130).err
-    kept = f"what is finished stays in out; go on with: taccel-lab study {study} --out out"
+    kept = f"1 finished design stays in out; go on with: taccel-lab study {study} --out out"
     assert f"interrupted; {kept}\n" in told
     assert len((study.parent / "out" / "designs.csv").read_text().splitlines()) == 2
     use(monkeypatch)
@@ -72,7 +137,7 @@ def test_no_design_is_to_blame_for_a_full_disk(study: Path, cli: Cli) -> None:
     with files_at_most(20_000):
         said = cli("study", study, "--out", "out", code=2).err.splitlines()[-1]
     assert said.startswith("error: ")
-    assert ".vtu: File too large; what is finished stays in out" in said
+    assert ".vtu: File too large; no design has finished; go on with" in said
     assert said.endswith(f"go on with: taccel-lab study {study} --out out")
     assert not list((study.parent / "out").rglob(".*.vtu"))
     cli("study", study, "--out", "out")

@@ -50,7 +50,7 @@ def test_a_block_is_imported(step: Path, tmp_path: Path, monkeypatch: pytest.Mon
         "mould_cavity", "mould_lid", "mould_3mf", "mould_report", "drawing", "drawing_pdf",
     }  # fmt: skip
     assert all(path.exists() for path in result.files.values())
-    assert done[:3] == [("import", 0, 1), ("import", 1, 1), ("mesh", 0, 1)]
+    assert done[:3] == [("import", 0, 1), ("import", 1, 1), ("cad", 0, 1)]
     written = json.loads(result.files["gel"].read_text())
     assert written["file"] == "mine.step" and written["thickness_mm"] == pytest.approx(3.0)
     assert written["selection"]["window"] == ["rect:5x4"]

@@ -38,6 +38,7 @@ from taccel_lab.calibration.capture.schema import (
     SCHEMA_VERSION,
     manifest_text,
 )
+from taccel_lab.calibration.capture.sensor_facts import USUAL, catalogue_scale
 from taccel_lab.calibration.import_options import ImportOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
@@ -299,6 +300,28 @@ class Draft:
                 raise InputError(f"{options.background}: no such background image")
             self._drop_press(path)
             self.set_background(path)
+        if options.scale == "catalogue" and "mm_per_px_x" not in self.manifest:
+            self._take_catalogue_scale()
+
+    def _take_catalogue_scale(self) -> None:
+        """Take the scale of the sensor's usual view, noted as assumed.
+
+        Raises InputError where nobody states the sensor, and for images of other proportions.
+        """
+        if "sensor" in self.assumed:
+            raise InputError(
+                "--scale catalogue needs the sensor, which no file states: name it with --sensor"
+            )
+        names = [
+            self.manifest.get("background"),
+            *(e["image"] for e in self.manifest.get("presses", [])),
+        ]
+        name = next((name for name in names if name is not None), None)
+        if name is None:
+            raise InputError(f"--scale catalogue: {self.place} holds no image of the gel")
+        height, width = levels(self.files[name]).shape[:2]
+        x, y = catalogue_scale(self.sensor, width, height)
+        self.set_scale(x, y, USUAL.format(self.sensor))
 
     def _drop_press(self, image: Path) -> None:
         """Take a press out whose image turns out to be something else."""
@@ -361,7 +384,7 @@ class Draft:
         if "indenter" not in self.manifest and not all("radius_mm" in e for e in entries):
             missing.append("the ball's radius (--radius-mm)")
         if "mm_per_px_x" not in self.manifest and not ({"boards", "edges"} & self.manifest.keys()):
-            missing.append("the scale (--mm-per-px-x, --mm-per-px-y)")
+            missing.append("the scale (--mm-per-px-x, or --scale catalogue for the usual one)")
         return missing
 
     def remarks(self) -> list[str]:

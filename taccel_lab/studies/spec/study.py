@@ -25,6 +25,7 @@ from taccel_lab.studies.metrics.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.spec.axis import Axis, axis_of, grid_points, random_points, significant
 from taccel_lab.studies.spec.readings import press_of, readings, split_name
 from taccel_lab.studies.spec.study_file import Objective, StudySpec, Tie, load_spec
+from taccel_lab.studies.spec.study_table import Swept
 
 EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
@@ -115,11 +116,13 @@ def _tied_value(tie: Tie, value: float, parameter: Parameter) -> float | int:
     return round(found) if isinstance(parameter.default, int) else significant(found)
 
 
-def read_study(path: Path, kit: Kit, accuracy: str | None = None) -> Study:
-    """The study of a file, with another accuracy than its own where one is given; InputError names
-    the file and what is wrong in it."""
+def read_study(
+    path: Path, kit: Kit, accuracy: str | None = None, swept: Swept | None = None
+) -> Study:
+    """The study of a file, with another accuracy than its own where one is given, and ``swept``
+    values in place of its own; InputError names the file and what is wrong in it."""
     with naming(path):
-        spec = load_spec(path)
+        spec = load_spec(path, swept)
         if accuracy is not None:
             block = spec.study.model_copy(update={"accuracy": Accuracy(accuracy)})
             spec = spec.model_copy(update={"study": block})

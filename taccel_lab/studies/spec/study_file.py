@@ -25,13 +25,14 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.documents import first_repeated, read_toml
+from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.regular_file import shown
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, describe_errors
 from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
 from taccel_lab.studies.metrics.design_point import LOAD_N
+from taccel_lab.studies.spec.study_table import Swept, study_table
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""
@@ -105,7 +106,7 @@ class StudyBlock(StrictModel):
 
 
 class ParameterRange(StrictModel):
-    """Values of one parameter: a list, or a range."""
+    """Values of one parameter: a list, plain or as ``values``, or a range."""
 
     values: list[Value] | None = None
     min: Number | None = None
@@ -116,6 +117,12 @@ class ParameterRange(StrictModel):
     """How a range is divided: equal steps, or equal ratios."""
     start: Number | None = None
     """Where an optimiser begins. Default: the family's default, or the middle."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_list(cls, given: Any) -> Any:
+        """Take a plain list for values."""
+        return {"values": given} if isinstance(given, list) else given
 
     @model_validator(mode="after")
     def _check_form(self) -> ParameterRange:
@@ -311,7 +318,9 @@ class StudySpec(StrictModel):
     @model_validator(mode="after")
     def _check_whole(self) -> StudySpec:
         if not self.parameters:
-            raise ValueError("no [parameters.NAME] table: there is nothing to sweep")
+            raise ValueError(
+                "there is nothing to sweep: give [parameters] NAME = [3, 4, 5], or --set NAME=3,4,5"
+            )
         for one, two in (("fixed", "parameters"), ("tied", "parameters"), ("tied", "fixed")):
             both = sorted(set(getattr(self, one)) & set(getattr(self, two)))
             if both:
@@ -384,10 +393,13 @@ _TABLES: dict[str, type[StrictModel]] = {
 }
 
 
-def load_spec(path: Path | str) -> StudySpec:
-    """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
+def load_spec(path: Path | str, swept: Swept | None = None) -> StudySpec:
+    """Read a study file, with ``swept`` values in place of its own.
+
+    Raises InputError with every wrong key: what is there, what is allowed.
+    """
     path = Path(path)
-    spec = spec_of(read_toml(path), str(path))
+    spec = spec_of(study_table(path, swept), str(path))
     sensor = spec.study.sensor
     if "/" in sensor:
         sensor = os.path.abspath(path.parent / sensor)

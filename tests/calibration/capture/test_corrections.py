@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle, load_captures
-from taccel_lab.calibration.capture.load import override_presses, override_text
+from taccel_lab.calibration.capture.contacts_file import override_presses, override_text
 from taccel_lab.calibration.circles.labels import choose_circles
 from taccel_lab.cli.capture import CaptureCheckCommand
 from taccel_lab.errors import InputError

@@ -18,8 +18,10 @@ from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.importers import detect_layout, read_drafts
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, read_labels
 from taccel_lab.calibration.capture.records import is_record, read_columns
+from taccel_lab.calibration.capture.sensor_facts import SAME_SHAPE
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.sensors.registry import sensor_family
 from tests.calibration.capture import made_up_layouts as layouts
 from tests.calibration.capture.made_up_layouts import imported, layout_of, source_of, write_text
 from tests.calibration.drawn.faults import quantise
@@ -349,3 +351,28 @@ def test_faulty_scripts(tmp_path: Path, text: str | None, words: str) -> None:
 def test_a_row_with_half_a_place_is_refused(bench: Path) -> None:
     (bench / "left" / "presses.csv").write_text("file,x_px,y_px,r_px\np0.jpg,3,4,\n")
     assert "presses.csv: line 2: lacks r_px" in refused(bench, MINE)
+
+
+def test_a_scale_of_the_catalogue_is_taken_where_none_is_stated(source: Path) -> None:
+    """The sensor has to be stated, and to have images of these proportions."""
+    assert "needs the sensor" in refused(source, scale="catalogue")
+    height, width = gel().shape[:2]
+    grid = sensor_family("gelsight_mini").parameters().grid()
+    alike = abs(height * grid.width_px / width / grid.height_px - 1) <= SAME_SHAPE
+    assert alike
+    (captures,) = imported(source, scale="catalogue", sensor="gelsight_mini")
+    assert captures.mm_per_px is not None
+    assert captures.mm_per_px[0] * width == pytest.approx(grid.width_px * grid.mm_per_px_x)
+    assert "the usual one of the catalogue's gelsight_mini" in captures.assumed["mm_per_px"]
+
+
+def test_a_stated_scale_wins_over_that_of_the_catalogue(source: Path) -> None:
+    (captures,) = imported(source, scale="catalogue", sensor="gelsight_mini", mm_per_px_x=0.05)
+    assert captures.mm_per_px == (0.05, 0.05) and "mm_per_px" not in captures.assumed
+
+
+def test_images_that_cannot_have_the_catalogues_scale_are_refused(source: Path) -> None:
+    for path in source.glob("*.png"):
+        write_image(path, read_image(path)[:, :100])
+    said = refused(source, scale="catalogue", sensor="gelsight_mini")
+    assert "cannot show the same part of the gel" in said and "--mm-per-px-x" in said

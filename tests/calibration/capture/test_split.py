@@ -104,9 +104,9 @@ def test_memory_goes_with_the_number_of_presses() -> None:
 
 
 @pytest.mark.parametrize(("count", "words"), [
-    (1, "holds 1 press, .* holdout_every of 0$"),
-    (2, "holds 2 presses, .* holdout_every of 0 or 2$"),
-    (3, "holdout_every of 0 or 2 to 3$"),
+    (1, "holds 1 press, .* --holdout-every 0$"),
+    (2, "holds 2 presses, .* --holdout-every 0 or 2$"),
+    (3, "--holdout-every 0 or 2 to 3$"),
 ])  # fmt: skip
 def test_too_few_to_hold_out_says_what_is_allowed(count: int, words: str) -> None:
     with pytest.raises(InputError, match=words):

@@ -14,6 +14,7 @@ from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, Shot
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
+from taccel_lab.calibration.capture.sensor_facts import catalogue_scale
 from taccel_lab.calibration.check import check_captures
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.calibration.record.folder import QUICK_LEAVES_OUT, RecordFacts, open_record
@@ -145,7 +146,7 @@ def test_a_scale_of_the_catalogue_is_noted_as_assumed(tmp_path: Path) -> None:
     text = (tmp_path / "out" / "captures.toml").read_text()
     assert text.startswith("# a quick session, which leaves out:") and "# - force" in text
     with pytest.raises(InputError, match="--crop"):
-        CATALOGUE.catalogue_scale(320, 320)
+        catalogue_scale(CATALOGUE.sensor, 320, 320)
 
 
 @pytest.mark.thorough
@@ -153,7 +154,7 @@ def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Pa
     rng = np.random.default_rng(1)
     turned = [quantise(rng.normal(90.0, 1.0, (320, 240, 3))) for _ in range(80)]
     path, watching = written(tmp_path / "turned", turned), Watching()
-    with pytest.raises(InputError, match="turned by a quarter: turn it back"):
+    with pytest.raises(InputError, match="turned by a quarter: turn the camera back"):
         record(path, tmp_path / "new" / "out", 1, CATALOGUE, watching)
     assert watching.seen == [], "refused at the first frame"
     assert not (tmp_path / "new").exists()
