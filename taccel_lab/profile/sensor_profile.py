@@ -13,6 +13,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.guards import unknown
 from taccel_lab.profile.consistency import check_mesh_size, disagreements
 from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optional_blocks import (
@@ -121,9 +122,8 @@ class SensorProfile(Summary):
         if name == MAIN_VIEW:
             return dataclasses.replace(self, views={}) if self.views else self
         if name not in self.views:
-            raise InputError(
-                f"{self.sensor.name} has no view {name!r}; known: {', '.join(self.view_names())}"
-            )
+            more = unknown(name, self.view_names())
+            raise InputError(f"{self.sensor.name} has no view {name!r}{more}")
         return dataclasses.replace(self, views={}, **self.views[name].parts())
 
     def with_view(self, name: str, seen: SensorProfile) -> SensorProfile:
@@ -240,9 +240,8 @@ class SensorProfile(Summary):
         changes: dict[str, Any] = {}
         for key in keys:
             if key not in OPTIONAL_BLOCKS:
-                raise InputError(
-                    f"a profile cannot lack {key!r}; optional: {', '.join(sorted(OPTIONAL_BLOCKS))}"
-                )
+                more = unknown(key, sorted(OPTIONAL_BLOCKS), they_are="optional")
+                raise InputError(f"a profile cannot lack {key!r}{more}")
             changes[key] = None
             if key in ARRAY_FIELDS:
                 changes[ARRAY_FIELDS[key]] = None

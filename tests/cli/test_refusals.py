@@ -126,10 +126,10 @@ REFUSALS = {
     },
     "dataset": {
         "set.toml --out out --shard 3/2": "shard '3/2' is not understood",
-        "sizes.toml --out out --check-only": "output.sizes_px: unknown key; allowed: channels, s",
+        "sizes.toml --out out --check-only": "output.sizes_px: unknown key (did you mean size_px?)",
     },
     "task": {
-        "run juggle --out out": "there is no task 'juggle'; there are",
+        "run juggle --out out": "no task 'juggle'; taccel-lab task list lists all",
         "run peg-insertion --out out --seeds 0": "seeds must lie in 1..100000, got 0",
         "run peg-insertion --out out --environments 0": "environments must lie in 1..100000",
         "record peg-insertion --out out --seed -1": "seed must lie in 0..99999, got -1",
@@ -152,7 +152,7 @@ REFUSALS = {
         "digit --picture digit.svg": "digit.svg must end in .png",
     },
     "robot show": {
-        "hand": "'hand' is neither a file nor a robot of the catalogue: par",
+        "hand": "'hand' is neither a file nor a robot of the catalogue ... known: par",
         "three_finger_hand --picture hand.jpg": "must end in .png",
     },
 }

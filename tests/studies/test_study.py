@@ -42,8 +42,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
 
 
 BAD_FILES = [
-    ("swep", {}, "swep: unknown key; allowed:", "did you mean sweep?"),
-    ("study/nam", "x", "study.nam: unknown key; allowed: name, sensor", "did you mean name?"),
+    ("swep", {}, "swep: unknown key (did you mean sweep?)"),
+    ("study/nam", "x", "study.nam: unknown key (did you mean name?); allowed: name, sensor"),
     ("study/metrics", [], "no metrics: name at least one in study.metrics"),
     ("study/metrics", ["blur", "blur"], "named twice: blur"),
     ("study/name", ..., "study.name: field required"),
