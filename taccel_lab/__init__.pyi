@@ -5,6 +5,8 @@ from taccel_lab.api.press_options import PressOptions as PressOptions
 from taccel_lab.api.press_result import Press as Press
 from taccel_lab.api.press_run import press as press
 from taccel_lab.api.read import read as read
+from taccel_lab.api.sensor import Sensor as Sensor
+from taccel_lab.api.sensor import list_sensors as list_sensors
 from taccel_lab.api.sensor import load_sensor as load_sensor
 from taccel_lab.api.study import study as study
 from taccel_lab.calibration.calibrate import Calibration as Calibration
@@ -29,7 +31,6 @@ from taccel_lab.presses import PressPath as PressPath
 from taccel_lab.presses import parse_indenter as parse_indenter
 from taccel_lab.presses import profile_material as profile_material
 from taccel_lab.presses import profile_scene as profile_scene
-from taccel_lab.profile.io import load_profile as load_profile
 from taccel_lab.profile.io import save_profile as save_profile
 from taccel_lab.profile.io import validate_profile as validate_profile
 from taccel_lab.profile.optical_design import OpticalDesign as OpticalDesign

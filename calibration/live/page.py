@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,9 +66,9 @@ def depth_picture(surface: SurfaceReading, refused: str) -> tuple[str, np.ndarra
     """Title with the scale, and the depth in colours; what the calibration does not reach is
     marked, and a depth that is rejected is grey."""
     if refused:
-        return "depth: rejected", np.full((*surface.rise_m.shape, 3), REFUSED, np.uint8)
+        return "depth: rejected", np.full((*surface.depth_m.shape, 3), REFUSED, np.uint8)
     marked = (surface.beyond_balls, surface.saturated)
-    picture = _colored_map(-1e3 * surface.rise_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
+    picture = _colored_map(1e3 * surface.depth_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
     return "depth [mm] (pink: beyond the calibration)", picture
 
 
@@ -318,13 +319,13 @@ _SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
 
 
 def save_snapshot(reading: LiveReading, folder: Path) -> Path:
-    """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth`` where the depth is not
-    refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
+    """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth --ply`` where the depth
+    is not refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
     folder.mkdir(parents=True, exist_ok=True)
     taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
     stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
     path = folder / f"{stem}_image.png"
     write_image(path, reading.image)
     if reading.surface is not None and not reading.refused:
-        write_reading(reading.surface, reading.image, path, folder, stem)
+        write_reading(replace(reading.surface, name=str(path)), folder, stem, ply=True)
     return path

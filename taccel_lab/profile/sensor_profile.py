@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -114,7 +114,7 @@ class SensorProfile(Summary):
         """Return the names of all cameras, ``main`` first."""
         return (MAIN_VIEW, *self.views)
 
-    def seen_by(self, name: str) -> SensorProfile:
+    def seen_by(self, name: str) -> Self:
         """Return the sensor with one of its cameras and no other: an ordinary profile.
 
         Gel, material, window, coating, lights, markers and housing are shared.
@@ -126,7 +126,7 @@ class SensorProfile(Summary):
             raise InputError(f"{self.sensor.name} has no view {name!r}{more}")
         return dataclasses.replace(self, views={}, **self.views[name].parts())
 
-    def with_view(self, name: str, seen: SensorProfile) -> SensorProfile:
+    def with_view(self, name: str, seen: SensorProfile) -> Self:
         """Return a profile with the camera of ``seen`` and what was fitted to its images under that
         name; ``main`` puts it in the place of the profile's own."""
         view = SensorView.of(seen)
@@ -217,7 +217,7 @@ class SensorProfile(Summary):
         self,
         block: Block,
         arrays: TetMesh | np.ndarray | Mapping[str, np.ndarray] | None = None,
-    ) -> SensorProfile:
+    ) -> Self:
         """Return a profile with ``block`` added or replaced.
 
         ``arrays`` is what the block describes: a TetMesh for a GelBlock, an RGB image for a
@@ -235,7 +235,7 @@ class SensorProfile(Summary):
             raise InputError(f"a {block.key} block takes no arrays")
         return dataclasses.replace(self, **changes)
 
-    def without(self, *keys: str) -> SensorProfile:
+    def without(self, *keys: str) -> Self:
         """Return a profile that lacks the named optional blocks and their arrays."""
         changes: dict[str, Any] = {}
         for key in keys:

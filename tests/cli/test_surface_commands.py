@@ -75,7 +75,7 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
     assert 0.2 < found["max_depth_mm"] < 1.2
     with np.load("depths/p3.npz") as stored:
         assert stored["height_m"].shape == (GRID.height_px, GRID.width_px)
-        assert -1e3 * stored["rise_m"].min() == pytest.approx(found["max_depth_mm"], rel=1e-5)
+        assert 1e3 * stored["depth_m"].max() == pytest.approx(found["max_depth_mm"], rel=1e-5)
         assert {"normals", "sigma_deg", "radius95_deg"} <= set(stored.files)
     assert Path("depths/p3.png").stat().st_size > 5000
     assert json.loads(Path("depths/p3.json").read_text())["image"] == image
