@@ -278,7 +278,7 @@ class Press(Summary):
         height, width = self.outcome.height_m.shape
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
-            ("95 % of it", "{:.3g} to {:.3g} N, all told".format(*self.force_interval_n)),
+            ("95 % interval", "{:.3g} to {:.3g} N, of all causes".format(*self.force_interval_n)),
             ("deepest", f"{with_error(self._deepest_mm(), self.height_error.total)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
