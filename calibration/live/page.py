@@ -21,6 +21,7 @@ import numpy as np
 
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
+from taccel_lab.calibration.live.surface_view import SurfaceView
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.touch import write_reading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
@@ -166,18 +167,57 @@ SPREAD = " +-"
 """Ends the name of a standard deviation, before its unit."""
 
 
+VIEWS = ("pictures", "3D")
+RELIEF = 5.0
+"""Times by which heights are drawn in 3D at first: dents are a hundredth of a gel's width."""
+
+
 class LiveSheet:
-    """The pictures of all sensors of a page, and its button to stop."""
+    """The pictures or surfaces of all sensors of a page, and its button to stop."""
 
     def __init__(self, server: ViserServer) -> None:
         self.server = server
         self.stop = threading.Event()
         self._pictures: dict[str, list[tuple[str, np.ndarray]]] = {}
+        self._surfaces = SurfaceView(server)
         wide_panel(server)
         server.gui.add_button("Stop").on_click(lambda _: self.stop.set())
+        self._view = server.gui.add_button_group("Show", VIEWS)
+        self._relief = server.gui.add_slider(
+            "Heights, times", 1.0, 20.0, 1.0, RELIEF, visible=False
+        )
+        self._scale = add_note(server.gui)
+        self._view.on_click(lambda _: self._choose())
 
-    def show(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
-        """Show a sensor's pictures beside those of the others, in the order of the names."""
+    def _choose(self) -> None:
+        self._relief.visible = self._in_space
+
+    @property
+    def _in_space(self) -> bool:
+        return self._view.value == VIEWS[1]
+
+    def show(self, name: str, reading: LiveReading, background: np.ndarray) -> None:
+        """Show what a sensor reads beside the others, in the order of the names."""
+        if not self._in_space:
+            self._show_pictures(name, pictures(reading, background))
+        elif reading.surface is None:
+            self._scale.content = PageText("{} reads no depth").format(name or "this profile")
+        else:
+            deepest_mm = self._surfaces.show(
+                name,
+                reading.surface,
+                relief=self._relief.value,
+                least_mm=LEAST_DEEPEST_MM,
+                rejected=bool(reading.refused),
+            )
+            colors = PageText("depth from 0 (violet) to {:.2f} mm (yellow)")
+            self._scale.content = (
+                "depth: rejected" if reading.refused else colors.format(deepest_mm)
+            )
+
+    def _show_pictures(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
+        if self._surfaces.hide():
+            self._scale.content = ""
         self._pictures[name] = pictures
         several = len(self._pictures) > 1
         shown = [
@@ -224,7 +264,7 @@ class LivePage:
             self._kept.content = PageText("wrote {}").format(str(kept))
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
-            self._sheet.show(self._name, pictures(reading, reader.background))
+            self._sheet.show(self._name, reading, reader.background)
         if now - self._shown_s >= FIGURES_EVERY_S:
             self._shown_s = now
             self._figures.content = figures_text(reading, reader)

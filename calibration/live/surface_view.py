@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The surface that a live sensor reads, in space: coloured by depth, shaded by its slopes.
+
+Points, not triangles: a page takes their places and colours anew for every frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from taccel_lab.calibration.pressure.touch import TouchReading
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+MOST_POINTS = 30_000
+"""Of one sensor; a frame of them is 300 kB."""
+LIGHT = np.array((-0.45, -0.35, 0.82))
+"""Direction towards the light, gel frame."""
+DIRECTION = np.array((0.25, -0.8, 0.9))
+"""Direction from which surfaces are seen at first."""
+PALE = 0.3
+"""Share of white: slopes of an untouched gel, which is dark, are to be seen."""
+REJECTED = (150, 150, 150)
+"""Colour of a surface that is not to be believed."""
+
+
+class SurfaceView:
+    """Surfaces of the sensors of a page, side by side; lengths are shown in mm."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self._server = server
+        self._shown: dict[str, TouchReading] = {}
+
+    def hide(self) -> bool:
+        """Take all surfaces off the page; whether there were any."""
+        if not self._shown:
+            return False
+        self._server.scene.remove_by_name("/live")
+        self._shown.clear()
+        return True
+
+    def show(
+        self, name: str, found: TouchReading, *, relief: float, least_mm: float, rejected: bool
+    ) -> float:
+        """Show a sensor's surface, of a new sensor beside those that are there.
+
+        Args:
+            name: Of the sensor; empty where it is the only one.
+            found: What it reads.
+            relief: Times by which heights are drawn.
+            least_mm: End of the colour scale where no sensor is pressed deeper.
+            rejected: Whether the surface is not to be believed: it is grey then.
+
+        Returns:
+            The end of the colour scale [mm].
+        """
+        first = name not in self._shown
+        if not self._shown:
+            self._server.scene.set_background_image(None)
+        self._shown[name] = found
+        deepest_mm = max(least_mm, *(1e3 * float(f.depth_m.max()) for f in self._shown.values()))
+        points_mm, colors = surface_points(found, relief, deepest_mm, rejected=rejected)
+        pitch_mm = found.grid.mm_per_px_x * _every(found)
+        with self._server.atomic():
+            self._server.scene.add_point_cloud(
+                f"/live/{name or 'gel'}",
+                points_mm,
+                colors,
+                point_size=1.3 * pitch_mm,
+                point_shading="flat",
+                precision="float32",
+                position=(self._place_mm(name), 0.0, 0.0),
+            )
+            if first and name:
+                low = points_mm.min(axis=0)
+                self._server.scene.add_label(
+                    f"/live/{name}/label", name, position=tuple(low - (0, 1, 0))
+                )
+        if first:
+            self._look()
+        return deepest_mm
+
+    def _place_mm(self, name: str) -> float:
+        """Where the middle of a sensor lies along x, in the order of the names."""
+        left = 0.0
+        for other in sorted(self._shown):
+            grid = self._shown[other].grid
+            wide_mm = grid.width_px * grid.mm_per_px_x
+            if other == name:
+                return left + wide_mm / 2
+            left += 1.15 * wide_mm
+        return left
+
+    def _look(self) -> None:
+        """Point all windows at the surfaces."""
+        grids = [found.grid for found in self._shown.values()]
+        wide_mm = sum(1.15 * grid.width_px * grid.mm_per_px_x for grid in grids)
+        high_mm = max(grid.height_px * grid.mm_per_px_y for grid in grids)
+        middle = np.array((wide_mm / 2.3, 0.0, 0.0))
+        away_mm = 1.5 * math.hypot(wide_mm, high_mm)
+        scene, camera = self._server.scene, self._server.initial_camera
+        scene.set_up_direction("+z")
+        camera.position = middle + away_mm * DIRECTION / np.linalg.norm(DIRECTION)
+        camera.look_at, camera.fov = middle, math.radians(38)
+        for client in self._server.get_clients().values():
+            # A window higher than wide shows as much of the width from further away.
+            further = 1.0 / min(client.camera.aspect or 1.0, 1.0)
+            client.camera.position = middle + further * (np.asarray(camera.position) - middle)
+            client.camera.look_at = middle
+
+
+def surface_points(
+    found: TouchReading, relief: float, deepest_mm: float, *, rejected: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a surface [mm], float32, [n, 3], and their RGB colours, uint8, [n, 3]:
+    brightest at ``deepest_mm``. Other arguments as of ``SurfaceView.show``."""
+    part = np.s_[:: _every(found), :: _every(found)]
+    points_mm = 1e3 * found.points_m[part]
+    points_mm[..., 2] *= relief
+    share = np.clip(255 * 1e3 * found.depth_m[part] / deepest_mm, 0, 255).astype(np.uint8)
+    colors = cv2.cvtColor(cv2.applyColorMap(share, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
+    if rejected:
+        colors[:] = REJECTED
+    normals = found.normals[part] * (relief, relief, 1.0)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    lit = np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    light = PALE * 255 + (1 - PALE) * colors
+    shaded = np.clip(light * (0.3 + 0.85 * lit[..., None]), 0, 255).astype(np.uint8)
+    return points_mm.reshape(-1, 3).astype(np.float32), shaded.reshape(-1, 3)
+
+
+def _every(found: TouchReading) -> int:
+    """Rows and columns of which one is shown."""
+    return max(1, math.ceil(math.sqrt(found.depth_m.size / MOST_POINTS)))
