@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 MOST_POINTS = 30_000
-"""Of one sensor; a frame of them is 300 kB."""
+"""Points of one sensor at most; a frame of them is 300 kB."""
 LIGHT = np.array((-0.45, -0.35, 0.82))
 """Direction towards the light, gel frame."""
 DIRECTION = np.array((0.25, -0.8, 0.9))

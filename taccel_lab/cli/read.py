@@ -183,13 +183,13 @@ class Depth:
     A normals block (colour sensors) gives normals, which are integrated; a depth_response block
     (grey sensors) gives depths. For every image, `<name>.npz` holds depth, height, their standard
     deviation and the pressure, `<name>.png` shows them, and `<name>.json` has depth, position, area
-    and force with its 95 % interval, from the contact of an elastic layer. depth_m is how far the
-    gel lies below where it rests, in metres: positive in a dent, and zero within its interval on an
-    untouched gel, curved or flat. height_m is z in the gel frame and keeps the curve of the gel.
-    The +- is one standard deviation of the absolute depth, calibration included. The light of each
-    image is brought to the profile's, and an untouched gel reads as no contact, 0 N. Images that
-    cannot be a press of this sensor are listed with the reason. The others are still read, and the
-    exit code is 2.
+    and force with its 95 % interval, from the contact of an elastic layer. Depths (`depth_m`, in
+    metres) count from where the gel rests: positive in a dent, zero within their interval on an
+    untouched gel, curved or flat. Heights (`height_m`) are z in the gel frame and keep the gel's
+    curve. The +- is one standard deviation of the absolute depth, calibration included. The light
+    of each image is brought to the profile's, and an untouched gel reads as no contact, 0 N. Images
+    that cannot be a press of this sensor are listed with the reason. The others are still read, and
+    the exit code is 2.
     """
 
     profile: Positional[str]

@@ -90,12 +90,13 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
         assert f"{name}.png" in said and "no image of the sensor" in said
         assert not Path(name).exists()
     # A black frame stops no other image.
-    said = cli("depth profile black.png", image, "--out", "some", "--json", code=2)
+    said = cli("depth profile black.png", image, "--out", "some", "--json", "--ply", code=2)
     told = json.loads(said.out)
     assert list(told["images"]) == ["p3"] and list(told["refused"]) == ["black"]
     assert "no image of the sensor" in told["refused"]["black"] and "black.png" in said.err
     kept = sorted(path.name for path in Path("some").iterdir())
-    assert "p3.npz" in kept and not any("black" in name for name in kept)
+    assert {"p3.npz", "p3.ply"} <= set(kept) and not Path("depths/p3.ply").exists()
+    assert not any("black" in name for name in kept)
     assert cli.json("depth profile black.png --out some", code=2)["out"] is None
     assert sorted(path.name for path in Path("some").iterdir()) == kept
 
