@@ -19,6 +19,7 @@ from taccel_lab.geometry import PixelGrid as PixelGrid
 from taccel_lab.geometry import QuadraticMesh as QuadraticMesh
 from taccel_lab.geometry import Region as Region
 from taccel_lab.geometry import TetMesh as TetMesh
+from taccel_lab.gradients.torch_motion import TorchMotion as TorchMotion
 from taccel_lab.model import Model as Model
 from taccel_lab.optics.photometry import measure_photometry as measure_photometry
 from taccel_lab.optics.render import OpticalModel as OpticalModel
@@ -60,6 +61,8 @@ from taccel_lab.scene import sphere_mesh as sphere_mesh
 from taccel_lab.signals import FineSurface as FineSurface
 from taccel_lab.signals import MarkerLayout as MarkerLayout
 from taccel_lab.signals import SignalTactile as SignalTactile
+from taccel_lab.signals.torch_signals import height_map as height_map
+from taccel_lab.signals.torch_signals import marker_places as marker_places
 from taccel_lab.solvers import Control as Control
 from taccel_lab.solvers import EnvStatus as EnvStatus
 from taccel_lab.solvers import ReadySteps as ReadySteps

@@ -19,6 +19,7 @@ from taccel_lab.sensors.registry import sensor_families
 if TYPE_CHECKING:
     from taccel_lab.api.read import Image
     from taccel_lab.calibration.pressure.touch import TouchReading
+    from taccel_lab.geometry import TetMesh
 
 
 class Sensor(SensorProfile):
@@ -73,6 +74,20 @@ class Sensor(SensorProfile):
 
         start_warp()
         return image_of_heights(self, height_m)
+
+    def meshed(self, edge_mm: float) -> TetMesh:
+        """Mesh the gel anew, coarse for many environments or fine [m], gel frame.
+
+        Args:
+            edge_mm: Length of the elements' edges.
+
+        Raises:
+            InputError: A length out of bounds.
+        """
+        from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+        from taccel_lab.sensors.registry import profile_parameters
+
+        return gel_mesh(profile_parameters(self).pad(), edge_mm)
 
     def save(self, folder: Path | str) -> None:
         """Write the profile; errors as of ``save_profile``."""

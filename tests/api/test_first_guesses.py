@@ -111,6 +111,9 @@ PROMISES: dict[str, Callable[[SimpleNamespace], bool]] = {
         my.sensor.save(my.folder / "profile") is None
         and repr(tl.load_sensor(my.folder / "profile")) == repr(my.sensor)
     ),
+    "sensor.meshed": lambda my: (
+        100 < my.sensor.meshed(edge_mm=2.5).node_count < tl.load_sensor("9dtact").mesh.node_count
+    ),
     "a sensor with another block": lambda my: isinstance(my.sensor.without("force"), tl.Sensor),
 }
 
