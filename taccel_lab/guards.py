@@ -54,17 +54,17 @@ def unknown(
 ) -> str:
     """The nearest known name, then all of them where they are few, to end a refusal with.
 
-    ``listed_by``: the command that lists them, which stands in place of many names; ``they_are``:
-    what the list calls them.
+    ``listed_by``: the command that lists them, in place of many names, and of all where one is
+    near; ``they_are``: what the list calls them.
     """
     known = list(known)
     meant = nearest(name, known)
     if not known:
         return "; there are none"
+    if listed_by and (meant or len(known) > _LISTED):
+        return f"{meant}; {listed_by} lists all {len(known)}"
     if len(known) <= _LISTED:
         return f"{meant}; {they_are}: {', '.join(known)}"
-    if listed_by:
-        return f"{meant}; {listed_by} lists all {len(known)}"
     return meant or f"; {they_are}: {', '.join(known)}"
 
 
@@ -83,7 +83,7 @@ def _closest(name: str, known: Iterable[str]) -> str | None:
     for found in (
         get_close_matches(word, plain, n=1, cutoff=0.75),
         sorted(whole, key=len)[:1],
-        get_close_matches(word, plain, n=1, cutoff=0.5),
+        get_close_matches(word, plain, n=1, cutoff=0.6),
     ):
         if found:
             return plain[found[0]]

@@ -58,12 +58,12 @@ def checked_words(words: Sequence[str], names: Mapping[str, Sequence[str]]) -> l
 
         sys.stdout.write(f"taccel-lab {__version__}\n")
         raise SystemExit(0)
-    _require(words[0], tuple(names), "taccel-lab")
+    require_command(words[0], tuple(names), "taccel-lab")
     group = names.get(words[0], ())
     if group:
         if len(words) == 1:
             return [*words, "--help"]
-        _require(words[1], group, f"taccel-lab {words[0]}")
+        require_command(words[1], group, f"taccel-lab {words[0]}")
     return list(words)
 
 
@@ -106,7 +106,8 @@ def _options(command: type) -> Iterator[str]:
             yield f"--no-{name}"
 
 
-def _require(word: str, known: Sequence[str], prefix: str) -> None:
+def require_command(word: str, known: Sequence[str], prefix: str) -> None:
+    """Raise InputError for a word that names no command of ``prefix``, unless it is an option."""
     if not word.startswith("-") and word not in known:
         more = unknown(word, known, f"{prefix} --help")
         raise InputError(f"{prefix} has no command {word!r}{more}")

@@ -206,7 +206,7 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
         if name in {channel.name for channel in ALWAYS}:
             raise InputError(f"output.channels: {name!r} is always kept; leave it out")
         with naming("output.channels"):
-            require_known("channel", name, known_channels())
+            require_known("channel", name, known_channels(), "taccel-lab dataset channels")
         found.append(OPTIONAL.get(name) or signal_channel(name))
     return found
 

@@ -235,7 +235,7 @@ class Dataset(Summary):
         Raises InputError: no such channel, or rows of different size (nodes of different meshes),
         which are read an episode at a time.
         """
-        require_known("channel", channel, self.channels, "taccel-lab dataset show")
+        require_known("channel", channel, self.channels)
         chosen = (
             np.arange(len(self))[steps]
             if isinstance(steps, slice)

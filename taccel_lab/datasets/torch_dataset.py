@@ -48,7 +48,7 @@ class TouchDataset(TorchBase):
         self.data = Dataset(folders, split=split)
         self.names = (*inputs, *labels)
         for name in self.names:
-            require_known("channel", name, self.data.channels, "taccel-lab dataset show")
+            require_known("channel", name, self.data.channels)
         self._rest = self._first_steps() if background else None
 
     def _first_steps(self) -> np.ndarray:
