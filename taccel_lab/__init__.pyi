@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public names and their modules; read by type checkers and by ``lazy_names``."""
 
+from taccel_lab.api.calibrate import Calibration as Calibration
+from taccel_lab.api.calibrate import calibrate as calibrate
 from taccel_lab.api.press_options import PressOptions as PressOptions
 from taccel_lab.api.press_result import Press as Press
 from taccel_lab.api.press_run import press as press
@@ -9,8 +11,6 @@ from taccel_lab.api.sensor import Sensor as Sensor
 from taccel_lab.api.sensor import list_sensors as list_sensors
 from taccel_lab.api.sensor import load_sensor as load_sensor
 from taccel_lab.api.study import study as study
-from taccel_lab.calibration.calibrate import Calibration as Calibration
-from taccel_lab.calibration.calibrate import calibrate as calibrate
 from taccel_lab.datasets.reading import Dataset as Dataset
 from taccel_lab.datasets.reading import open_dataset as open_dataset
 from taccel_lab.errors import InputError as InputError

@@ -17,6 +17,7 @@ import taccel_lab as tl
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.files.triangle_file import read_triangle_file
 from taccel_lab.signals.rest_surface import rest_surface
+from tests.support.small_captures import write_captures
 
 RADIUS_MM, DEPTH_MM = 4.0, 0.4
 
@@ -210,3 +211,10 @@ def test_colours_of_a_rendered_dent_are_read_back() -> None:
     assert np.abs(found - dent_m).max() < 0.05e-3
     with pytest.raises(tl.InputError, match="no color or depth_response block to render"):
         tl.load_sensor("flat_pad").render(height_m)
+
+
+def test_a_calibration_of_one_block_by_its_name_has_a_sensor(tmp_path: Path) -> None:
+    found = tl.calibrate(write_captures(tmp_path / "captures"), only="background")
+    assert [outcome.name for outcome in found.blocks] == ["background"]
+    assert isinstance(found, tl.Calibration) and isinstance(found.profile, tl.Sensor)
+    assert tl.load_sensor(found) is found.profile
