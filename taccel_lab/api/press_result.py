@@ -109,8 +109,8 @@ class Press(Summary):
 
     @property
     def travel_mm(self) -> float:
-        """Travel of the indenter past first touch [mm], also of a press to a force."""
-        return self.outcome.steps[-1].depth_mm
+        """Largest travel of the indenter past first touch [mm], also of a press to a force."""
+        return self.outcome.travel_mm
 
     @property
     def contact_mm2(self) -> float:
