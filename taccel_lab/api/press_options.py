@@ -63,7 +63,7 @@ class PressOptions:
     speed_mm_s: float | None = None
     """Speed of the indenter, of a gel that relaxes (maxwell_modulus) [mm/s]. Default: 1."""
     hold_s: float = 0.0
-    """Then rest at full depth for so long, of a gel that relaxes [s]: the force falls."""
+    """Time at full depth, of a gel that relaxes [s]: the force falls."""
     unload: bool = False
     """Then go back to first touch: image and force are those after it, and press.json has the
     loop of force over depth."""
@@ -73,7 +73,7 @@ class PressOptions:
     contact range and steps until that error is below it."""
     levels: int = 2
     """How often a percentage may refine, at most 4: each time takes about four times as long as the
-    one before. The press that was reached by then says what is missing."""
+    one before. The last press then states what is missing."""
     tolerance: float | None = None
     """Convergence tolerance: force residual over the sum of the contact forces. Default: that of
     the accuracy."""

@@ -137,7 +137,7 @@ class PressPhoto:
             raise InputError(f"{path} shows {reading.depth_words}: there is no press to simulate")
         warnings = list(reading.figures(reader.grid)["warnings"])
         if not seen.whole:
-            warnings.append("the contact reaches the image's border: its middle is not seen whole")
+            warnings.append("the contact reaches the image's border: its middle is less certain")
         return cls(
             path,
             reader.lit(image).levels,

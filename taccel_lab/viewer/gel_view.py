@@ -116,7 +116,7 @@ class GelView:
             self._turn = self._gui.add_slider(
                 "turn [deg]", -90.0, 90.0, 1.0, 0.0, hint="About z, of upright planes."
             )
-            self._other = self._gui.add_checkbox("take the other side away", False)
+            self._other = self._gui.add_checkbox("hide the other side", False)
         with self._gui.add_folder("Forces"):
             self._arrows = self._gui.add_dropdown("arrows", ARROWS)
             self._patches = self._gui.add_slider("patches along the gel", 2, 60, 1, 24)

@@ -98,7 +98,7 @@ def _nothing(path: Path) -> str:
             "keeps those of a seed, and `taccel-lab view TASK` runs one live"
         )
     marks = ", ".join(f"{mark} of a {kind}" for kind, mark in _MARKS.items())
-    return f"{path} is nothing that can be looked at: it has neither {marks}, nor a study's designs"
+    return f"{path} cannot be shown: it has neither {marks}, nor a study's designs"
 
 
 @contextmanager

@@ -61,7 +61,7 @@ def test_names_are_sensors_and_tasks(tmp_path):
 
 @pytest.mark.parametrize(
     ("files", "words"),
-    [([], "nothing that can be looked at"), (["result.json"], "task record TASK` keeps")],
+    [([], "cannot be shown: it has neither"), (["result.json"], "task record TASK` keeps")],
 )
 def test_other_folders_are_refused_with_what_is_needed(files, words, tmp_path, capsys):
     for name in files:
