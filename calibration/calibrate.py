@@ -208,23 +208,8 @@ def calibrate(
     progress: Progress | None = None,
     unfinished: Path | str | None = None,
 ) -> Calibration:
-    """Fit every block that the captures allow.
-
-    Args:
-        folder: Captures, or the path of a capture folder.
-        base: Profile to extend, its folder, or a sensor of the catalogue; that of the captures if
-            None.
-        only: Name of a block, or names of several; all when empty.
-        options: Options of a block's fit by its name; its defaults where none are given.
-        progress: Told of the tasks of each block, as ``color: fitting the colour model``. When
-            None, bars are drawn where somebody watches.
-        unfinished: Folder that keeps each block as it is finished. The same call goes on with what
-            is there; ``UnfinishedCalibration.remove`` clears it away.
-
-    Raises:
-        InputError: An unknown block, files that cannot be read, a base of another sensor, or
-            captures that calibrate nothing, with the reason for each block.
-    """
+    """Fit every block that the captures allow; arguments and errors as of
+    ``taccel_lab.calibrate``."""
     start_warp()
     only = (only,) if isinstance(only, str) else tuple(only)
     with bars_if_watched(progress) as bars:
