@@ -52,8 +52,12 @@ def test_folders_are_known_by_a_file(files, kind, at, tmp_path):
 def test_names_are_sensors_and_tasks(tmp_path):
     assert find_source("gelsight_mini").kind is Kind.PROFILE
     assert find_source("ball-rolling").kind is Kind.TASK
-    with pytest.raises(InputError, match=r"gelsight_mini.*ball-rolling"):
-        find_source("no_such_thing")
+    for name, says in {
+        "xyz": "sensors list and .* task list",
+        "rolling": "mean ball-rolling",
+    }.items():
+        with pytest.raises(InputError, match=says):
+            find_source(name)
     (tmp_path / "press.json").write_text("{}")
     with pytest.raises(InputError, match=f"name the folder .*{tmp_path.name}"):
         find_source(str(tmp_path / "press.json"))
