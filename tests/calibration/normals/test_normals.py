@@ -306,7 +306,7 @@ def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path
         shown = rise_m, flat.height_m, normals_from_height(rise_m, GRID), flat.normals
         surface = BallSurface(*shown, 0.5, "layer")
         found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
-        off = np.abs(1e3 * found.rise_m - rise_mm)
+        off = np.abs(1e3 * found.depth_m + rise_mm)
         dent = rise_mm < -0.02
         assert np.sqrt(np.mean(off[dent] ** 2)) < within_mm
         assert found.height_sigma_m is not None
