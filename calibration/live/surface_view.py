@@ -1,29 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The surface that a live sensor reads, in space: coloured by depth, shaded by its slopes.
-
-Points, not triangles: a page takes their places and colours anew for every frame.
-"""
+"""The surface that a live sensor reads, in space: coloured by depth, in the light of the page."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from functools import cache
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from taccel_lab.calibration.pressure.touch import TouchReading
+from taccel_lab.geometry.height_surface import triangles_of_pixels
+from taccel_lab.report.painted_mesh import painted_mesh
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-MOST_POINTS = 30_000
-"""Points of one sensor at most; a frame of them is 300 kB."""
-LIGHT = np.array((-0.45, -0.35, 0.82))
-"""Direction towards the light, gel frame."""
+MOST_POINTS = 20_000
+"""Points of one sensor at most; a frame of them is 1 MB."""
 DIRECTION = np.array((0.25, -0.8, 0.9))
 """Direction from which surfaces are seen at first."""
-PALE = 0.3
+PALE = 0.25
 """Share of white: slopes of an untouched gel, which is dark, are to be seen."""
 REJECTED = (150, 150, 150)
 """Colour of a surface that is not to be believed."""
@@ -35,6 +34,7 @@ class SurfaceView:
     def __init__(self, server: ViserServer) -> None:
         self._server = server
         self._shown: dict[str, TouchReading] = {}
+        self._frames: Counter[str] = Counter()
 
     def hide(self) -> bool:
         """Take all surfaces off the page; whether there were any."""
@@ -64,17 +64,16 @@ class SurfaceView:
             self._server.scene.set_background_image(None)
         self._shown[name] = found
         deepest_mm = max(least_mm, *(1e3 * float(f.depth_m.max()) for f in self._shown.values()))
-        points_mm, colors = surface_points(found, relief, deepest_mm, rejected=rejected)
-        pitch_mm = found.grid.mm_per_px_x * _every(found)
+        points_mm, shown = surface_mesh(found, relief, deepest_mm, rejected=rejected)
         with self._server.atomic():
-            self._server.scene.add_point_cloud(
-                f"/live/{name or 'gel'}",
-                points_mm,
-                colors,
-                point_size=1.3 * pitch_mm,
-                point_shading="flat",
-                precision="float32",
+            # A page takes a moment to load one: the last stays until the next but one comes.
+            self._frames[name] += 1
+            self._server.scene.add_glb(
+                f"/live/{name or 'gel'}/{self._frames[name] % 2}",
+                shown,
                 position=(self._place_mm(name), 0.0, 0.0),
+                cast_shadow=False,
+                receive_shadow=False,
             )
             if first and name:
                 low = points_mm.min(axis=0)
@@ -105,6 +104,7 @@ class SurfaceView:
         away_mm = 1.5 * math.hypot(wide_mm, high_mm)
         scene, camera = self._server.scene, self._server.initial_camera
         scene.set_up_direction("+z")
+        scene.configure_default_lights(cast_shadow=False)
         camera.position = middle + away_mm * DIRECTION / np.linalg.norm(DIRECTION)
         camera.look_at, camera.fov = middle, math.radians(38)
         for client in self._server.get_clients().values():
@@ -114,24 +114,29 @@ class SurfaceView:
             client.camera.look_at = middle
 
 
-def surface_points(
+def surface_mesh(
     found: TouchReading, relief: float, deepest_mm: float, *, rejected: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a surface [mm], float32, [n, 3], and their RGB colours, uint8, [n, 3]:
-    brightest at ``deepest_mm``. Other arguments as of ``SurfaceView.show``."""
+) -> tuple[np.ndarray, bytes]:
+    """Points of a surface [mm], [n, 3], and the surface as binary glTF: brightest at
+    ``deepest_mm``. Other arguments as of ``SurfaceView.show``."""
     part = np.s_[:: _every(found), :: _every(found)]
     points_mm = 1e3 * found.points_m[part]
     points_mm[..., 2] *= relief
-    share = np.clip(255 * 1e3 * found.depth_m[part] / deepest_mm, 0, 255).astype(np.uint8)
-    colors = cv2.cvtColor(cv2.applyColorMap(share, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
-    if rejected:
-        colors[:] = REJECTED
     normals = found.normals[part] * (relief, relief, 1.0)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    lit = np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
-    light = PALE * 255 + (1 - PALE) * colors
-    shaded = np.clip(light * (0.3 + 0.85 * lit[..., None]), 0, 255).astype(np.uint8)
-    return points_mm.reshape(-1, 3).astype(np.float32), shaded.reshape(-1, 3)
+    share = np.clip(1e3 * found.depth_m[part] / deepest_mm, 0.0, 1.0)
+    faces = triangles_of_pixels(np.ones(share.shape, dtype=bool))
+    flat = points_mm.reshape(-1, 3)
+    colors = np.full((2, 3), REJECTED, np.uint8) if rejected else _pale_map()
+    return flat, painted_mesh(flat, faces, share.ravel(), colors, normals.reshape(-1, 3))
+
+
+@cache
+def _pale_map() -> np.ndarray:
+    """The colour map of depths, uint8, [256, 3]."""
+    steps = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)
+    colors = cv2.cvtColor(steps, cv2.COLOR_BGR2RGB)[:, 0]
+    return np.round(PALE * 255 + (1 - PALE) * colors).astype(np.uint8)
 
 
 def _every(found: TouchReading) -> int:

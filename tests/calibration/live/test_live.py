@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import threading
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_came
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
-from taccel_lab.calibration.live.surface_view import surface_points
+from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -240,20 +241,25 @@ def violet_share(page: Any) -> float:
     return float((seen[..., 1] < seen[..., [0, 2]].min(axis=-1) - 20).mean())
 
 
-def test_a_surface_in_space_is_high_bright_and_grey_where_it_should() -> None:
+def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
+    trimesh = pytest.importorskip("trimesh")
     reading = reader_of().read(grey_unit().pressed)
     surface = reading.surface
     assert surface is not None
-    points_mm, colors = surface_points(surface, 5.0, DEEPEST_MM, rejected=False)
+    points_mm, glb = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=False)
     lowest = points_mm[:, 2].argmin()
     assert points_mm[lowest, 2] == pytest.approx(-5 * DEEPEST_MM, abs=0.5)
     deepest_mm = surface.figures()["deepest_gel_mm"]
     np.testing.assert_allclose(points_mm[lowest, :2], deepest_mm, atol=0.5)
-    assert colors[lowest, 1] > colors[0, 1] + 80, "yellow at the bottom, violet at the corner"
-    flat, _ = surface_points(surface, 1.0, DEEPEST_MM, rejected=False)
+    mesh: Any = trimesh.load(io.BytesIO(glb), file_type="glb", force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices, points_mm, rtol=1e-6, atol=1e-6)
+    assert (mesh.face_normals[:, 2] > 0).all(), "triangles turn outward, where they are lit"
+    share = mesh.visual.uv[:, 0]
+    assert share[lowest] > 0.9 and share[0] < 0.1
+    flat, _ = surface_mesh(surface, 1.0, DEEPEST_MM, rejected=False)
     np.testing.assert_allclose(5 * flat[:, 2], points_mm[:, 2], rtol=1e-6)
-    _, rejected = surface_points(surface, 5.0, DEEPEST_MM, rejected=True)
-    assert (np.ptp(rejected.astype(int), axis=1) == 0).all()
+    _, grey = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=True)
+    assert len(grey) < len(glb)
 
 
 @pytest.mark.thorough
