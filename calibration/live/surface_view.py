@@ -64,14 +64,14 @@ class SurfaceView:
             self._server.scene.set_background_image(None)
         self._shown[name] = found
         deepest_mm = max(least_mm, *(1e3 * float(f.depth_m.max()) for f in self._shown.values()))
-        points_mm, shown = surface_mesh(found, relief, deepest_mm, rejected=rejected)
+        at_mm = self._place_mm(name)
+        points_mm, shown = surface_mesh(found, relief, deepest_mm, at_mm, rejected=rejected)
         with self._server.atomic():
             # A page takes a moment to load one: the last stays until the next but one comes.
             self._frames[name] += 1
             self._server.scene.add_glb(
                 f"/live/{name or 'gel'}/{self._frames[name] % 2}",
                 shown,
-                position=(self._place_mm(name), 0.0, 0.0),
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -115,13 +115,19 @@ class SurfaceView:
 
 
 def surface_mesh(
-    found: TouchReading, relief: float, deepest_mm: float, *, rejected: bool
+    found: TouchReading,
+    relief: float,
+    deepest_mm: float,
+    at_mm: float = 0.0,
+    *,
+    rejected: bool = False,
 ) -> tuple[np.ndarray, bytes]:
     """Points of a surface [mm], [n, 3], and the surface as binary glTF: brightest at
-    ``deepest_mm``. Other arguments as of ``SurfaceView.show``."""
+    ``deepest_mm``, moved by ``at_mm`` along x. Other arguments as of ``SurfaceView.show``."""
     part = np.s_[:: _every(found), :: _every(found)]
     points_mm = 1e3 * found.points_m[part]
     points_mm[..., 2] *= relief
+    points_mm[..., 0] += at_mm
     normals = found.normals[part] * (relief, relief, 1.0)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     share = np.clip(1e3 * found.depth_m[part] / deepest_mm, 0.0, 1.0)

@@ -246,7 +246,7 @@ def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
     reading = reader_of().read(grey_unit().pressed)
     surface = reading.surface
     assert surface is not None
-    points_mm, glb = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=False)
+    points_mm, glb = surface_mesh(surface, 5.0, DEEPEST_MM)
     lowest = points_mm[:, 2].argmin()
     assert points_mm[lowest, 2] == pytest.approx(-5 * DEEPEST_MM, abs=0.5)
     deepest_mm = surface.figures()["deepest_gel_mm"]
@@ -256,8 +256,8 @@ def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
     assert (mesh.face_normals[:, 2] > 0).all(), "triangles turn outward, where they are lit"
     share = mesh.visual.uv[:, 0]
     assert share[lowest] > 0.9 and share[0] < 0.1
-    flat, _ = surface_mesh(surface, 1.0, DEEPEST_MM, rejected=False)
-    np.testing.assert_allclose(5 * flat[:, 2], points_mm[:, 2], rtol=1e-6)
+    flat, _ = surface_mesh(surface, 1.0, DEEPEST_MM, 7.0)
+    np.testing.assert_allclose(flat * (1, 1, 5) - (7, 0, 0), points_mm, rtol=1e-6, atol=1e-9)
     _, grey = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=True)
     assert len(grey) < len(glb)
 
