@@ -324,7 +324,7 @@ class ParameterSet:
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A set with these values and the defaults of others; unknown names raise InputError."""
         for name in values:
-            require_known("parameter", name, cls.parameters())
+            require_known("parameter", name, cls.parameters(), "taccel-lab sensors show SENSOR")
         return cls(**values)
 
     def values(self) -> dict[str, Any]:

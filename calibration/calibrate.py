@@ -38,6 +38,7 @@ from taccel_lab.calibration.unfinished import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.guards import require_known, unknown
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, bars_if_watched
@@ -155,7 +156,7 @@ class Calibration(Summary):
         """
         pages = {o.name: o.page for o in self.blocks if o.page is not None}
         if block is not None and block not in pages:
-            raise InputError(f"{block!r} was not fitted; allowed: {', '.join(pages) or 'none'}")
+            raise InputError(f"{block!r} was not fitted{unknown(block, pages, they_are='allowed')}")
         first = "color" if block is None else block
         order = sorted(pages, key=lambda name: name != first) if block is None else [first]
         return first_figure(pages[name] for name in order)
@@ -202,29 +203,15 @@ class Calibration(Summary):
 def calibrate(
     folder: CaptureFolder | Path | str,
     base: SensorProfile | Path | str | None = None,
-    only: Sequence[str] = (),
+    only: str | Sequence[str] = (),
     options: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
     unfinished: Path | str | None = None,
 ) -> Calibration:
-    """Fit every block that the captures allow.
-
-    Args:
-        folder: Captures, or the path of a capture folder.
-        base: Profile to extend, its folder, or a sensor of the catalogue; that of the captures if
-            None.
-        only: Names of blocks; all when empty.
-        options: Options of a block's fit by its name; its defaults where none are given.
-        progress: Told of the tasks of each block, as ``color: fitting the colour model``. When
-            None, bars are drawn where somebody watches.
-        unfinished: Folder that keeps each block as it is finished. The same call goes on with what
-            is there; ``UnfinishedCalibration.remove`` clears it away.
-
-    Raises:
-        InputError: An unknown block, files that cannot be read, a base of another sensor, or
-            captures that calibrate nothing, with the reason for each block.
-    """
+    """Fit every block that the captures allow; arguments and errors as of
+    ``taccel_lab.calibrate``."""
     start_warp()
+    only = (only,) if isinstance(only, str) else tuple(only)
     with bars_if_watched(progress) as bars:
         return _calibrate(folder, base, only, dict(options or {}), bars, unfinished)
 
@@ -293,10 +280,8 @@ def _calibrate(
 
 
 def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[CalibrationBlock]:
-    known = [block.name for block in BLOCKS]
-    unknown = [name for name in (*only, *options) if name not in known]
-    if unknown:
-        raise InputError(f"no block {', '.join(unknown)}; there are {', '.join(known)}")
+    for name in (*only, *options):
+        require_known("block", name, [block.name for block in BLOCKS])
     return [block for block in BLOCKS if not only or block.name in only]
 
 

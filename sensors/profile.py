@@ -15,6 +15,7 @@ from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_qualit
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.guards import unknown
 from taccel_lab.profile import (
     Block,
     BranchEntry,
@@ -241,6 +242,6 @@ def load_sensor(name: str) -> SensorProfile:
     if folder is not None or Path(name).exists():
         return load_profile(folder or name)
     raise InputError(
-        f"{name!r} is neither a profile folder nor a sensor of the catalogue "
-        f"({', '.join(sorted(sensor_families()))})"
+        f"{name!r} is neither a profile folder nor a sensor of the catalogue"
+        f"{unknown(name, sensor_families(), 'taccel-lab sensors list')}"
     )

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.guards import nearest
+from taccel_lab.guards import unknown
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile_family import ProfileFamily, like_name, profile_family
 
@@ -121,7 +121,7 @@ def sensor_family(name: str) -> SensorFamily:
         return _of_folder(folder, _changed_ns(str(folder / _PROFILE_FILE)))
     also = "; flat_pad stands for any flat gel" if "flat_pad" in known.families else ""
     raise InputError(
-        f"no sensor {name!r}{nearest(name, known.families)}; known: {', '.join(known.families)}"
+        f"no sensor {name!r}{unknown(name, known.families, 'taccel-lab sensors list')}"
         f"{also}; the folder of a profile (taccel-lab import-gel, taccel-lab design) is a sensor, "
         "too"
     )

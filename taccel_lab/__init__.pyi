@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public names and their modules; read by type checkers and by ``lazy_names``."""
 
+from taccel_lab.api.calibrate import Calibration as Calibration
+from taccel_lab.api.calibrate import calibrate as calibrate
 from taccel_lab.api.press_options import PressOptions as PressOptions
 from taccel_lab.api.press_result import Press as Press
 from taccel_lab.api.press_run import press as press
 from taccel_lab.api.read import read as read
+from taccel_lab.api.sensor import Sensor as Sensor
+from taccel_lab.api.sensor import list_sensors as list_sensors
 from taccel_lab.api.sensor import load_sensor as load_sensor
 from taccel_lab.api.study import study as study
-from taccel_lab.calibration.calibrate import Calibration as Calibration
-from taccel_lab.calibration.calibrate import calibrate as calibrate
 from taccel_lab.datasets.reading import Dataset as Dataset
 from taccel_lab.datasets.reading import open_dataset as open_dataset
 from taccel_lab.errors import InputError as InputError
@@ -17,6 +19,7 @@ from taccel_lab.geometry import PixelGrid as PixelGrid
 from taccel_lab.geometry import QuadraticMesh as QuadraticMesh
 from taccel_lab.geometry import Region as Region
 from taccel_lab.geometry import TetMesh as TetMesh
+from taccel_lab.gradients.torch_motion import TorchMotion as TorchMotion
 from taccel_lab.model import Model as Model
 from taccel_lab.optics.photometry import measure_photometry as measure_photometry
 from taccel_lab.optics.render import OpticalModel as OpticalModel
@@ -29,7 +32,6 @@ from taccel_lab.presses import PressPath as PressPath
 from taccel_lab.presses import parse_indenter as parse_indenter
 from taccel_lab.presses import profile_material as profile_material
 from taccel_lab.presses import profile_scene as profile_scene
-from taccel_lab.profile.io import load_profile as load_profile
 from taccel_lab.profile.io import save_profile as save_profile
 from taccel_lab.profile.io import validate_profile as validate_profile
 from taccel_lab.profile.optical_design import OpticalDesign as OpticalDesign
@@ -59,6 +61,8 @@ from taccel_lab.scene import sphere_mesh as sphere_mesh
 from taccel_lab.signals import FineSurface as FineSurface
 from taccel_lab.signals import MarkerLayout as MarkerLayout
 from taccel_lab.signals import SignalTactile as SignalTactile
+from taccel_lab.signals.torch_signals import height_map as height_map
+from taccel_lab.signals.torch_signals import marker_places as marker_places
 from taccel_lab.solvers import Control as Control
 from taccel_lab.solvers import EnvStatus as EnvStatus
 from taccel_lab.solvers import ReadySteps as ReadySteps

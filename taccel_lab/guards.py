@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any
@@ -13,7 +14,9 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 _LISTED = 12
-"""Most known names that a refusal lists; of more it gives the nearest alone."""
+"""Most known names that a refusal lists; of more it gives the nearest, and what lists them."""
+_PART = 3
+"""Least letters by which part of a name stands for it."""
 
 
 def require_range(
@@ -39,22 +42,56 @@ def require_positive(name: str, value: float, unit: str = "") -> None:
         raise InputError(f"{name} must be positive and finite, got {value:g}{unit and f' {unit}'}")
 
 
-def require_known(what: str, name: str, known: Iterable[str]) -> None:
-    """Refuse a name that is not ``known``. Raises InputError with the nearest one."""
+def require_known(what: str, name: str, known: Iterable[str], listed_by: str = "") -> None:
+    """Refuse a name that is not ``known``. Raises InputError as of ``unknown``."""
     known = list(known)
-    if name in known:
-        return
+    if name not in known:
+        raise InputError(f"no {what} {name!r}{unknown(name, known, listed_by)}")
+
+
+def unknown(
+    name: str, known: Iterable[str], listed_by: str = "", *, they_are: str = "known"
+) -> str:
+    """The nearest known name, then all of them where they are few, to end a refusal with.
+
+    ``listed_by``: the command that lists them, in place of many names, and of all where one is
+    near; ``they_are``: what the list calls them.
+    """
+    known = list(known)
     meant = nearest(name, known)
-    words = f"; known: {', '.join(known)}" if known else "; there are none"
-    if meant and len(known) > _LISTED:
-        words = ""
-    raise InputError(f"no {what} {name!r}{meant}{words}")
+    if not known:
+        return "; there are none"
+    if listed_by and (meant or len(known) > _LISTED):
+        return f"{meant}; {listed_by} lists all {len(known)}"
+    if len(known) <= _LISTED:
+        return f"{meant}; {they_are}: {', '.join(known)}"
+    return meant or f"; {they_are}: {', '.join(known)}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """`` (did you mean NAME?)`` for the most similar known name, or nothing."""
-    found = get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {found[0]}?)" if found else ""
+    found = _closest(name, known)
+    return f" (did you mean {found}?)" if found else ""
+
+
+def _closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that is meant most likely, however its words are capitalised and joined."""
+    plain = {_plain(each): each for each in known}
+    word = _plain(name)
+    # Part of a name, such as ``mini``, is less like it than other short names are.
+    whole = [each for each in plain if len(word) >= _PART and word in each]
+    for found in (
+        get_close_matches(word, plain, n=1, cutoff=0.75),
+        sorted(whole, key=len)[:1],
+        get_close_matches(word, plain, n=1, cutoff=0.6),
+    ):
+        if found:
+            return plain[found[0]]
+    return None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]+", "", name.lower())
 
 
 def require_shape(

@@ -112,9 +112,9 @@ def stage_progress(console: Console) -> Iterator[Progress]:
                 tasks[task] = bars.add_task(task, total=None)
             bars.update(tasks[task], completed=done, total=total)
             if total and done >= total:
-                # A full bar is no end of the work: what follows it has its own clock.
+                # A full bar is no end of the work: the rest has its own clock.
                 block = task.rpartition(": ")[0]
-                words = f"{block}: what follows" if block else "what follows"
+                words = f"{block}: finishing" if block else "finishing"
                 after.append(bars.add_task(words, total=None))
                 said[words] = ""
 

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.guards import require_known, require_positive, require_range, require_shape
+from taccel_lab.guards import (
+    nearest,
+    require_known,
+    require_positive,
+    require_range,
+    require_shape,
+    unknown,
+)
 
 PARAMETERS = [f"length_{k}_mm" for k in range(20)]
 
@@ -59,6 +66,30 @@ def test_only_positive_numbers_pass(value):
 def test_an_unknown_name_is_answered_by_the_nearest(name, known, says):
     with pytest.raises(InputError, match=says):
         require_known("channel", name, known)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("mini", "gelsight_mini"),
+        ("GelSight Mini", "gelsight_mini"),
+        ("gelsight-mini", "gelsight_mini"),
+        ("digit360", "digit_360"),
+        ("didgit", "digit"),
+        ("zz", None),
+        ("it", None),
+    ],
+)
+def test_parts_and_other_spellings_of_a_name_are_understood(name, meant):
+    sensors = ("9dtact", "digit", "digit_360", "gelsight", "gelsight_mini", "rtac")
+    assert nearest(name, sensors) == (f" (did you mean {meant}?)" if meant else "")
+
+
+def test_a_command_stands_in_place_of_the_list():
+    assert unknown("x", PARAMETERS, "show") == "; show lists all 20"
+    assert unknown("lengt_3_mm", PARAMETERS, "show").endswith("length_3_mm?); show lists all 20")
+    assert unknown("rgbb", ("rgb",), "show") == " (did you mean rgb?); show lists all 1"
+    assert unknown("x", ("rgb",), "show", they_are="allowed") == "; allowed: rgb"
 
 
 def test_a_shape_is_one_of_those_allowed_and_finite():

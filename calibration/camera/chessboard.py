@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from taccel_lab.calibration.camera.board import BoardView, board_lattice, oriented
 from taccel_lab.calibration.dots.blobs import find_blobs, is_inside
 from taccel_lab.errors import InputError
+from taccel_lab.guards import unknown
 
 MIN_SHARE = 0.5
 """Least share of the corners that a partly hidden board must show."""
@@ -161,7 +162,7 @@ def charuco_board(
     code = getattr(cv2.aruco, dictionary, None)
     if not dictionary.startswith("DICT_") or not isinstance(code, int):
         known = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
-        raise InputError(f"unknown ArUco dictionary {dictionary!r}; one of {', '.join(known)}")
+        raise InputError(f"unknown ArUco dictionary {dictionary!r}{unknown(dictionary, known)}")
     if not 0.1 < marker_share < 1.0:
         raise InputError(
             f"markers must be smaller than the squares, got {marker_share:g} of their size; check "

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
+from taccel_lab.calibration.live.surface_view import SurfaceView
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.touch import write_reading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
@@ -65,9 +67,9 @@ def depth_picture(surface: SurfaceReading, refused: str) -> tuple[str, np.ndarra
     """Title with the scale, and the depth in colours; what the calibration does not reach is
     marked, and a depth that is rejected is grey."""
     if refused:
-        return "depth: rejected", np.full((*surface.rise_m.shape, 3), REFUSED, np.uint8)
+        return "depth: rejected", np.full((*surface.depth_m.shape, 3), REFUSED, np.uint8)
     marked = (surface.beyond_balls, surface.saturated)
-    picture = _colored_map(-1e3 * surface.rise_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
+    picture = _colored_map(1e3 * surface.depth_m, LEAST_DEEPEST_MM, cv2.COLORMAP_VIRIDIS, marked)
     return "depth [mm] (pink: beyond the calibration)", picture
 
 
@@ -165,18 +167,57 @@ SPREAD = " +-"
 """Ends the name of a standard deviation, before its unit."""
 
 
+VIEWS = ("pictures", "3D")
+RELIEF = 5.0
+"""Times by which heights are drawn in 3D at first: dents are a hundredth of a gel's width."""
+
+
 class LiveSheet:
-    """The pictures of all sensors of a page, and its button to stop."""
+    """The pictures or surfaces of all sensors of a page, and its button to stop."""
 
     def __init__(self, server: ViserServer) -> None:
         self.server = server
         self.stop = threading.Event()
         self._pictures: dict[str, list[tuple[str, np.ndarray]]] = {}
+        self._surfaces = SurfaceView(server)
         wide_panel(server)
         server.gui.add_button("Stop").on_click(lambda _: self.stop.set())
+        self._view = server.gui.add_button_group("Show", VIEWS)
+        self._relief = server.gui.add_slider(
+            "Heights, times", 1.0, 20.0, 1.0, RELIEF, visible=False
+        )
+        self._scale = add_note(server.gui)
+        self._view.on_click(lambda _: self._choose())
 
-    def show(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
-        """Show a sensor's pictures beside those of the others, in the order of the names."""
+    def _choose(self) -> None:
+        self._relief.visible = self._in_space
+
+    @property
+    def _in_space(self) -> bool:
+        return self._view.value == VIEWS[1]
+
+    def show(self, name: str, reading: LiveReading, background: np.ndarray) -> None:
+        """Show what a sensor reads beside the others, in the order of the names."""
+        if not self._in_space:
+            self._show_pictures(name, pictures(reading, background))
+        elif reading.surface is None:
+            self._scale.content = PageText("{} reads no depth").format(name or "this profile")
+        else:
+            deepest_mm = self._surfaces.show(
+                name,
+                reading.surface,
+                relief=self._relief.value,
+                least_mm=LEAST_DEEPEST_MM,
+                rejected=bool(reading.refused),
+            )
+            colors = PageText("depth from 0 (violet) to {:.2f} mm (yellow)")
+            self._scale.content = (
+                "depth: rejected" if reading.refused else colors.format(deepest_mm)
+            )
+
+    def _show_pictures(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
+        if self._surfaces.hide():
+            self._scale.content = ""
         self._pictures[name] = pictures
         several = len(self._pictures) > 1
         shown = [
@@ -223,7 +264,7 @@ class LivePage:
             self._kept.content = PageText("wrote {}").format(str(kept))
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
-            self._sheet.show(self._name, pictures(reading, reader.background))
+            self._sheet.show(self._name, reading, reader.background)
         if now - self._shown_s >= FIGURES_EVERY_S:
             self._shown_s = now
             self._figures.content = figures_text(reading, reader)
@@ -318,13 +359,13 @@ _SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
 
 
 def save_snapshot(reading: LiveReading, folder: Path) -> Path:
-    """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth`` where the depth is not
-    refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
+    """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth --ply`` where the depth
+    is not refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
     folder.mkdir(parents=True, exist_ok=True)
     taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
     stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
     path = folder / f"{stem}_image.png"
     write_image(path, reading.image)
     if reading.surface is not None and not reading.refused:
-        write_reading(reading.surface, reading.image, path, folder, stem)
+        write_reading(replace(reading.surface, name=str(path)), folder, stem, ply=True)
     return path

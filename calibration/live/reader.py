@@ -176,11 +176,16 @@ class LiveReader:
             self._count += 1
             figures["max_depth_sigma_mm"] = self._sigma_mm
             if refused or self.no_pressure:
-                known = {"grid": self.surface.grid, "no_press": refused or self.no_pressure}
-                touch = TouchReading(**vars(surface), press=None, **known)
+                touch = TouchReading(
+                    **vars(surface),
+                    grid=self.surface.grid,
+                    image=image,
+                    press=None,
+                    no_press=refused or self.no_pressure,
+                )
             else:
                 with _timed(stages, "pressure"):
-                    touch = self._touch.press(surface, time_s)
+                    touch = self._touch.press(surface, image, time_s=time_s)
                 if touch.press is not None:
                     figures |= touch.press.figures()
         markers = None

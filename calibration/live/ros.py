@@ -74,7 +74,7 @@ class RosPublisher:
         stamp = taken.to_msg()
         self._topics["image"].publish(self._picture(reading.image, "rgb8", stamp))
         if reading.surface is not None:
-            depth = -reading.surface.rise_m.astype(np.float32)
+            depth = reading.surface.depth_m.astype(np.float32)
             if reading.refused:
                 depth[:] = np.nan
             self._topics["depth"].publish(self._picture(depth, "32FC1", stamp))

@@ -140,7 +140,7 @@ class SurfaceReader:
         if why:
             raise InputError(f"{name} {why}")
         found = self.read_lit(lit)
-        deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
+        deepest_mm, gel_mm = 1e3 * float(found.depth_m.max()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
                 f"{name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its colours are "
@@ -232,7 +232,7 @@ class SurfaceReader:
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
         return SurfaceReading(
             height_m=height,
-            rise_m=found.height_m,
+            depth_m=-found.height_m,
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
             normals=normals_from_height(height, self.grid),
@@ -268,7 +268,7 @@ class SurfaceReader:
             self._last_sigma_m = alone_m
         return SurfaceReading(
             height_m=self.rest.height_m + found.rise_m,
-            rise_m=found.rise_m,
+            depth_m=-found.rise_m,
             height_sigma_m=sigma_m,
             reading_sigma_m=alone_m,
             normals=read.normals,

@@ -93,11 +93,13 @@ class SurfaceReading(Summary):
     """What one image shows."""
 
     height_m: np.ndarray
-    """z of the contact face [m], gel frame, shape [height_px, width_px]."""
-    rise_m: np.ndarray
-    """Its rise over the resting face [m], negative in a dent."""
+    """z of the contact face [m], gel frame, shape [height_px, width_px]: where nothing touches, z
+    of the resting face, which is curved on some sensors."""
+    depth_m: np.ndarray
+    """How far the face lies below where it rests [m], positive in a dent, negative where the gel
+    bulges; 0 where nothing touches, also on a curved gel."""
     height_sigma_m: np.ndarray | None
-    """Standard deviation of both heights [m]. None of models that were fitted without synthetic
+    """Standard deviation of height and depth [m]. None of models that were fitted without synthetic
     presses, and of curves of earlier versions."""
     reading_sigma_m: np.ndarray | None
     """Standard deviation of a place if nothing touches [m], by the reading and the image's light:
@@ -124,7 +126,7 @@ class SurfaceReading(Summary):
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """How deep the gel is pressed, and by which model."""
-        height, width = self.rise_m.shape
+        height, width = self.depth_m.shape
         return f"surface read from {self.method}", [
             ("deepest", self.depth_words),
             ("pixels", f"{width} x {height}"),
@@ -134,7 +136,7 @@ class SurfaceReading(Summary):
     @property
     def deepest_px(self) -> tuple[int, int]:
         """Row and column of the deepest place that is touched; of the image where nothing is."""
-        depth = -self.rise_m
+        depth = self.depth_m
         if self.touch.any:
             depth = np.where(self.touch.pixels, depth, -np.inf)
         row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
@@ -149,7 +151,7 @@ class SurfaceReading(Summary):
         if not self.touch.any:
             return 0.0, self.touch.unseen_mm
         at = self.deepest_px
-        depth, off = -1e3 * float(self.rise_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
+        depth, off = 1e3 * float(self.depth_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
         return max(depth - off, 0.0), depth + off
 
     @property
@@ -160,13 +162,13 @@ class SurfaceReading(Summary):
             return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
         sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
         depth = with_error(
-            -1e3 * self.rise_m[row, column], None if sigma_m is None else 1e3 * sigma_m
+            1e3 * self.depth_m[row, column], None if sigma_m is None else 1e3 * sigma_m
         )
         return f"{depth} mm at ({column}, {row}) px"
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:
         """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
-        depth_mm = -1e3 * self.rise_m
+        depth_mm = 1e3 * self.depth_m
         row, column = self.deepest_px
         touched = self.touch.pixels
         pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y

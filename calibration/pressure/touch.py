@@ -16,7 +16,9 @@ from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, Pr
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.images import read_grey
+from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import BLUE, LIGHT, ORANGE, in_report_style, new_figure, save_figure
 from taccel_lab.signals.read_heights import BAND_SIGMAS
@@ -28,7 +30,7 @@ LEAST_KPA = 0.1
 """Top of the scale of pressures of a gel that nothing touches."""
 ARRAYS = (
     "height_m",
-    "rise_m",
+    "depth_m",
     "height_sigma_m",
     "reading_sigma_m",
     "normals",
@@ -49,6 +51,10 @@ class TouchReading(SurfaceReading):
 
     grid: PixelGrid
     """Grid of all maps."""
+    image: np.ndarray
+    """What was read, RGB levels, [height_px, width_px, 3]."""
+    name: str = "image"
+    """File of the image, or what errors call it."""
     press: ContactPressure | None
     """Pressure, force and contact; None where no flat layer stands for the gel."""
     no_press: str = ""
@@ -100,9 +106,27 @@ class TouchReading(SurfaceReading):
             return {**found, "force_remarks": [self.no_press]}
         return {**found, **self.press.figures()}
 
+    @property
+    def points_m(self) -> np.ndarray:
+        """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]."""
+        return points_of_heights(self.height_m, self.grid)
+
+    def save(self, folder: Path | str) -> None:
+        """Write arrays, picture, figures and surface as the folder, whole or not at all.
+
+        Raises:
+            InputError: The folder holds files that taccel-lab did not write.
+        """
+        with atomic_directory(folder) as staging:
+            write_reading(self, staging, ply=True)
+
+    def save_ply(self, path: Path | str) -> None:
+        """Write the contact face as PLY: vertices in metres with their normals, and triangles."""
+        write_ply(path, self.points_m, self.normals)
+
     def plot(self) -> Figure:
-        """Depth, pressure and a section, with their units."""
-        return draw_reading(self, None, self.summary()[0])
+        """Image, depth, pressure and a section, with their units."""
+        return draw_reading(self, self.summary()[0])
 
 
 class TouchReader:
@@ -119,35 +143,46 @@ class TouchReader:
 
     def read(self, image: np.ndarray, name: str = "image") -> TouchReading:
         """The touch that an image shows; arguments and errors as of ``SurfaceReader.read``."""
-        return self.press(self.surface.read(image, name))
+        return self.press(self.surface.read(image, name), image, name)
 
-    def press(self, found: SurfaceReading, time_s: float | None = None) -> TouchReading:
-        """What holds a surface that was read; ``time_s``: when, for a gel that relaxes."""
+    def press(
+        self,
+        found: SurfaceReading,
+        image: np.ndarray,
+        name: str = "image",
+        time_s: float | None = None,
+    ) -> TouchReading:
+        """What holds a surface that was read from ``image``; ``time_s``: when, for a gel that
+        relaxes."""
         press = None
         if self._pressure is not None:
             press = self._pressure.read(
-                found.rise_m, found.touch, found.height_sigma_m, found.reading_sigma_m, time_s
+                -found.depth_m, found.touch, found.height_sigma_m, found.reading_sigma_m, time_s
             )
         return TouchReading(
-            **vars(found), grid=self.surface.grid, press=press, no_press=self.no_press
+            **vars(found),
+            grid=self.surface.grid,
+            image=image,
+            name=name,
+            press=press,
+            no_press=self.no_press,
         )
 
 
 @in_report_style
-def draw_reading(found: TouchReading, image: np.ndarray | None, title: str) -> Figure:
-    """Image, depth and pressure maps, and the section through the deepest pixel; no image when
-    None, no pressure where there is none."""
-    depth_mm, press, grid = -1e3 * found.rise_m, found.press, found.grid
+def draw_reading(found: TouchReading, title: str) -> Figure:
+    """Image, depth and pressure maps, and the section through the deepest pixel; no pressure where
+    there is none."""
+    depth_mm, press, grid = 1e3 * found.depth_m, found.press, found.grid
     extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
     maps = [("depth [mm]", depth_mm, "viridis")]
     if press is not None:
         maps.append(("pressure [kPa]", 1e-3 * press.pressure_pa, "magma"))
-    pictures = len(maps) + (image is not None)
+    pictures = len(maps) + 1
     figure, axes = new_figure(3.7 * (pictures + 1), 3.3, 1, pictures + 1)
     axes[0].set_title(title, fontsize="medium")
-    if image is not None:
-        axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
-    for ax, (label, values, colors) in zip(axes[pictures - len(maps) :], maps, strict=False):
+    axes[0].imshow(np.clip(found.image, 0, 255).astype(np.uint8), extent=extent)
+    for ax, (label, values, colors) in zip(axes[1:pictures], maps, strict=True):
         most = max(float(values.max()), LEAST_KPA) if colors == "magma" else None
         low = None if most is None else 0.0
         shown = ax.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=most)
@@ -194,14 +229,11 @@ def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:
 
 
 def write_reading(
-    found: TouchReading, image: np.ndarray, source: Path, folder: Path, stem: str = ""
+    found: TouchReading, folder: Path, stem: str = "", *, ply: bool = False
 ) -> dict[str, Any]:
-    """Write ``NAME.npz``, ``NAME.png`` and ``NAME.json`` into ``folder``; returns the figures.
-
-    ``image`` is what was read, RGB levels; it came from the file ``source``, whose name is taken
-    where there is no ``stem``.
-    """
-    stem = stem or source.stem
+    """Write ``NAME.npz``, ``NAME.png``, ``NAME.json`` and with ``ply`` ``NAME.ply`` into
+    ``folder``; returns the figures. NAME is that of the image where there is no ``stem``."""
+    stem = stem or Path(found.name).stem
     stored: dict[str, Any] = {}
     for key in ARRAYS:
         value = getattr(found, key)
@@ -210,7 +242,9 @@ def write_reading(
     if found.press is not None:
         stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
     write_by(folder / f"{stem}.npz", partial(np.savez_compressed, **stored))
-    save_figure(draw_reading(found, image, stem), folder / f"{stem}.png")
-    figures = {"image": str(source), **found.figures()}
+    save_figure(draw_reading(found, stem), folder / f"{stem}.png")
+    if ply:
+        found.save_ply(folder / f"{stem}.ply")
+    figures = {"image": found.name, **found.figures()}
     write_json(folder / f"{stem}.json", figures)
     return figures

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from taccel_lab.errors import InputError, naming
 from taccel_lab.guards import require_known, require_positive, require_range
@@ -13,6 +13,10 @@ from taccel_lab.guards import require_known, require_positive, require_range
 if TYPE_CHECKING:
     from taccel_lab.presses import PressPath, PressPhysics
     from taccel_lab.signals.texture import Texture
+
+_LISTED_BY = "taccel-lab press --help"
+_FILES = ("like", "untouched", "texture")
+"""Options that are files."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class PressOptions:
     speed_mm_s: float | None = None
     """Speed of the indenter, of a gel that relaxes (maxwell_modulus) [mm/s]. Default: 1."""
     hold_s: float = 0.0
-    """Then rest at full depth for so long, of a gel that relaxes [s]: the force falls."""
+    """Time at full depth, of a gel that relaxes [s]: the force falls."""
     unload: bool = False
     """Then go back to first touch: image and force are those after it, and press.json has the
     loop of force over depth."""
@@ -69,7 +73,7 @@ class PressOptions:
     contact range and steps until that error is below it."""
     levels: int = 2
     """How often a percentage may refine, at most 4: each time takes about four times as long as the
-    one before. The press that was reached by then says what is missing."""
+    one before. The last press then states what is missing."""
     tolerance: float | None = None
     """Convergence tolerance: force residual over the sum of the contact forces. Default: that of
     the accuracy."""
@@ -83,6 +87,16 @@ class PressOptions:
     """Keep every step in states.npz, for taccel-lab view: gel, pressure, stress, forces, image."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
+
+    @classmethod
+    def of(cls, **options: Any) -> Self:
+        """Return the options of a call, in which files may be text; InputError for an unknown
+        one."""
+        for name, value in options.items():
+            require_known("option of a press", name, cls.__dataclass_fields__, _LISTED_BY)
+            if name in _FILES and isinstance(value, str):
+                options[name] = Path(value)
+        return cls(**options)
 
     def require_aim(self) -> None:
         """Check that exactly one of depth, force and photo is given; InputError otherwise."""

@@ -63,7 +63,7 @@ class SeenPress:
         touched = reading.touch.pixels
         if not touched.any():
             return None
-        depth_mm = -1e3 * reading.rise_m
+        depth_mm = 1e3 * reading.depth_m
         core, middle_px = _core(depth_mm, touched)
         middle = grid.gel_from_pixel(middle_px)
         at_sigma = depth_sigma = None
@@ -137,7 +137,7 @@ class PressPhoto:
             raise InputError(f"{path} shows {reading.depth_words}: there is no press to simulate")
         warnings = list(reading.figures(reader.grid)["warnings"])
         if not seen.whole:
-            warnings.append("the contact reaches the image's border: its middle is not seen whole")
+            warnings.append("the contact reaches the image's border: its middle is less certain")
         return cls(
             path,
             reader.lit(image).levels,
@@ -244,7 +244,7 @@ def _place_sigma(
     """How far the middle moves in x and y [mm] where the dent leans along each."""
     assert reading.reading_sigma_m is not None
     sigma_mm = 1e3 * float(reading.reading_sigma_m[core].mean())
-    rest_mm = 1e3 * (reading.height_m - reading.rise_m)
+    rest_mm = 1e3 * (reading.height_m + reading.depth_m)
     touched = reading.touch.pixels
     middle = _core(depth_mm, touched)[1]
     found = []

@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from taccel_lab.api.any_sensor import AnySensor, profile_of, reading_profile_of
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto
-from taccel_lab.api.sensor import AnySensor, profile_of, reading_profile_of
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.files.atomic_file import eight_bit, write_json
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.presses.force_interval import ForceInterval, force_causes
 from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
 from taccel_lab.presses.press_files import (
@@ -104,6 +106,22 @@ class Press(Summary):
     def depth_mm(self) -> np.ndarray:
         """How far the face lies below where it rests [mm], [height_px, width_px]."""
         return 1e3 * (self.outcome.rest_height_m - self.outcome.height_m)
+
+    @property
+    def travel_mm(self) -> float:
+        """Largest travel of the indenter past first touch [mm], also of a press to a force."""
+        return self.outcome.travel_mm
+
+    @property
+    def contact_mm2(self) -> float:
+        """Area in contact [mm2]."""
+        return math.pi * (1e3 * self.outcome.contact_radius_m) ** 2
+
+    @property
+    def points_m(self) -> np.ndarray:
+        """Point cloud of the contact face [m], gel frame, [height_px, width_px, 3]; NaN outside the
+        pad."""
+        return points_of_heights(self.outcome.height_m, self.plan.profile.grid())
 
     @cached_property
     def height_error(self) -> SignalError:
@@ -212,6 +230,10 @@ class Press(Summary):
             self.plan.write_scene(staging)
             self.write_into(staging)
 
+    def save_ply(self, path: Path | str) -> None:
+        """Write the contact face as PLY: vertices in metres with their normals, and triangles."""
+        write_ply(path, self.points_m, self.normals)
+
     def write_into(self, folder: Path, call: Call = at_once) -> None:
         """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``."""
         plan, options = self.plan, self.plan.options
@@ -256,7 +278,7 @@ class Press(Summary):
         height, width = self.outcome.height_m.shape
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
-            ("95 % of it", "{:.3g} to {:.3g} N, all told".format(*self.force_interval_n)),
+            ("95 % interval", "{:.3g} to {:.3g} N, of all causes".format(*self.force_interval_n)),
             ("deepest", f"{with_error(self._deepest_mm(), self.height_error.total)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
@@ -267,8 +289,7 @@ class Press(Summary):
             rows.append(("photo", f"{self.like['psnr_db']:.1f} dB ({self._untouched()})"))
         if self.failure is not None:
             rows.append(("stopped", self.failure))
-        depth = self.outcome.steps[-1].depth_mm
-        return f"{options.indenter} pressed {depth:.4g} mm into {self.plan.sensor}", rows
+        return f"{options.indenter} pressed {self.travel_mm:.4g} mm into {self.plan.sensor}", rows
 
     def _deepest_mm(self) -> float:
         """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze

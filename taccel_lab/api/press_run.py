@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.api.any_sensor import AnySensor
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.api.press_plan import PressPlan
-from taccel_lab.api.sensor import AnySensor
 from taccel_lab.errors import SimulationError
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.touch import check_depth, deepest_mm
@@ -65,7 +65,7 @@ def press(
         InputError: A sensor, shape, place, depth or setting that cannot be used.
         SimulationError: A step did not converge; ``PressRun.run`` hands over those before it.
     """
-    run = PressRun.plan(sensor, PressOptions(indenter=indenter, **options))
+    run = PressRun.plan(sensor, PressOptions.of(indenter=indenter, **options))
     with steps_if_watched(progress, f"pressing {indenter} {run.options.aim()}") as on_step:
         return run.run(on_step)
 

@@ -1,79 +1,151 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surface, pressure and force of one tactile image of a calibrated sensor."""
+"""Surface, pressure and force of tactile images of a calibrated sensor."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
-from taccel_lab.api.sensor import AnySensor, reading_profile_of
+from taccel_lab.api.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.errors import InputError
 from taccel_lab.processes.start_warp import start_warp
 
 if TYPE_CHECKING:
+    import torch
+
     from taccel_lab.calibration.pressure.touch import TouchReading
 
+    Pixels = np.ndarray | torch.Tensor
+    Image = Pixels | Path | str
 
+Method = Literal["auto", "normals", "depth"]
+
+
+@overload
 def read(
     sensor: AnySensor,
-    image: np.ndarray | Path | str,
+    image: Pixels,
     *,
-    background: np.ndarray | Path | str | None = None,
+    background: Image | None = None,
     mask: np.ndarray | None = None,
-    method: Literal["auto", "normals", "depth"] = "auto",
-) -> TouchReading:
-    """Read height, its standard deviation, normals, pressure and force from an image.
+    method: Method = "auto",
+) -> TouchReading: ...
+@overload
+def read(
+    sensor: AnySensor,
+    image: Path | str,
+    *,
+    background: Image | None = None,
+    mask: np.ndarray | None = None,
+    method: Method = "auto",
+) -> Any: ...
+@overload
+def read(
+    sensor: AnySensor,
+    image: Sequence[Image],
+    *,
+    background: Image | None = None,
+    mask: np.ndarray | None = None,
+    method: Method = "auto",
+) -> list[TouchReading]: ...
+def read(
+    sensor: AnySensor,
+    image: Image | Sequence[Image],
+    *,
+    background: Image | None = None,
+    mask: np.ndarray | None = None,
+    method: Method = "auto",
+) -> TouchReading | list[TouchReading]:
+    """Read depth, its standard deviation, normals, pressure and force from an image, or several.
 
-    Many images of one sensor: ``TouchReader``, which prepares once what all of them share.
+    Long recordings are read by ``taccel-lab read``, frame by frame.
 
     Args:
-        sensor: A profile with normals or depths, its folder, or a calibration.
-        image: RGB levels, uint8, [height_px, width_px, 3], or an image file.
+        sensor: A profile with normals or depths, its folder, a calibration, or a sensor of the
+            catalogue with a starter profile.
+        image: RGB levels 0..255, [height_px, width_px, 3] or [3, height_px, width_px], an array or
+            a tensor; or an image file. Several are a list of these, or a folder, whose images are
+            read in natural order.
         background: The untouched sensor where it is newer than the profile's own. With a starter
-            profile it is looked for beside an image file.
+            profile it is looked for beside image files.
         mask: Pixels that count, bool, [height_px, width_px].
         method: ``normals`` or ``depth``; ``auto`` takes normals where the profile has both.
 
+    Returns:
+        What the image shows. ``depth_m`` is positive in a dent and, within its interval, 0 where
+        nothing touches. A list of them for a list or a folder.
+
     Raises:
-        InputError: A profile without such a block, an image of another size or sensor, a starter
-            profile without an untouched image.
+        InputError: A profile without such a block, an image of another size or sensor, a folder
+            without images, a starter profile without an untouched image.
     """
     from taccel_lab.calibration.normals.read_surface import SurfaceReader
     from taccel_lab.calibration.pressure.touch import TouchReader
     from taccel_lab.calibration.untouched_frame import UntouchedFrame
 
     start_warp()
-    pixels, name = _pixels(image, "image")
-    given = Path(background) if isinstance(background, str) else background
-    if isinstance(given, np.ndarray):
-        given, _ = _pixels(given, "the background")
-    untouched = UntouchedFrame.of(
-        reading_profile_of(sensor),
-        [Path(image)] if isinstance(image, (Path, str)) else [],
-        given,
-        option="background=",
-    )
-    reader = SurfaceReader(
+    images = _each(image)
+    one = images is None
+    shown = [image] if one else images
+    files = [Path(each) for each in shown if isinstance(each, (Path, str))]
+    given = None
+    if background is not None:
+        is_file = isinstance(background, (Path, str))
+        given = Path(background) if is_file else _pixels(background, "the background")[0]
+    untouched = UntouchedFrame.of(reading_profile_of(sensor), files, given, option="background=")
+    surfaces = SurfaceReader(
         untouched.profile,
         background=untouched.image,
         background_name=untouched.name,
         mask=mask,
         method=method,
     )
-    return TouchReader(reader).read(pixels, name)
+    reader = TouchReader(surfaces)
+    found = [
+        reader.read(*_pixels(each, "image" if one else f"image {k}"))
+        for k, each in enumerate(shown)
+    ]
+    return found[0] if one else found
 
 
-def _pixels(image: np.ndarray | Path | str, name: str) -> tuple[np.ndarray, str]:
+def _each(image: Any) -> list[Any] | None:
+    """The images of a list or a folder; None of what is one image."""
+    if isinstance(image, (Path, str)):
+        if not Path(image).is_dir():
+            return None
+        from taccel_lab.calibration.capture.camera.recording import Recording
+
+        names = Recording.of(Path(image)).names
+        if not names:
+            raise InputError(f"{image} is a data set: taccel-lab read reads it frame by frame")
+        return [Path(image) / name for name in names]
+    if isinstance(image, Sequence):
+        if not image:
+            raise InputError("the list of images is empty; give at least one")
+        return list(image)
+    return None
+
+
+def _pixels(image: Any, name: str) -> tuple[np.ndarray, str]:
     """Levels of an image, and what errors call it."""
     if isinstance(image, (Path, str)):
         from taccel_lab.files.images import read_image
 
         return read_image(Path(image)), str(image)
-    if image.ndim != 3 or image.shape[2] != 3:
+    if hasattr(image, "detach"):
+        image = image.detach().cpu()
+    levels = np.asarray(image)
+    if levels.ndim == 3 and levels.shape[0] == 3 != levels.shape[2]:
+        levels = np.moveaxis(levels, 0, 2)
+    if levels.ndim != 3 or levels.shape[2] != 3:
+        several = "; several are given as a list" if levels.ndim == 4 else ""
         raise InputError(
-            f"{name} has shape {list(image.shape)}; RGB levels of shape [height, width, 3] are "
-            "needed"
+            f"{name} has shape {list(levels.shape)}; RGB levels of shape [height, width, 3] or "
+            f"[3, height, width] are needed{several}"
         )
-    return image, name
+    if levels.dtype != np.uint8 and levels.max(initial=0) <= 1:
+        raise InputError(f"{name} holds levels from 0 to 1; multiply it by 255")
+    return levels, name

@@ -1,100 +1,117 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What counts as a sensor."""
+"""A sensor as a script holds it: its profile, which presses, reads and renders."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Self
 
-from taccel_lab.errors import InputError
-from taccel_lab.profile import SensorProfile
+import numpy as np
+
+from taccel_lab.api.any_sensor import AnySensor, changed_profile, reading_profile_of
+from taccel_lab.api.press_run import press
+from taccel_lab.api.read import read
+from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.sensors.registry import sensor_families
+
+if TYPE_CHECKING:
+    from taccel_lab.api.read import Image
+    from taccel_lab.calibration.pressure.touch import TouchReading
+    from taccel_lab.geometry import TetMesh
 
 
-class HasProfile(Protocol):
-    """What a profile came out of, such as a calibration."""
+class Sensor(SensorProfile):
+    """A profile with the verbs of the package: ``sensor.press(...)`` is ``press(sensor, ...)``."""
 
-    @property
-    def profile(self) -> SensorProfile: ...
+    @classmethod
+    def of(cls, profile: SensorProfile) -> Self:
+        """Return the same sensor with the verbs."""
+        if isinstance(profile, cls):
+            return profile
+        return cls(**{field.name: getattr(profile, field.name) for field in fields(profile)})
+
+    press = press
+    read = read
+
+    def depth(
+        self, image: Image | Sequence[Image], *, background: Image | None = None
+    ) -> np.ndarray:
+        """Read how far the gel lies below where it rests [m], positive in a dent.
+
+        Args:
+            image: One or several, as of ``read``.
+            background: The untouched sensor, as of ``read``.
+
+        Returns:
+            Shape [height_px, width_px], or [image, height_px, width_px] of several.
+
+        Raises:
+            InputError: As of ``read``.
+        """
+        found: TouchReading | list[TouchReading] = self.read(image, background=background)
+        if isinstance(found, list):
+            return np.stack([each.depth_m for each in found])
+        return found.depth_m
+
+    def render(self, height_m: np.ndarray) -> np.ndarray:
+        """Render the tactile image of a surface, without a simulation.
+
+        Args:
+            height_m: z of the contact face [m], gel frame, [height_px, width_px], such as
+                ``read(...).height_m``; NaN where there is none.
+
+        Returns:
+            RGB, uint8, [height_px, width_px, 3], in the calibrated colours or grey values. Markers
+            stay where they rest.
+
+        Raises:
+            InputError: A profile without them, another size, or heights that go past the gel.
+        """
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.signals.height_image import image_of_heights
+
+        start_warp()
+        return image_of_heights(self, height_m)
+
+    def meshed(self, edge_mm: float) -> TetMesh:
+        """Mesh the gel anew, coarse for many environments or fine [m], gel frame.
+
+        Args:
+            edge_mm: Length of the elements' edges.
+
+        Raises:
+            InputError: A length out of bounds.
+        """
+        from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+        from taccel_lab.sensors.registry import profile_parameters
+
+        return gel_mesh(profile_parameters(self).pad(), edge_mm)
+
+    def save(self, folder: Path | str) -> None:
+        """Write the profile; errors as of ``save_profile``."""
+        save_profile(self, folder)
 
 
-AnySensor = SensorProfile | HasProfile | Path | str
-"""A profile, what has one, the folder of one, or a sensor of the catalogue."""
-
-
-def load_sensor(
-    name: Path | str, parameters: Mapping[str, Any] | None = None, **gel: Any
-) -> SensorProfile:
-    """Load the profile of a sensor.
+def load_sensor(sensor: AnySensor, /, **parameters: Any) -> Sensor:
+    """Load a sensor.
 
     Args:
-        name: A sensor of the catalogue, such as ``"gelsight_mini"``; the folder of a profile; or
-            a file of a gel (STEP, STL, OBJ, 3MF, .msh, .vtu).
-        parameters: Design parameters other than the catalogue's, such as
-            ``{"thickness_mm": 3}``; with a file those of the sensor that it is ``like``.
-        gel: With such a file, as of ``taccel-lab import-gel``: ``contact``, ``bond``, ``window``
-            and the other fields of ``FaceSelection``, ``edge_mm`` and ``like``.
+        sensor: Name of a sensor of the catalogue, such as ``"gelsight_mini"``; the folder of a
+            profile; a file of a gel (STEP, STL, OBJ, 3MF, .msh, .vtu); a profile or a calibration.
+        parameters: Design parameters other than the catalogue's, such as ``thickness_mm=3``. With a
+            file of a gel those of the sensor that it is ``like``, ``edge_mm``, and the options of
+            ``taccel-lab import-gel``: ``contact``, ``bond``, ``window`` and the other fields of
+            ``FaceSelection``.
 
     Raises:
-        InputError: No such sensor, a damaged profile, or options that cannot be used.
+        InputError: No such sensor, a damaged profile, or parameters that cannot be used.
     """
-    from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
-    from taccel_lab.sensors.registry import sensor_families
-
-    if _is_gel(name):
-        return _of_gel(Path(name), parameters, **gel)
-    if gel:
-        raise InputError(f"{', '.join(gel)} select faces of a gel's file; {name} is none")
-    if not parameters:
-        return stock_sensor(str(name))
-    if str(name) not in sensor_families():
-        raise InputError(
-            f"parameters change a sensor of the catalogue; {name} is none "
-            f"({', '.join(sorted(sensor_families()))})"
-        )
-    return catalogue_profile(str(name), parameters)
+    found = changed_profile(sensor, parameters) if parameters else reading_profile_of(sensor)
+    return Sensor.of(found)
 
 
-def _is_gel(name: Path | str) -> bool:
-    """Whether a name is that of a file that a gel is read from, rather than of a folder."""
-    from taccel_lab.cad.gel_import import SUFFIXES
-
-    return Path(name).suffix.lower() in SUFFIXES and not Path(name).is_dir()
-
-
-def _of_gel(
-    path: Path,
-    parameters: Mapping[str, Any] | None,
-    edge_mm: float | None = None,
-    like: str = "flat_pad",
-    **faces: Any,
-) -> SensorProfile:
-    from taccel_lab.cad.gel_import import FaceSelection
-    from taccel_lab.sensors.imported import imported_sensor
-
-    unknown = sorted(set(faces) - set(FaceSelection.model_fields))
-    if unknown:
-        raise InputError(
-            f"{', '.join(unknown)}: no option of such a file; there are "
-            f"{', '.join([*FaceSelection.model_fields, 'edge_mm', 'like'])}"
-        )
-    selection = FaceSelection(**faces)
-    return imported_sensor(path, selection, edge_mm, like=like, overrides=parameters)
-
-
-def profile_of(sensor: AnySensor) -> SensorProfile:
-    """The profile of whatever stands for a sensor, a catalogue name for its design without a
-    starter; errors as of ``load_sensor``."""
-    if isinstance(sensor, SensorProfile):
-        return sensor
-    if isinstance(sensor, (Path, str)):
-        from taccel_lab.sensors.profile import load_sensor as load
-
-        return load_sensor(sensor) if _is_gel(sensor) else load(str(sensor))
-    return sensor.profile
-
-
-def reading_profile_of(sensor: AnySensor) -> SensorProfile:
-    """Profile as of ``profile_of``, for who reads images: a catalogue name stands for its
-    starter."""
-    return load_sensor(sensor) if isinstance(sensor, (Path, str)) else profile_of(sensor)
+def list_sensors() -> list[str]:
+    """Return the names of the catalogue's sensors, sorted."""
+    return list(sensor_families())

@@ -58,6 +58,11 @@ def parse_bench(words: Sequence[str]) -> BenchmarkCommand:
     import tyro
     from tyro.extras import SubcommandApp
 
+    from taccel_lab.cli.words import require_command
+
+    if words:
+        known = [name.replace("_", "-") for name in COMMANDS]
+        require_command(words[0].replace("_", "-"), known, "taccel-lab bench")
     app = SubcommandApp()
     # All of them are imported for help, and for errors in the command's name, alone.
     for command in [words[0]] if words and words[0] in COMMANDS else COMMANDS:

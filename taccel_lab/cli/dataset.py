@@ -253,6 +253,8 @@ COMMANDS = {
 def with_make(words: Sequence[str]) -> list[str]:
     """``dataset FILE ...`` is short for ``dataset make FILE ...``."""
     named = words[1:2] and (words[1] in COMMANDS or words[1] in ("-h", "--help"))
+    # A file stands alone before the options: two words are a command, known or not.
+    named = named or any(not word.startswith("-") for word in words[2:3])
     if words[:1] == ["dataset"] and len(words) > 1 and not named:
         return ["dataset", "make", *words[1:]]
     return list(words)

@@ -31,7 +31,7 @@ PORT = 8092
 
 @dataclass(frozen=True, kw_only=True)
 class Live(CameraFlags):
-    """Show depth, normals and markers of a camera's frames, live.
+    """Show depth, normals, markers and the surface in 3D of a camera's frames, live.
 
     Reads what the profile's blocks allow: depth and normals with normals (colour sensors) or
     depth_response (grey ones), displacements with markers. Pixels outside the training range are

@@ -140,10 +140,10 @@ def _print_outcome(pressed: PressResult) -> None:
     rows = [
         *_path_rows(outcome.path, figures),
         ("normal force, numerical error", with_error(force[2], error_n), "N"),
-        ("its 95 % interval, all told", "  ".join(f"{end:.3g}" for end in ends), "N"),
+        ("its 95 % interval, all causes", "  ".join(f"{end:.3g}" for end in ends), "N"),
         ("force of the gel on the indenter", _digits(force, error_n), "N"),
         ("moment about the gel's origin", _digits(moment, error_n), "N mm"),
-        ("heights off by: numerical, all told", _both(heights, 1e3), "um rms"),
+        ("error of heights: numerical, total", _both(heights, 1e3), "um rms"),
         ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
         ("force residual", f"{figures['residual_n']:.1e}", "N"),
         ("Newton iterations", f"{figures['newton_iterations']}", ""),
@@ -153,7 +153,7 @@ def _print_outcome(pressed: PressResult) -> None:
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
     ]
     if image is not None:
-        rows.append(("image off by: numerical, all told", _both(image), "levels rms"))
+        rows.append(("error of the image: numerical, total", _both(image), "levels rms"))
     if pressed.like is not None:
         like = pressed.like
         place = zip("xy", like["at_mm"], like["at_sigma_mm"] or (None, None), strict=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProfileShow:
-    """Show what a sensor profile holds and where each block comes from, a line a block."""
+    """Show what a sensor profile holds and where each block comes from, one line per block."""
 
     profile: Positional[Path]
     """Profile folder; FOLDER@NAME is one of its views."""

@@ -181,13 +181,15 @@ class Depth:
     """Read height maps, pressures and forces from tactile images with a calibrated profile.
 
     A normals block (colour sensors) gives normals, which are integrated; a depth_response block
-    (grey sensors) gives depths. For every image, `<name>.npz` holds the height, its standard
+    (grey sensors) gives depths. For every image, `<name>.npz` holds depth, height, their standard
     deviation and the pressure, `<name>.png` shows them, and `<name>.json` has depth, position, area
-    and force with its 95 % interval, from the contact of an elastic layer. Heights are
-    metres in the gel frame, zero on untouched gel, negative in a dent. The +- is one standard
-    deviation of the absolute depth, calibration included. The light of each image is brought to the
-    profile's, and an untouched gel reads as no contact, 0 N. Images that cannot be a press of this
-    sensor are listed with the reason. The others are still read, and the exit code is 2.
+    and force with its 95 % interval, from the contact of an elastic layer. Depths (`depth_m`, in
+    metres) count from where the gel rests: positive in a dent, zero within their interval on an
+    untouched gel, curved or flat. Heights (`height_m`) are z in the gel frame and keep the gel's
+    curve. The +- is one standard deviation of the absolute depth, calibration included. The light
+    of each image is brought to the profile's, and an untouched gel reads as no contact, 0 N. Images
+    that cannot be a press of this sensor are listed with the reason. The others are still read, and
+    the exit code is 2.
     """
 
     profile: Positional[str]
@@ -197,6 +199,8 @@ class Depth:
     """Tactile images (PNG or JPEG) of the profile's size, or raw ones with --maps."""
     out: Path
     """Folder to write: three files per image."""
+    ply: bool = False
+    """Also write the surface as `<name>.ply`: vertices in metres with their normals, triangles."""
     background: Path | None = None
     """Image of the untouched sensor, if newer than the profile's. With a starter profile it is
     looked for beside the images: background.png, or the still frames of a recording."""
@@ -254,15 +258,12 @@ class Depth:
         )
         reader = TouchReader(surfaces)
 
-        def read(path: Path) -> tuple[TouchReading, np.ndarray]:
-            image = rectified(read_image(path), str(path))
-            return reader.read(image, str(path)), image
+        def read(path: Path) -> TouchReading:
+            return reader.read(rectified(read_image(path), str(path)), str(path))
 
-        def keep(
-            found: tuple[TouchReading, np.ndarray], path: Path, folder: Path | None
-        ) -> dict[str, Any]:
+        def keep(found: TouchReading, _: Path, folder: Path | None) -> dict[str, Any]:
             assert folder is not None
-            return write_reading(*found, path, folder)
+            return write_reading(found, folder, ply=self.ply)
 
         each_image(self.images, self.out, read, keep, as_json=self.json, lines=_depth_lines)
 

@@ -4,7 +4,6 @@ what is wrong with a value, in words, whichever option it stands behind."""
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import nearest, unknown
 
 if TYPE_CHECKING:
     from tyro.constructors import (
@@ -58,12 +58,12 @@ def checked_words(words: Sequence[str], names: Mapping[str, Sequence[str]]) -> l
 
         sys.stdout.write(f"taccel-lab {__version__}\n")
         raise SystemExit(0)
-    _require(words[0], tuple(names), "taccel-lab")
+    require_command(words[0], tuple(names), "taccel-lab")
     group = names.get(words[0], ())
     if group:
         if len(words) == 1:
             return [*words, "--help"]
-        _require(words[1], group, f"taccel-lab {words[0]}")
+        require_command(words[1], group, f"taccel-lab {words[0]}")
     return list(words)
 
 
@@ -84,13 +84,9 @@ def require_options(words: Sequence[str], command: type, prefix: str) -> None:
     for word in dict.fromkeys(found):
         if word.startswith("--") and word.replace("_", "-") in known:
             continue
-        close = difflib.get_close_matches("--" + word.lstrip("-"), (*known, *_COMMON), 1)
-        if close:
-            meant = f"; did you mean {close[0]}?"
-        elif not word.startswith("--"):
+        meant = nearest(word, (*known, *_COMMON))
+        if not meant and not word.startswith("--"):
             meant = f"; write a file or folder of that name as ./{word}"
-        else:
-            meant = ""
         lines.append(f"{prefix} has no option {word}{meant}")
     if lines:
         raise InputError("\n".join([*lines, f"{prefix} --help lists the options"]))
@@ -110,12 +106,11 @@ def _options(command: type) -> Iterator[str]:
             yield f"--no-{name}"
 
 
-def _require(word: str, known: Sequence[str], prefix: str) -> None:
-    if word.startswith("-") or word in known:
-        return
-    close = difflib.get_close_matches(word, known, 1)
-    meant = f"; did you mean {prefix} {close[0]}?" if close else ""
-    raise InputError(f"there is no command {word!r}{meant}\n{prefix} has: {', '.join(known)}")
+def require_command(word: str, known: Sequence[str], prefix: str) -> None:
+    """Raise InputError for a word that names no command of ``prefix``, unless it is an option."""
+    if not word.startswith("-") and word not in known:
+        more = unknown(word, known, f"{prefix} --help")
+        raise InputError(f"{prefix} has no command {word!r}{more}")
 
 
 def parse_number(word: str, kind: type) -> float | int:

@@ -17,8 +17,9 @@ from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.view import TouchView
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.guards import require_known
 from taccel_lab.model.embedding import rotate
 from taccel_lab.signals.tactile import SIGNALS
 
@@ -204,10 +205,8 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
     for name in names:
         if name in {channel.name for channel in ALWAYS}:
             raise InputError(f"output.channels: {name!r} is always kept; leave it out")
-        if name not in known_channels():
-            raise InputError(
-                f"output.channels: no channel {name!r}; known: {', '.join(known_channels())}"
-            )
+        with naming("output.channels"):
+            require_known("channel", name, known_channels(), "taccel-lab dataset channels")
         found.append(OPTIONAL.get(name) or signal_channel(name))
     return found
 

@@ -20,6 +20,7 @@ from taccel_lab.datasets.folder import PARTS, DatasetFolder, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_files, inner_path
+from taccel_lab.guards import require_known
 from taccel_lab.report.style import BLUE, ORANGE, in_report_style, new_figure
 from taccel_lab.summary import Summary
 
@@ -234,8 +235,7 @@ class Dataset(Summary):
         Raises InputError: no such channel, or rows of different size (nodes of different meshes),
         which are read an episode at a time.
         """
-        if channel not in self.channels:
-            raise InputError(f"no channel {channel!r}; there are {', '.join(self.channels)}")
+        require_known("channel", channel, self.channels)
         chosen = (
             np.arange(len(self))[steps]
             if isinstance(steps, slice)

@@ -16,7 +16,7 @@ import torch
 from torch.utils.data import Dataset as TorchBase
 
 from taccel_lab.datasets.reading import Dataset
-from taccel_lab.errors import InputError
+from taccel_lab.guards import require_known
 
 LABELS = ("wrench", "contact_area_mm2", "patch_forces_n")
 
@@ -47,12 +47,8 @@ class TouchDataset(TorchBase):
         """
         self.data = Dataset(folders, split=split)
         self.names = (*inputs, *labels)
-        missing = [name for name in self.names if name not in self.data.channels]
-        if missing:
-            raise InputError(
-                f"the data set has no channel {', '.join(missing)}; it has "
-                f"{', '.join(self.data.channels)}"
-            )
+        for name in self.names:
+            require_known("channel", name, self.data.channels)
         self._rest = self._first_steps() if background else None
 
     def _first_steps(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from taccel_lab.errors import InputError
+from taccel_lab.guards import unknown
 
 WHOLES = {
     "profile.toml": ("profile", b"\n[sensor]"),
@@ -218,6 +219,6 @@ def file_or_example(given: Path, room: str) -> Path:
     if not found.is_file():
         if given.exists():
             return given
-        names = ", ".join(sorted(path.stem for path in examples.glob("*.toml")))
-        raise InputError(f"{given} does not exist, and no example has that name; known: {names}")
+        more = unknown(given.stem, sorted(path.stem for path in examples.glob("*.toml")))
+        raise InputError(f"{given} does not exist, and no example has that name{more}")
     return found

@@ -23,6 +23,7 @@ from pydantic import (
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.files.regular_file import shown
+from taccel_lab.guards import nearest, unknown
 from taccel_lab.printable import printable
 
 
@@ -85,10 +86,14 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
         message = _WORDS.get(item["type"], message)
         if item["type"] == "extra_forbidden":
             owner = _model_at(model, item["loc"][:-1])
-            keys = [] if owner is None or owner in named else list(owner.model_fields)
+            every = [] if owner is None else list(owner.model_fields)
+            keys = [] if owner in named else every
             named |= set() if owner is None else {owner}
             keys = sorted(keys) if len(item["loc"]) == 1 else keys
-            message = "unknown key" + (f"; allowed: {', '.join(keys)}" if keys else "")
+            key = str(item["loc"][-1])
+            message = "unknown key" + (
+                unknown(key, keys, they_are="allowed") if keys else nearest(key, every)
+            )
         elif item["type"] != "missing" and not isinstance(item["input"], (dict, BaseModel)):
             message += f" (found {shown(item['input'])})"
         lines.append(f"{path}: {message}")

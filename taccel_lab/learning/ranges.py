@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.bodies.bodies import combined_friction
 from taccel_lab.errors import InputError
+from taccel_lab.guards import unknown
 from taccel_lab.scene import Scene
 
 if TYPE_CHECKING:
@@ -101,8 +102,8 @@ def check_given(given: Given, known: set[str]) -> None:
     for what, (low, high) in given.items():
         if what not in known:
             raise InputError(
-                f"randomised gives a range of {what!r}; episodes of this task draw "
-                f"{', '.join(sorted(known))}"
+                f"randomised gives a range of {what!r}, which episodes of this task do not draw"
+                f"{unknown(what, sorted(known))}"
             )
         if not low <= high:
             raise InputError(f"range of {what} must be low <= high, got {low:g} and {high:g}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.errors import InputError
+from taccel_lab.guards import unknown
 from taccel_lab.robots.transforms import pose_of
 
 NOT_INSTALLED = "this needs newton, which is not installed: pip install 'taccel-lab[newton]'"
@@ -133,7 +134,7 @@ class NewtonModel:
         for names in (self.bodies, self.model.body_label[: self.body_count]):
             if name in names:
                 return list(names).index(name)
-        raise InputError(f"there is no body {name!r}; there are {', '.join(self.bodies)}")
+        raise InputError(f"there is no body {name!r}{unknown(name, self.bodies)}")
 
     def _check_worlds(self) -> None:
         """Refuse worlds that are not copies of the first one, but for where they stand."""

@@ -73,7 +73,7 @@ class ForceInterval:
             for each in ranked
             if max(_log(each.low), _log(each.high)) > 1e-3
         ]
-        return f"all told: {self.low_n:.3g} to {self.high_n:.3g} N (95 %: {', '.join(said)})"
+        return f"95 % interval: {self.low_n:.3g} to {self.high_n:.3g} N ({', '.join(said)})"
 
 
 def _ends(cause: Cause) -> str:

@@ -23,6 +23,7 @@ from taccel_lab.files.triangle_file import read_triangle_file
 from taccel_lab.geometry.connectivity import piece_of_cells
 from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.guards import nearest
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 from taccel_lab.signals.texture import Texture
 
@@ -115,7 +116,8 @@ def parse_indenter(text: str, texture: Texture | None = None) -> Indenter:
         shape, remarks = _read_mesh(value)
         return Indenter(text, shape, texture, remarks)
     if kind not in _SHAPES:
-        raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
+        meant = nearest(kind, (*_SHAPES, "mesh"))
+        raise InputError(f"indenter {text!r} is not understood{meant}; allowed: {ALLOWED}")
     counts, build = _SHAPES[kind]
     words = value.split("x", max(counts) - 1)
     if len(words) not in counts:

@@ -137,6 +137,11 @@ class PressOutcome(Summary):
         """Normal force of the gel on the indenter [N]."""
         return float(self.wrench[2])
 
+    @property
+    def travel_mm(self) -> float:
+        """Largest travel of the indenter past first touch [mm]."""
+        return max(step.depth_mm for step in self.steps)
+
     def seen_by(self, name: str) -> PressOutcome:
         """Return the outcome with the pixels of one of ``views``, without states."""
         return replace(self, **vars(self.views[name]), views={}, states=None)
@@ -150,6 +155,7 @@ class PressOutcome(Summary):
         steps = [step.report for step in self.steps]
         wrench = self.wrench
         return {
+            "travel_mm": self.travel_mm,
             "force_n": float(wrench[2]),
             "force_error_n": self.force_error_n,
             "height_error_m": self.height_error_m,

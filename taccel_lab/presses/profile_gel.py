@@ -37,8 +37,8 @@ def profile_scene(
 
     Args:
         profile: Sensor: mesh, material, friction.
-        mesh: Of the same gel, coarser for many environments (``taccel_lab.cad.mesh.gel_mesh``,
-            or a profile of ``taccel-lab design --edge-mm 2``); the profile's own when None.
+        mesh: Of the same gel, coarser for many environments (``Sensor.meshed``); the profile's own
+            when None.
         gel: Further fields of its ``SoftBody``, such as ``mount`` and ``element``.
         scene: Arguments of ``Scene``: ``kinematic_bodies``, ``env_count``, ...
 

@@ -27,6 +27,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.regular_file import read_regular_file
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_checks import check_connectivity
+from taccel_lab.guards import unknown
 from taccel_lab.profile.migrate import migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION, Block, SensorBlock, judge_parameters
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
@@ -398,10 +399,13 @@ def _refuse_unknown_tables(document: dict[str, Any], keys: Collection[str] | Non
     allowed = ["schema_version", "files", *(keys or (block.key for block in BLOCK_TYPES))]
     if keys is None:
         allowed.append(_VIEWS)
-    unknown = [key for key in document if key not in allowed]
-    if unknown:
-        names = ", ".join(unknown)
-        raise InputError(f"{names}: unknown key; allowed: {', '.join(allowed)}")
+    strange = [key for key in document if key not in allowed]
+    if strange:
+        raise InputError(
+            "\n".join(
+                f"{key}: unknown key{unknown(key, allowed, they_are='allowed')}" for key in strange
+            )
+        )
 
 
 def _read_block(

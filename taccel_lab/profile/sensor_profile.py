@@ -7,12 +7,13 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.guards import unknown
 from taccel_lab.profile.consistency import check_mesh_size, disagreements
 from taccel_lab.profile.optical_design import OpticalDesign
 from taccel_lab.profile.optional_blocks import (
@@ -113,7 +114,7 @@ class SensorProfile(Summary):
         """Return the names of all cameras, ``main`` first."""
         return (MAIN_VIEW, *self.views)
 
-    def seen_by(self, name: str) -> SensorProfile:
+    def seen_by(self, name: str) -> Self:
         """Return the sensor with one of its cameras and no other: an ordinary profile.
 
         Gel, material, window, coating, lights, markers and housing are shared.
@@ -121,12 +122,11 @@ class SensorProfile(Summary):
         if name == MAIN_VIEW:
             return dataclasses.replace(self, views={}) if self.views else self
         if name not in self.views:
-            raise InputError(
-                f"{self.sensor.name} has no view {name!r}; known: {', '.join(self.view_names())}"
-            )
+            more = unknown(name, self.view_names())
+            raise InputError(f"{self.sensor.name} has no view {name!r}{more}")
         return dataclasses.replace(self, views={}, **self.views[name].parts())
 
-    def with_view(self, name: str, seen: SensorProfile) -> SensorProfile:
+    def with_view(self, name: str, seen: SensorProfile) -> Self:
         """Return a profile with the camera of ``seen`` and what was fitted to its images under that
         name; ``main`` puts it in the place of the profile's own."""
         view = SensorView.of(seen)
@@ -217,7 +217,7 @@ class SensorProfile(Summary):
         self,
         block: Block,
         arrays: TetMesh | np.ndarray | Mapping[str, np.ndarray] | None = None,
-    ) -> SensorProfile:
+    ) -> Self:
         """Return a profile with ``block`` added or replaced.
 
         ``arrays`` is what the block describes: a TetMesh for a GelBlock, an RGB image for a
@@ -235,14 +235,13 @@ class SensorProfile(Summary):
             raise InputError(f"a {block.key} block takes no arrays")
         return dataclasses.replace(self, **changes)
 
-    def without(self, *keys: str) -> SensorProfile:
+    def without(self, *keys: str) -> Self:
         """Return a profile that lacks the named optional blocks and their arrays."""
         changes: dict[str, Any] = {}
         for key in keys:
             if key not in OPTIONAL_BLOCKS:
-                raise InputError(
-                    f"a profile cannot lack {key!r}; optional: {', '.join(sorted(OPTIONAL_BLOCKS))}"
-                )
+                more = unknown(key, sorted(OPTIONAL_BLOCKS), they_are="optional")
+                raise InputError(f"a profile cannot lack {key!r}{more}")
             changes[key] = None
             if key in ARRAY_FIELDS:
                 changes[ARRAY_FIELDS[key]] = None

@@ -103,7 +103,7 @@ def named(name: str) -> Robot:
 
     Raises InputError for another name, and where what it is read from is not installed.
     """
-    require_known("robot", name, names())
+    require_known("robot", name, names(), "taccel-lab robot list")
     entry = ENTRIES[names().index(name)]
     return replace(entry.finish(load_urdf(entry.path())), name=name)
 

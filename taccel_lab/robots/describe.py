@@ -12,6 +12,7 @@ from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry.length_units import size_words
+from taccel_lab.guards import unknown
 from taccel_lab.robots.catalogue import named, names
 from taccel_lab.robots.description import RobotJoint
 from taccel_lab.robots.robot import Robot
@@ -31,7 +32,8 @@ def robot_of(text: str, **options: Any) -> Robot:
         return named(text)
     if not text.lower().endswith((".urdf", ".xml")) and not Path(text).exists():
         raise InputError(
-            f"{text!r} is neither a file nor a robot of the catalogue: {', '.join(names())}"
+            f"{text!r} is neither a file nor a robot of the catalogue"
+            f"{unknown(text, names(), 'taccel-lab robot list')}"
         )
     return load_urdf(text, **options)
 

@@ -20,8 +20,13 @@ Tensor = torch.Tensor
 
 
 def marker_places(positions: Tensor, layout: MarkerLayout, first_node: int = 0) -> Tensor:
-    """Places of painted markers [m], [..., marker, 3], from nodes [..., node_count, 3];
-    ``first_node``: of the gel."""
+    """Place painted markers [m], [..., marker, 3], by the gel's nodes [m], [..., node_count, 3].
+
+    Args:
+        positions: Nodes of all bodies, or of the gel alone.
+        layout: Markers on the gel.
+        first_node: Index of the gel's first node.
+    """
     check_tensor("positions", positions)
     nodes = torch.as_tensor(layout.nodes + first_node, dtype=torch.long, device=positions.device)
     weights = torch.as_tensor(layout.weights, device=positions.device).to(positions)
@@ -29,8 +34,8 @@ def marker_places(positions: Tensor, layout: MarkerLayout, first_node: int = 0) 
 
 
 def height_map(positions: Tensor, faces: np.ndarray, grid: PixelGrid) -> Tensor:
-    """Heights of a gel's face at the pixels of a grid [m], [env, height_px, width_px], NaN where
-    there is none.
+    """Map the heights of a gel's face at the pixels of a grid [m], [env, height_px, width_px], NaN
+    where there is none.
 
     Linear between the nodes of the triangle that a pixel sees (``FaceRaster``), which is taken
     as given: the height has a kink where a pixel passes from one triangle to the next.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
+from taccel_lab.guards import require_known
 from taccel_lab.progress import Progress, silent
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
@@ -74,8 +75,7 @@ def names() -> list[str]:
 
 def named(name: str) -> Task:
     """A task of the package; InputError names those that there are."""
-    if name not in names():
-        raise InputError(f"there is no task {name!r}; there are {', '.join(names())}")
+    require_known("task", name, names(), "taccel-lab task list")
     return read_task(FILES / f"{name}.toml")
 
 

@@ -221,7 +221,7 @@ class DesignPage:
             # The thread must live: without it the page would never answer again.
             traceback.print_exc()
             self._status.content = PageText(
-                "**A fault of the program:** {!r}. The terminal has all of it; other values may do."
+                "**Internal error:** {!r}. The terminal shows the traceback; other values may work."
             ).format(fault)
 
     def _refuse(self, words: str) -> None:

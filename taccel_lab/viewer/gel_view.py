@@ -12,10 +12,11 @@ import numpy as np
 
 from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
+from taccel_lab.report.painted_mesh import painted_mesh
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.page_parts import SensorPanel, TimeSlider
-from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
+from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, shares
 from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ class GelView:
             self._turn = self._gui.add_slider(
                 "turn [deg]", -90.0, 90.0, 1.0, 0.0, hint="About z, of upright planes."
             )
-            self._other = self._gui.add_checkbox("take the other side away", False)
+            self._other = self._gui.add_checkbox("hide the other side", False)
         with self._gui.add_folder("Forces"):
             self._arrows = self._gui.add_dropdown("arrows", ARROWS)
             self._patches = self._gui.add_slider("patches along the gel", 2, 60, 1, 24)
@@ -225,7 +226,8 @@ class GelView:
             self._remove(name)
             return
         self._surfaces[name] = surface
-        shown = painted(surface, limits, colors)
+        share = shares(surface.values, limits)
+        shown = painted_mesh(surface.points, surface.faces, share, colors)
         handle = self._server.scene.add_glb(name, shown, cast_shadow=False, receive_shadow=False)
         handle.on_click(self._probe)
 

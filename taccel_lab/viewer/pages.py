@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.folder import ABOUT as DATASET
 from taccel_lab.errors import InputError
+from taccel_lab.guards import nearest
 from taccel_lab.report.live_page import PageOptions, live_page, serve_until_stopped
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.evaluate.study_folder import StudyFolder
@@ -82,9 +83,10 @@ def find_source(name: str) -> Source:
         return Source(Kind.PROFILE, name)
     if name in task_names():
         return Source(Kind.TASK, name)
+    known = (*sensor_families(), *task_names())
+    lists = "taccel-lab sensors list and taccel-lab task list"
     raise InputError(
-        f"there is no folder, sensor or task {name!r}; sensors: "
-        f"{', '.join(sensor_families())}; tasks: {', '.join(task_names())}"
+        f"there is no folder, sensor or task {name!r}{nearest(name, known)}; see {lists}"
     )
 
 
@@ -96,7 +98,7 @@ def _nothing(path: Path) -> str:
             "keeps those of a seed, and `taccel-lab view TASK` runs one live"
         )
     marks = ", ".join(f"{mark} of a {kind}" for kind, mark in _MARKS.items())
-    return f"{path} is nothing that can be looked at: it has neither {marks}, nor a study's designs"
+    return f"{path} cannot be shown: it has neither {marks}, nor a study's designs"
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from taccel_lab.with_error import with_error
 
 @pytest.mark.thorough
 def test_a_catalogue_name_with_parameters():
-    profile = tl.load_sensor("flat_pad", {"thickness_mm": 3})
+    profile = tl.load_sensor("flat_pad", thickness_mm=3)
     assert profile.gel.thickness_mm == pytest.approx(3)
     text = repr(profile)
     assert text.startswith("profile of flat_pad\n") and "3 mm thick" in text
@@ -37,8 +37,9 @@ def test_a_catalogue_name_with_parameters():
 def test_the_folder_of_a_profile(tmp_path):
     tl.save_profile(tl.load_sensor("flat_pad"), tmp_path / "profile")
     assert repr(tl.load_sensor(tmp_path / "profile")) == repr(tl.load_sensor("flat_pad"))
-    with pytest.raises(tl.InputError, match="change a sensor of the catalogue"):
-        tl.load_sensor(tmp_path / "profile", {"thickness_mm": 3})
+    for changed in (tmp_path / "profile", tl.load_sensor(tmp_path / "profile")):
+        with pytest.raises(tl.InputError, match="thickness_mm: only sensors of the catalogue"):
+            tl.load_sensor(changed, thickness_mm=3)
 
 
 @pytest.mark.thorough
@@ -46,12 +47,12 @@ def test_a_step_file(tmp_path):
     file, top = tmp_path / "gel.step", ("plane:+z",)
     bd.export_step(bd.Box(16, 12, 3), str(file))
     faces = {"contact": top, "bond": ("plane:-z",), "window": ("rect:10x8",)}
-    profile = tl.load_sensor(file, {"young_modulus_mpa": 0.2}, **faces)
+    profile = tl.load_sensor(file, young_modulus_mpa=0.2, **faces)
     assert profile.gel.thickness_mm == pytest.approx(3)
     assert profile.material.young_modulus_pa == pytest.approx(2e5)
-    with pytest.raises(tl.InputError, match="touched: no option of such a file; there are contact"):
-        tl.load_sensor(file, touched=top)
-    with pytest.raises(tl.InputError, match="contact select faces of a gel's file"):
+    with pytest.raises(tl.InputError, match=r"takes no option 'contacts' \(did you mean contact"):
+        tl.load_sensor(file, contacts=top)
+    with pytest.raises(tl.InputError, match="no parameter 'contact'"):
         tl.load_sensor("flat_pad", contact=top)
 
 
@@ -82,7 +83,7 @@ def pressed():
 
 @pytest.mark.thorough
 def test_nobody_has_measured_a_stored_mesh():
-    small = tl.load_sensor("flat_pad", {"thickness_mm": 8, "length_x_mm": 12, "length_y_mm": 10})
+    small = tl.load_sensor("flat_pad", thickness_mm=8, length_x_mm=12, length_y_mm=10)
     pressed = tl.press(small, "sphere:4", **QUICK, mesh="profile")
     assert np.isnan(pressed.force_error_n) and "nan" not in repr(pressed)
     low, high = pressed.force_interval_n

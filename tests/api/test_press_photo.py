@@ -112,7 +112,7 @@ def seen(
     sigma_m = None if sigma_mm is None else np.full(x.shape, 1e-3 * sigma_mm)
     reading = SurfaceReading(
         height_m=lean * x - 1e-3 * dent_mm,
-        rise_m=-1e-3 * dent_mm,
+        depth_m=1e-3 * dent_mm,
         height_sigma_m=None if sigma_m is None else 2 * sigma_m,
         reading_sigma_m=sigma_m,
         normals=np.zeros((*x.shape, 3)),

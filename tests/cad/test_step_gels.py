@@ -90,7 +90,10 @@ def test_our_step_is_read(selected: str, own: tuple[LabelledSolid, Path], tmp_pa
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('kontakt = "name:contact"', "kontakt: unknown key; allowed: body, bond, contact"),
+        (
+            'kontakt = "name:contact"',
+            r"kontakt: unknown key \(did you mean contact\?\); allowed: body, bond",
+        ),
         ("contact = 3", r"faces.toml: contact: a list in square brackets is needed \(found 3\)"),
     ],
 )

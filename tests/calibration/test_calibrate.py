@@ -205,8 +205,8 @@ def test_what_calibrates_nothing_is_refused_and_leaves_nothing(captures, replace
     rows: list[tuple[dict[str, Any], str]] = [
         ({"only": ("markers",)}, "nothing could be calibrated\n  markers: needs"),
         ({"only": ("background",), "unfinished": kept}, "nothing could be calibrated"),
-        ({"only": ("colour",)}, "no block colour; there are camera, scale"),
-        ({"options": {"colour": None}}, "no block colour"),
+        ({"only": "colour"}, r"no block 'colour' \(did you mean color\?\); known: camera, scale"),
+        ({"options": {"colour": None}}, "no block 'colour'"),
         ({"base": catalogue_profile("digit")}, "are of a gelsight, the profile to extend is of"),
     ]
     for how, said in rows:

@@ -138,4 +138,4 @@ def test_an_object_that_is_no_ball_is_rendered_and_its_shape_read(loop: Any) -> 
     )
     assert off < 0.6 * flat
     sunk = (pressed.height_m - pressed.rest_height_m)[contact]
-    assert np.abs(reading.rise_m[contact] - sunk).mean() < -0.5 * sunk.mean()
+    assert np.abs(reading.depth_m[contact] + sunk).mean() < -0.5 * sunk.mean()

@@ -67,16 +67,16 @@ def test_usage_errors_exit_with_2(cli: Cli, words: str) -> None:
 @pytest.mark.parametrize(
     ("words", "meant", "has"),
     [
-        ("pres", "taccel-lab press", "taccel-lab has: demo, design"),
-        ("capture chek", "taccel-lab capture check", "taccel-lab capture has: check"),
-        ("zzz", None, "taccel-lab has: demo, design"),
+        ("pres", "press", "taccel-lab --help lists all"),
+        ("capture chek", "check", "taccel-lab capture --help lists all"),
+        ("zzz", None, "taccel-lab --help lists all"),
     ],
 )
 def test_a_command_that_is_not_there(
     cli: Cli, words: str, meant: str | None, has: str, more: list[str]
 ) -> None:
     told = cli(words, *more, code=2).err
-    assert f"there is no command {words.split()[-1]!r}" in told and has in told
+    assert f"{words.split()[-1]!r}" in told and has in told
     assert ("did you mean" in told) == (meant is not None)
     assert meant is None or f"did you mean {meant}?" in told
 
@@ -230,12 +230,18 @@ def test_closed_streams_change_no_exit_code(words: str) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("press --indentor ball digit", "press has no option --indentor; did you mean --indenter?"),
-        ("press --hlp", "press has no option --hlp; did you mean --help?"),
-        ("press -out x digit", "press has no option -out; did you mean --out?"),
-        ("capture record --scales=x", "capture record has no option --scales; did you mean --sc"),
-        ("design --prt 3", "design has no option --prt; did you mean --port?"),
-        ("dataset x.toml --limitt 3", "dataset make has no option --limitt; did you mean --limit?"),
+        (
+            "press --indentor ball digit",
+            "press has no option --indentor (did you mean --indenter?)",
+        ),
+        ("press --hlp", "press has no option --hlp (did you mean --help?)"),
+        ("press -out x digit", "press has no option -out (did you mean --out?)"),
+        ("capture record --scales=x", "capture record has no option --scales (did you mean --sc"),
+        ("design --prt 3", "design has no option --prt (did you mean --port?)"),
+        (
+            "dataset x.toml --limitt 3",
+            "dataset make has no option --limitt (did you mean --limit?)",
+        ),
         ("preview -dash.png", "preview has no option -dash.png; write a file or folder of that"),
         ("view --zzz", "view has no option --zzz\n"),
     ],

@@ -174,6 +174,7 @@ def test_a_hold_and_a_way_back_are_told(unit: Path, tmp_path: Path, cli: Cli) ->
     path = f"--depth-mm 0.2 --hold-s 3 --unload {QUICK}"
     shown = cli("press", tmp_path / "soft", "--out", tmp_path / "out", *path.split()).err
     found = read(tmp_path / "out")["press"]
+    assert found["travel_mm"] == pytest.approx(0.2), "of a press that comes back, too"
     assert found["hold"]["to_n"] < 0.9 * found["hold"]["from_n"]
     assert f"{found['hold']['from_n']:.4g}  {found['hold']['to_n']:.4g}" in shown
     assert f"{found['loop']['work_mj']:.4g}  {found['loop']['lost_mj']:.4g}" in shown

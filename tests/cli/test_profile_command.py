@@ -102,7 +102,7 @@ def _refused_by_all(path: Path, words: str, cli: Cli) -> None:
     """What ``validate`` finds is what every reader says."""
     found = [str(one) for one in tl.validate_profile(path) if one.severity == "error"]
     assert re.search(words, "\n".join(found))
-    for read in (load_profile, tl.load_profile, tl.load_sensor, sensor_family):
+    for read in (load_profile, tl.load_sensor, sensor_family):
         with pytest.raises(InputError) as refused:
             read(str(path))
         assert str(refused.value).splitlines() == found

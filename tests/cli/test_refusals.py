@@ -100,7 +100,7 @@ REFUSALS = {
         "import plain out --mm-per-px-y 0.1": "mm-per-px-x",
         "import plain out --background gone.png": "no such background image",
         "import plain captures": FOREIGN,
-        "guide gelsite": "known: 9dtact, digit",
+        "guide gelsite": "no sensor 'gelsite' (did you mean gelsight?)",
         "guide digit --out captures/captures.toml": "exists; name a file",
         "guide digit --out captures/captures.toml/x": "part of this path is a file",
     },
@@ -124,12 +124,14 @@ REFUSALS = {
         "study.toml --out new --report-only": "holds no study",
         "rang.toml": "no metric 'rang' (did you mean range?)",
     },
+    "bench": {"quik": "taccel-lab bench has no command 'quik' (did you mean quick?)"},
     "dataset": {
+        "chek set": "taccel-lab dataset has no command 'chek' (did you mean check?)",
         "set.toml --out out --shard 3/2": "shard '3/2' is not understood",
-        "sizes.toml --out out --check-only": "output.sizes_px: unknown key; allowed: channels, s",
+        "sizes.toml --out out --check-only": "output.sizes_px: unknown key (did you mean size_px?)",
     },
     "task": {
-        "run juggle --out out": "there is no task 'juggle'; there are",
+        "run juggle --out out": "no task 'juggle'; taccel-lab task list lists all",
         "run peg-insertion --out out --seeds 0": "seeds must lie in 1..100000, got 0",
         "run peg-insertion --out out --environments 0": "environments must lie in 1..100000",
         "record peg-insertion --out out --seed -1": "seed must lie in 0..99999, got -1",
@@ -152,7 +154,7 @@ REFUSALS = {
         "digit --picture digit.svg": "digit.svg must end in .png",
     },
     "robot show": {
-        "hand": "'hand' is neither a file nor a robot of the catalogue: par",
+        "hand": "'hand' is neither a file nor a robot of the catalogue (did you mean panda",
         "three_finger_hand --picture hand.jpg": "must end in .png",
     },
 }
@@ -264,7 +266,7 @@ CHANGES: list[tuple[str, Change, list[str]]] = [
     (
         PRESSED,
         profile(('family = "gelsight"', 'family = "gelsite"')),
-        ["profile cannot be meshed", "gelsite", "known: ", "gelsight"],
+        ["profile cannot be meshed", "gelsite", "did you mean gelsight?"],
     ),
     (
         PRESSED,

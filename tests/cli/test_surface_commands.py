@@ -75,7 +75,7 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
     assert 0.2 < found["max_depth_mm"] < 1.2
     with np.load("depths/p3.npz") as stored:
         assert stored["height_m"].shape == (GRID.height_px, GRID.width_px)
-        assert -1e3 * stored["rise_m"].min() == pytest.approx(found["max_depth_mm"], rel=1e-5)
+        assert 1e3 * stored["depth_m"].max() == pytest.approx(found["max_depth_mm"], rel=1e-5)
         assert {"normals", "sigma_deg", "radius95_deg"} <= set(stored.files)
     assert Path("depths/p3.png").stat().st_size > 5000
     assert json.loads(Path("depths/p3.json").read_text())["image"] == image
@@ -90,12 +90,13 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
         assert f"{name}.png" in said and "no image of the sensor" in said
         assert not Path(name).exists()
     # A black frame stops no other image.
-    said = cli("depth profile black.png", image, "--out", "some", "--json", code=2)
+    said = cli("depth profile black.png", image, "--out", "some", "--json", "--ply", code=2)
     told = json.loads(said.out)
     assert list(told["images"]) == ["p3"] and list(told["refused"]) == ["black"]
     assert "no image of the sensor" in told["refused"]["black"] and "black.png" in said.err
     kept = sorted(path.name for path in Path("some").iterdir())
-    assert "p3.npz" in kept and not any("black" in name for name in kept)
+    assert {"p3.npz", "p3.ply"} <= set(kept) and not Path("depths/p3.ply").exists()
+    assert not any("black" in name for name in kept)
     assert cli.json("depth profile black.png --out some", code=2)["out"] is None
     assert sorted(path.name for path in Path("some").iterdir()) == kept
 

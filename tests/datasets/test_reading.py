@@ -149,7 +149,7 @@ def test_splits_are_held_apart_and_batched_by_torch(made: Path) -> None:
     assert item["wrench"].shape == (6,) and item["patch_forces_n"].shape == (6, 8, 3)
     batches = list(DataLoader(touches, 4, shuffle=True))
     assert sum(len(batch["wrench"]) for batch in batches) == len(touches)
-    with pytest.raises(InputError, match="no channel heat"):
+    with pytest.raises(InputError, match="no channel 'heat'"):
         TouchDataset(made, inputs=("heat",))
 
 

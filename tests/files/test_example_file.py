@@ -44,5 +44,5 @@ def test_a_file_comes_before_an_example_and_a_folder_hides_none(
 
 
 def test_scripts_name_examples_as_commands_do(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no example has that name; known: .*softest_gel"):
+    with pytest.raises(InputError, match=r"no example has that name \(did you mean softest_gel"):
         taccel_lab.study("softest_gal", tmp_path)

@@ -362,7 +362,7 @@ def test_nothing_is_taken_for_something_else(tmp_path: Path, entry: str) -> None
 @pytest.mark.parametrize("key", ["self", "model_config", "__class__", "__init__", "cls", '""'])
 def test_keys_that_python_has_other_uses_for(tmp_path: Path, key: str) -> None:
     said = said_of_box(tmp_path, f"{key} = 1\n")
-    assert re.search(r"file\.toml: .*: unknown key; allowed: balls", said)
+    assert re.search(r"file\.toml: .*: unknown key.*; allowed: balls", said)
 
 
 def test_what_is_allowed_in_a_kind_of_table_is_said_once_and_long_lists_are_cut(
@@ -371,7 +371,7 @@ def test_what_is_allowed_in_a_kind_of_table_is_said_once_and_long_lists_are_cut(
     """A recipe of thirty sets with an unknown key each took 4,800 letters."""
     entry = "[[balls]]\nradius_mm = 2\nradios_mm = 2\n"
     said = said_of_box(tmp_path, entry)
-    assert said.endswith("balls.0.radios_mm: unknown key; allowed: radius_mm, count, hollow")
+    assert said.endswith("unknown key (did you mean radius_mm?); allowed: radius_mm, count, hollow")
     said = said_of_box(tmp_path, 30 * entry)
     assert said.count("unknown key") == 20 and said.count("allowed: radius_mm, count") == 1
     said = said_of_box(tmp_path, f"balls = ['{'x' * 5000}',{'1,' * 9999}]")

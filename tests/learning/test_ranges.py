@@ -135,7 +135,7 @@ def test_a_sensor_without_measured_spread_is_refused(assumed: SensorProfile) -> 
 def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
     skin = {"young_modulus_pa": 1e5, "poisson_ratio": 0.4, "density_kg_m3": 1e3, "name": "skin"}
     layers = measured.with_block(measured.material.replace(layers=(skin,)))
-    colour = "range of 'colour'; episodes of this task draw friction, mass_kg"
+    colour = "range of 'colour', which episodes of this task do not draw; known: friction, mass_kg"
     mass = "range of mass_kg must be low <= high, got 2 and 1"
     for task, sensor, given, message in (
         *(("grasp-lift", who, {"colour": (0.0, 1.0)}, colour) for who in (None, measured)),

@@ -134,7 +134,7 @@ def test_a_drive_of_newton_presses_a_gel() -> None:
     ("options", "message"),
     [
         ({"gels": []}, "at least one gel is needed"),
-        ({"touched": ["sphere"]}, "no body 'sphere'; there are left, right, cube"),
+        ({"touched": ["sphere"]}, "no body 'sphere'; known: left, right, cube"),
         ({"touched": ["left"]}, "body 'left' carries a gel: it cannot be touched, too"),
         ({"coupling": "loose"}, "coupling must be lagged or inside, got 'loose'"),
     ],

@@ -140,7 +140,7 @@ test_what_is_not_there_is_refused = refuses(
     (lambda hand: hand.jacobian("thumb", np.zeros(9)), "no link 'thumb'; there are 'palm', 'b"),
     (lambda hand: hand.placed([0, 0, 0, 1, 1, 0, 0]), "unit length"),
     (lambda hand: hand.placed([IDENTITY] * 2), r"world_from_base must have shape \[7\]"),
-    (lambda _: named("hand"), "no robot 'hand'.*known: parallel_gripper, three_"),
+    (lambda _: named("hand"), "no robot 'hand'.*did you mean .*hand"),
 )
 
 

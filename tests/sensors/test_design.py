@@ -142,7 +142,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_command_refuses_unknown_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert "known: " in refusal(capsys, "design", "digitt", "--out", out)
+    assert "did you mean digit?" in refusal(capsys, "design", "digitt", "--out", out)
     assert "name=value" in refusal(capsys, "design", "gelsight", "--out", out, "--set", "thickness")
     assert not out.exists()
 

@@ -42,7 +42,7 @@ def test_it_is_small_marked_and_licensed(name: str) -> None:
     assert profile.camera.width_px == design.camera.width_px
     assert profile.camera.height_px == design.camera.height_px
     # A changed design is no stock sensor.
-    assert not is_starter(tl.load_sensor(name, {"thickness_mm": 3}))
+    assert not is_starter(tl.load_sensor(name, thickness_mm=3))
 
 
 def test_its_mark_survives_saving(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     assert profile.background_rgb is not None
     untouched = profile.background_rgb
     nothing = tl.read(name, untouched, background=untouched)
-    assert np.abs(nothing.rise_m).max() < 0.1e-3
+    assert np.abs(nothing.depth_m).max() < 0.1e-3
     assert NOT_YOUR_UNIT in repr(nothing)
     assert nothing.figures(profile.grid())["warnings"][0] == NOT_YOUR_UNIT
 

@@ -23,6 +23,7 @@ from taccel_lab.calibration.record.page import RecordPage
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
+from taccel_lab.report.painted_mesh import painted_mesh
 from taccel_lab.scene import Element, Material, SoftBody
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
@@ -30,7 +31,7 @@ from taccel_lab.viewer.design_controls import DesignControls
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView, probe
 from taccel_lab.viewer.pages import find_source, source_page
-from taccel_lab.viewer.painting import bar_html, map_rgb, painted, shares
+from taccel_lab.viewer.painting import bar_html, map_rgb, shares
 from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets, linear_tets
 from tests.viewer import sample_sources
 from tests.viewer.browser import chromium_page, shared_browser, wait_for  # noqa: F401
@@ -158,12 +159,13 @@ def test_a_probe_reads_the_value_that_lies_in_front():
 def test_values_meet_the_ends_of_the_colour_map():
     found = shares(np.array([-1.0, 0, 1, 2, 9, np.nan]), (0, 2))
     np.testing.assert_allclose(found, [0, 0, 0.5, 1, 1, 0])
-    surface = SectionSurface(np.eye(3), np.array([[0, 1, 2]]), np.array([0.0, 1.0, 2.0]))
-    colors = map_rgb("viridis")
-    shown = io.BytesIO(painted(surface, (0, 2), colors))
-    mesh: Any = trimesh.load(shown, file_type="glb", force="mesh", process=False)
-    np.testing.assert_allclose(mesh.vertices, surface.points)
-    np.testing.assert_array_equal(mesh.faces, surface.faces)
+    points, faces, share = np.eye(3), np.array([[0, 1, 2]]), np.array([0.0, 0.5, 1.0])
+    colors, normals = map_rgb("viridis"), np.tile([0.0, 0.6, 0.8], (3, 1))
+    shown = io.BytesIO(painted_mesh(points, faces, share, colors, normals))
+    (mesh,) = trimesh.load(shown, file_type="glb", process=False).geometry.values()
+    np.testing.assert_allclose(mesh.vertices, points)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_allclose(mesh.vertex_normals, normals, rtol=1e-6)
     np.testing.assert_array_equal(np.asarray(mesh.visual.material.baseColorTexture)[0], colors)
     np.testing.assert_allclose(mesh.visual.uv[:, 0], [0.5 / 256, 0.5, 255.5 / 256])
     with pytest.raises(KeyError):

@@ -52,8 +52,12 @@ def test_folders_are_known_by_a_file(files, kind, at, tmp_path):
 def test_names_are_sensors_and_tasks(tmp_path):
     assert find_source("gelsight_mini").kind is Kind.PROFILE
     assert find_source("ball-rolling").kind is Kind.TASK
-    with pytest.raises(InputError, match=r"gelsight_mini.*ball-rolling"):
-        find_source("no_such_thing")
+    for name, says in {
+        "xyz": "sensors list and .* task list",
+        "rolling": "mean ball-rolling",
+    }.items():
+        with pytest.raises(InputError, match=says):
+            find_source(name)
     (tmp_path / "press.json").write_text("{}")
     with pytest.raises(InputError, match=f"name the folder .*{tmp_path.name}"):
         find_source(str(tmp_path / "press.json"))
@@ -61,7 +65,7 @@ def test_names_are_sensors_and_tasks(tmp_path):
 
 @pytest.mark.parametrize(
     ("files", "words"),
-    [([], "nothing that can be looked at"), (["result.json"], "task record TASK` keeps")],
+    [([], "cannot be shown: it has neither"), (["result.json"], "task record TASK` keeps")],
 )
 def test_other_folders_are_refused_with_what_is_needed(files, words, tmp_path, capsys):
     for name in files:

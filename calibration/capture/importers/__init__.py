@@ -37,6 +37,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, manifest_notes
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.guards import nearest
 
 LAYOUTS = {
     # The most telling first: any folder of images is a plain one.
@@ -143,8 +144,8 @@ def named_layout(name: str) -> CaptureLayout:
     if name not in LAYOUTS:
         script = f"; {SCRIPTS}/{name}.py reads it" if name in PUBLISHED else ""
         raise InputError(
-            f"no layout {name!r}{script}; known: {AUTO}, {', '.join(LAYOUTS)}, or a script, which "
-            f"ends in {SCRIPT_SUFFIX}"
+            f"no layout {name!r}{nearest(name, LAYOUTS)}{script}; known: {AUTO}, "
+            f"{', '.join(LAYOUTS)}, or a script, which ends in {SCRIPT_SUFFIX}"
         )
     return LAYOUTS[name]
 

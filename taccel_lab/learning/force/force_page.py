@@ -55,8 +55,8 @@ def force_page(result: ForceCalibration) -> Page:
                 "Images that are not of this sensor",
                 ["what", "images", "found"],
                 [[one.name, one.images, f"{one.outside:.1%}"] for one in result.imposters],
-                f"Made of held-out images. Of these themselves {result.false_alarms:.2%} are "
-                "called outside.",
+                f"Made of held-out images, of which {result.false_alarms:.2%} are called "
+                "outside as they are.",
             ),
         ],
         pictures=[_predicted(result), _errors(result), _patches(result), _loss(result)],

@@ -202,7 +202,7 @@ def _two_lines(label: str) -> str:
 
 @in_report_style
 def draw_parallel(outcome: StudyOutcome, front: list[str], best: list[str]) -> Figure:
-    """Every design as a line over parameters and metrics; better is up for metrics."""
+    """Every design as a line over parameters and metrics, the better end of metrics at the top."""
     designs = outcome.done
     signs = compared(outcome)
     parameters = [axis.name for axis in outcome.study.axes if axis.numeric]

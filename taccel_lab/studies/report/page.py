@@ -289,10 +289,10 @@ def _trade_offs(
         yield _picture(
             "pareto",
             lambda: figures.draw_pareto(outcome, front, best, worst),
-            "The trade: the goal against the metric of the first constraint, or the second metric. "
-            "Grey: excluded by a constraint. On the orange line nothing gets better in one without "
-            f"getting worse in the other. Nothing beats {len(front)} designs in "
-            f"{' and '.join(pareto['first_metrics'])}, and {len(pareto['designs'])} in all of "
+            "The goal against the metric of the first constraint, or the second metric. Grey: "
+            "excluded by a constraint. Along the orange Pareto front, one metric improves only at "
+            f"the cost of the other. Pareto-optimal designs: {len(front)} of {len(outcome.done)} "
+            f"by {' and '.join(pareto['first_metrics'])}, {len(pareto['designs'])} by "
             f"{', '.join(pareto['metrics'])}.",
         )
         if len(pareto["metrics"]) > 2:
@@ -304,7 +304,8 @@ def _trade_offs(
         yield _picture(
             "parallel",
             lambda: figures.draw_parallel(outcome, front, best),
-            "One line a design. Metrics are turned so that better is up; parameters grow upwards.",
+            "One line per design. The better end of each metric is at the top, and so is the "
+            "larger value of each parameter.",
         )
     yield _picture(
         "sensitivities",

@@ -137,7 +137,7 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     """
     family = known_sensor(spec.study.sensor)
     if family is None:
-        require_known("sensor", spec.study.sensor, sensor_families())
+        require_known("sensor", spec.study.sensor, sensor_families(), "taccel-lab sensors list")
     assert family is not None
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
@@ -149,7 +149,8 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
                     f"no parameter {name!r} in [{table}]; a hardness is shore_00 = 55 or "
                     "shore_a = 10, the number alone"
                 )
-            require_known(f"parameter of {family.name} in [{table}]", name, known)
+            listed_by = f"taccel-lab sensors show {spec.study.sensor}"
+            require_known(f"parameter of {family.name} in [{table}]", name, known, listed_by)
     stiff = [n for n in STIFFNESS if n in {*spec.parameters, *spec.fixed, *spec.tied}]
     if len(stiff) > 1:
         raise InputError(f"{' and '.join(stiff)} are given; the gel has one stiffness")
@@ -199,7 +200,7 @@ def _presses(spec: StudySpec, kit: Kit) -> dict[str, Any]:
     chosen = set(spec.study.presses or spec.press)
     for name in spec.metrics():
         base, labels = split_name(name)
-        require_known("metric", base, kit.metrics)
+        require_known("metric", base, kit.metrics, "taccel-lab study --list-metrics")
         metric = kit.metrics[base]
         if not metric.presses or chosen & {*metric.presses, *metric.also}:
             continue

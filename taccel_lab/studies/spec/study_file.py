@@ -28,7 +28,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.regular_file import shown
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, describe_errors
-from taccel_lab.guards import nearest
 from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
 from taccel_lab.studies.metrics.design_point import LOAD_N
@@ -380,19 +379,6 @@ class StudySpec(StrictModel):
         return tuple(dict.fromkeys(names))
 
 
-_TABLES: dict[str, type[StrictModel]] = {
-    "study": StudyBlock,
-    "parameters": ParameterRange,
-    "tied": Tie,
-    "sweep": Sweep,
-    "objective": Objective,
-    "objectives": Objective,
-    "constraints": Constraint,
-    "output": StudyOutput,
-    "run": StudyRun,
-}
-
-
 def load_spec(path: Path | str, swept: Swept | None = None) -> StudySpec:
     """Read a study file, with ``swept`` values in place of its own.
 
@@ -413,18 +399,5 @@ def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:
         return StudySpec.model_validate(table)
     except ValidationError as error:
         lines = describe_errors(error, StudySpec).splitlines()
-        details = error.errors(include_url=False)
-        if len(lines) == len(details):
-            lines = [_with_hint(line, item) for line, item in zip(lines, details, strict=True)]
-        raise InputError("\n".join(f"{source}: {line}" for line in lines)) from None
-
-
-def _with_hint(line: str, item: Any) -> str:
-    """Adds to an unknown key inside a table what is allowed there, and the nearest of it."""
-    place = item["loc"]
-    if item["type"] != "extra_forbidden":
-        return line.removeprefix("StudySpec: ")
-    known = list(StudySpec.model_fields if len(place) == 1 else _TABLES[place[0]].model_fields)
-    if "allowed" not in line:
-        line += f"; allowed: {', '.join(known)}"
-    return line + nearest(str(place[-1]), known)
+        said = [f"{source}: {line.removeprefix('StudySpec: ')}" for line in lines]
+        raise InputError("\n".join(said)) from None

@@ -177,7 +177,7 @@ def test_profile_and_report(tmp_path: Path) -> None:
     assert profile.depth_response is not None
     assert profile.depth_response.provenance.residuals["left_out_depth_mm"] > 0
     found = SurfaceReader(profile).read(captures.presses[2].image())
-    assert -1e3 * found.rise_m.min() == pytest.approx(DEEPEST_MM, abs=0.06)
+    assert 1e3 * found.depth_m.max() == pytest.approx(DEEPEST_MM, abs=0.06)
     assert found.method == "depth" and found.sigma_deg is None
     figures = found.figures(GRID)
     assert figures["sigma_of"] == "absolute depth" and not figures["warnings"]
@@ -186,7 +186,7 @@ def test_profile_and_report(tmp_path: Path) -> None:
     new, exact = (captures_of([circle], noise, 9).presses[0].image() for noise in (1.0, 0.0))
     read, drop = SurfaceReader(profile).read(new), (captures.background - exact)[..., 0]
     contact = drop > result.response.drop_levels[1]
-    off_mm = np.abs(-1e3 * read.rise_m - TRUE.depth_of(drop))[contact]
+    off_mm = np.abs(1e3 * read.depth_m - TRUE.depth_of(drop))[contact]
     assert read.reading_sigma_m is not None and read.height_sigma_m is not None
     assert (off_mm <= 2e3 * read.reading_sigma_m[contact]).mean() > 0.9
     assert (read.height_sigma_m >= read.reading_sigma_m).all()

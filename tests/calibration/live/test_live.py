@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import threading
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_came
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
+from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -227,6 +229,39 @@ def yellow_share(page: Any) -> float:
     return float(((seen[..., :2].min(axis=-1) > 170) & (seen[..., 2] < 110)).mean())
 
 
+def grey_share(page: Any) -> float:
+    """Share of the pictures that has no colour, white apart."""
+    seen = picture(page)[:, :950].astype(int)
+    return float(((np.ptp(seen, axis=-1) < 6) & (seen.max(axis=-1) < 230)).mean())
+
+
+def violet_share(page: Any) -> float:
+    """Share of the pictures in the pale violet of an untouched surface."""
+    seen = picture(page)[:, :950].astype(int)
+    return float((seen[..., 1] < seen[..., [0, 2]].min(axis=-1) - 20).mean())
+
+
+def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    reading = reader_of().read(grey_unit().pressed)
+    surface = reading.surface
+    assert surface is not None
+    points_mm, glb = surface_mesh(surface, 5.0, DEEPEST_MM)
+    lowest = points_mm[:, 2].argmin()
+    assert points_mm[lowest, 2] == pytest.approx(-5 * DEEPEST_MM, abs=0.5)
+    deepest_mm = surface.figures()["deepest_gel_mm"]
+    np.testing.assert_allclose(points_mm[lowest, :2], deepest_mm, atol=0.5)
+    mesh: Any = trimesh.load(io.BytesIO(glb), file_type="glb", force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices, points_mm, rtol=1e-6, atol=1e-6)
+    assert (mesh.face_normals[:, 2] > 0).all(), "triangles turn outward, where they are lit"
+    share = mesh.visual.uv[:, 0]
+    assert share[lowest] > 0.9 and share[0] < 0.1
+    flat, _ = surface_mesh(surface, 1.0, DEEPEST_MM, 7.0)
+    np.testing.assert_allclose(flat * (1, 1, 5) - (7, 0, 0), points_mm, rtol=1e-6, atol=1e-9)
+    _, grey = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=True)
+    assert len(grey) < len(glb)
+
+
 @pytest.mark.thorough
 def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Path) -> None:
     pytest.importorskip("viser", reason="the extra view is not installed")
@@ -283,6 +318,12 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
                 told = re.compile(rf"^{stage}\s*\d")  # Not the legends of the curves.
                 row = page.get_by_role("row").filter(has_text=told)
                 assert float(row.get_by_role("cell").nth(1).inner_text()) > 0
+            page.get_by_role("button", name="3D").click()
+            says("mm (yellow)")
+            # Pictures of an untouched gel are grey, the surface and what is around it are not.
+            wait_for(page, lambda: grey_share(page) < 0.02 < violet_share(page), 60)
+            page.get_by_role("button", name="pictures").click()
+            wait_for(page, lambda: grey_share(page) > 0.05, 60)
             page.get_by_text("Snapshot", exact=True).click()
             says("snapshot_000_image.png")
             assert (tmp_path / "kept" / "snapshot_000.json").is_file()

@@ -133,7 +133,7 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     image, depth, contact, wrench = ros.newest("image", "depth", "contact", "wrench")
     np.testing.assert_array_equal(image.pixels(), reading.image)
     np.testing.assert_array_equal(
-        depth.pixels()[..., 0], -reading.surface.rise_m.astype(np.float32)
+        depth.pixels()[..., 0], reading.surface.depth_m.astype(np.float32)
     )
     assert 1e-4 < depth.pixels().max() < 1e-2  # Metres.
     assert contact.data == pytest.approx(1e-6 * reading.press.contact_mm2)
@@ -163,7 +163,7 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     for number, each in enumerate((reading, reading, refused)):
         assert save_snapshot(each, kept).name == f"snapshot_{number:03d}_image.png"
     with np.load(kept / "snapshot_001.npz") as arrays:
-        np.testing.assert_allclose(arrays["rise_m"], reading.surface.rise_m, rtol=1e-6)
+        np.testing.assert_allclose(arrays["depth_m"], reading.surface.depth_m, rtol=1e-6)
         assert arrays["pressure_pa"].max() > 0
     assert [path.name for path in kept.glob("*002*")] == ["snapshot_002_image.png"]
 

@@ -208,12 +208,12 @@ def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -
     reader = SurfaceReader(profile)
     found = reader.read(captures.presses[held[0]].image())
     assert found.normals == pytest.approx(result.heldout[0].predicted.normals, abs=1e-6)
-    depth_mm = -1e3 * found.rise_m
+    depth_mm = 1e3 * found.depth_m
     assert depth_mm.max() == pytest.approx(surfaces[held[0]].depth_mm, rel=0.08)
     circle, figures = circles_of(captures)[held[0]], found.figures(profile.grid())
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)
     still = reader.read(np.asarray(profile.background_rgb))
-    assert not still.touch.any and np.abs(still.rise_m).max() < 5e-6
+    assert not still.touch.any and np.abs(still.depth_m).max() < 5e-6
     write_page(normals_page(result), tmp_path / "report")
     assert (tmp_path / "report" / "errors.png").stat().st_size > 10_000
 
@@ -306,7 +306,7 @@ def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path
         shown = rise_m, flat.height_m, normals_from_height(rise_m, GRID), flat.normals
         surface = BallSurface(*shown, 0.5, "layer")
         found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
-        off = np.abs(1e3 * found.rise_m - rise_mm)
+        off = np.abs(1e3 * found.depth_m + rise_mm)
         dent = rise_mm < -0.02
         assert np.sqrt(np.mean(off[dent] ** 2)) < within_mm
         assert found.height_sigma_m is not None

@@ -88,7 +88,7 @@ def test_a_marked_mini_rests_until_it_is_touched() -> None:
     assert [reading.force_n > 0 for reading in found] == [False] * 5 + [True] * 3
     for reading in found[:5]:
         assert reading.force_interval_n is not None and reading.force_interval_n[1] <= MOST_N
-    depths = [-1e3 * reading.rise_m.min() for reading in found[5:]]
+    depths = [1e3 * reading.depth_m.max() for reading in found[5:]]
     assert 0.3 < depths[0] < depths[1] < depths[2] < 1.5
 
 
