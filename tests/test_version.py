@@ -11,15 +11,17 @@ import tarfile
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.version import Version
 
 from taccel_lab.cli.app import main
 from taccel_lab.profile import Provenance
+from taccel_lab.report.citation import CITATION
+from taccel_lab.report.page import Page, page_html
 from taccel_lab.version import __version__
 
 ROOT = Path(__file__).parents[1]
 SECTION = re.compile(r"^## (.*)$", flags=re.MULTILINE)
-CITED = re.compile(r"^version: (.*)$", flags=re.MULTILINE)
 BUILD = [sys.executable, "-m", "hatchling", "build", "-d"]
 
 
@@ -29,8 +31,11 @@ def test_the_newest_section_of_the_changelog_is_the_version() -> None:
     assert sections == sorted(set(sections), reverse=True)
 
 
-def test_the_citation_states_the_version() -> None:
-    assert CITED.findall((ROOT / "CITATION.cff").read_text()) == [__version__]
+def test_the_citation_is_that_at_the_foot_of_reports() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    (author,) = cited["authors"]
+    assert CITATION == f"{author['name']}. “{cited['title']}”, version {cited['version']}."
+    assert CITATION in page_html(Page("A report", "Nothing.", ()), {})
 
 
 def test_the_command_line_and_profiles_state_the_version(
