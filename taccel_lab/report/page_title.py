@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import gzip
-import html
 from typing import TYPE_CHECKING
+
+from taccel_lab.report.page_text import PageText
 
 if TYPE_CHECKING:
     from websockets.http11 import Response
@@ -19,7 +20,7 @@ def give_title(response: Response, title: str) -> None:
     body = gzip.decompress(response.body) if packed else bytes(response.body)
     if _VISERS not in body:
         return
-    body = body.replace(_VISERS, f"<title>{html.escape(title)}</title>".encode(), 1)
+    body = body.replace(_VISERS, PageText("<title>{}</title>").format(title).encode(), 1)
     response.body = gzip.compress(body) if packed else body
     del response.headers["Content-Length"]  # Else there would be two.
     response.headers["Content-Length"] = str(len(response.body))

@@ -24,7 +24,7 @@ from pydantic import AwareDatetime, Field, StringConstraints
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_bytes, write_json
-from taccel_lab.files.documents import read_json
+from taccel_lab.files.documents import read_json, read_json_lines
 from taccel_lab.files.images import read_image
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
@@ -168,8 +168,16 @@ def read_trials(folder: Path | str) -> TrialFolder:
     key = Key.checked(_listed(read_json(root / KEY), "policies"), str(root / KEY))
     if [t.number for t in plan.trials] != [*range(1, len(key.policies) + 1)]:
         raise InputError(f"{root / PLAN} and {KEY} are not of the same trials")
-    with open(root / TRIALS, encoding="utf-8", errors="replace") as file:
-        return TrialFolder(root, plan, key, tuple(_lines(file, len(key.policies))))
+    trials = tuple(
+        Trial.checked(table, place.rstrip(",")) for place, table in read_json_lines(root / TRIALS)
+    )
+    for line, trial in enumerate(trials, 1):
+        if trial.number > len(key.policies):
+            raise InputError(
+                f"{root / TRIALS}, line {line}: the plan has {len(key.policies)} trials, "
+                f"got number {trial.number}"
+            )
+    return TrialFolder(root, plan, key, trials)
 
 
 def record_trial(
@@ -243,21 +251,6 @@ def _alone(folder: Path) -> Iterator[IO[str]]:
         os.truncate(file.fileno(), whole.rfind(b"\n") + 1)
         file.seek(0, os.SEEK_END)
         yield file
-
-
-def _lines(file: IO[str], count: int) -> Iterator[Trial]:
-    for number, line in enumerate(file, 1):
-        if not line.endswith("\n"):
-            return  # Cut short by a power failure: as if it was never written.
-        where = f"{file.name}, line {number}"
-        try:
-            table = json.loads(line)
-        except ValueError:
-            raise InputError(f"{where} is no JSON") from None
-        trial = Trial.checked(table, where)
-        if trial.number > count:
-            raise InputError(f"{where}: the plan has {count} trials, got number {trial.number}")
-        yield trial
 
 
 def _listed(table: Mapping[str, object], name: str) -> dict[str, object]:

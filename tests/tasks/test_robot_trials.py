@@ -117,7 +117,7 @@ def test_bad_input_is_refused_and_changes_nothing(what: str, folder: Path) -> No
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("no json", "line 1 is no JSON"),
+        ("no json", "line 1, is not valid JSON"),
         ('{"number": 99, "outcome": "success", "time": "2026-01-01T00:00:00Z"}', "has 10 trials"),
         ('{"number": 1, "outcome": "won", "time": "2026-01-01T00:00:00Z"}', "line 1.*outcome"),
     ],
