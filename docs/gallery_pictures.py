@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes docs/images/gallery: runs the commands of docs/gallery.md and keeps the pictures they write.
+"""Makes docs/images/gallery: runs the commands of docs/gallery.md and keeps what they draw.
 
-python docs/gallery_pictures.py out/gallery            # all; half an hour of two cores
+python docs/gallery_pictures.py out/gallery            # all; ten minutes of two cores
 python docs/gallery_pictures.py out/gallery press      # those whose picture has this name
 
 Each picture holds the command that made it, which a test compares with the page.
@@ -20,9 +20,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 DOCS = Path(__file__).parent
-WIDTH_PX = 720
-COLORS = 128
-"""Of a palette: a third of the bytes, and no difference that one would see."""
+WIDTH_PX = 640
 COMMAND = "Command"
 _ENTRY = re.compile(
     r"!\[[^\]]+\]\((?P<picture>images/gallery/[\w-]+\.png)\)\n\n"
@@ -59,7 +57,7 @@ def keep(entry: Entry, folder: Path) -> None:
     about = PngInfo()
     about.add_text(COMMAND, entry.command)
     entry.picture.parent.mkdir(parents=True, exist_ok=True)
-    picture.quantize(COLORS).save(entry.picture, pnginfo=about, optimize=True)
+    picture.save(entry.picture, pnginfo=about, optimize=True)
 
 
 def main(folder: Path, *names: str) -> None:
