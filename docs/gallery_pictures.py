@@ -20,7 +20,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 DOCS = Path(__file__).parent
-WIDTH_PX = 640
+WIDTH_PX = 720
 COMMAND = "Command"
 _ENTRY = re.compile(
     r"!\[[^\]]+\]\((?P<picture>images/gallery/[\w-]+\.png)\)\n\n"
