@@ -77,11 +77,13 @@ def summarise(found: TrialFolder, *, interim: bool = False) -> TrialSummary:
     judged = {n: t.outcome == "success" for n, t in found.standing().items() if t.outcome != "void"}
     planned = len(found.plan.trials)
     if not judged:
-        raise InputError("no trial is recorded yet; taccel-lab trials next says what to lay out")
+        raise InputError(
+            f"{found.root}: no trial is recorded yet; taccel-lab trials next says what to lay out"
+        )
     if len(judged) < planned and not interim:
         raise InputError(
-            f"{len(judged)} of {planned} trials are recorded; who looks early stops where it looks "
-            "best. --interim shows the rates so far"
+            f"{found.root}: {len(judged)} of {planned} trials are recorded; who looks early stops "
+            "where it looks best. --interim shows the rates so far"
         )
     names = list(dict.fromkeys(sorted(found.key.policies)))
     outcomes: dict[str, dict[int, bool]] = {name: {} for name in names}
