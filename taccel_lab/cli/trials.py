@@ -9,7 +9,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from taccel_lab.errors import InputError
-from taccel_lab.tasks.robot_trials import Outcome
+from taccel_lab.tasks.trial_outcome import Outcome
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,11 @@ class TrialsPlan:
     """Starts, each of which every policy gets."""
     seed: int | None = None
     """Seed of the order. Default: a secret one, kept in key.json."""
+    json: bool = False
+    """Print the number of trials and the folder as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.guards import require_seed
         from taccel_lab.tasks.catalogue import named, read_task
         from taccel_lab.tasks.robot_trials import plan_trials
@@ -42,6 +44,8 @@ class TrialsPlan:
         task = read_task(Path(self.task)) if self.task.endswith(".toml") else named(self.task)
         plan_trials(task, self.policies, self.starts, self.out, self.seed)
         count = self.starts * len(self.policies)
+        if self.json:
+            print_json({"trials": count, "folder": str(self.out)})
         notes().print(
             f"{count} trials in {self.out}; the first: taccel-lab trials next {self.out}",
             soft_wrap=True,
@@ -93,9 +97,11 @@ class TrialsRecord:
     """Picture to keep in the folder."""
     correct: bool = False
     """Replace what was recorded for --number; the earlier line stays in the file."""
+    json: bool = False
+    """Print the line as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import say
+        from taccel_lab.cli.console import print_json, say
         from taccel_lab.tasks.robot_trials import read_trials, record_trial
 
         done = record_trial(
@@ -106,9 +112,11 @@ class TrialsRecord:
             image=self.image,
             correct=self.correct,
         )
+        if self.json:
+            print_json(done.model_dump(mode="json"))
         found = read_trials(self.folder)
-        left = sum(one.outcome != "void" for one in found.standing().values())
-        say(f"trial {done.number}: {done.outcome}; {left} of {len(found.plan.trials)} recorded")
+        recorded = sum(one.outcome != "void" for one in found.standing().values())
+        say(f"trial {done.number}: {done.outcome}; {recorded} of {len(found.plan.trials)} recorded")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Annotated, Literal
+from typing import IO, Annotated
 
 import numpy as np
 from pydantic import AwareDatetime, Field, StringConstraints
@@ -31,13 +31,12 @@ from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.guards import require_known, require_range
 from taccel_lab.tasks.catalogue import Task
 from taccel_lab.tasks.parameters import PlanarStart
+from taccel_lab.tasks.trial_outcome import OUTCOMES, Outcome
 from taccel_lab.version import __version__
 
 PLAN, KEY, TRIALS, IMAGES = "plan.json", "key.json", "trials.jsonl", "images"
 MOST_STARTS, MOST_POLICIES = 10_000, 26
 
-Outcome = Literal["success", "failure", "void"]
-OUTCOMES = ("success", "failure", "void")
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Line = Annotated[str, StringConstraints(max_length=500, pattern=r"^[^\x00-\x1f\x7f]*$")]
 Count = Annotated[Whole, Field(ge=1, le=MOST_STARTS * MOST_POLICIES)]

@@ -19,7 +19,7 @@ def test_trials_from_plan_to_summary(cli: Cli, tmp_path: Path) -> None:
     policies = []
     for outcome in ("success", "failure"):
         policies.append(cli("trials next", folder, "--policy").out.strip())
-        assert outcome in cli("trials record", folder, outcome).err
+        assert cli.json("trials record", folder, outcome)["outcome"] == outcome
         if outcome == "success":
             assert "--interim" in cli.refusal("trials summary", folder)
     assert sorted(policies) == ["blind", "touch"]
