@@ -129,6 +129,8 @@ def _path(place: _Place) -> str:
 JSON_LIMIT_BYTES = 8 << 20
 """Most bytes of a file, as TOML's; the results of a design have some 100 KiB."""
 _MAX_DIGITS = 20
+_BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', flags=re.DOTALL)
+"""Brackets, and strings, whose brackets do not count."""
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -153,7 +155,27 @@ def read_json_lines(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _json(text: str, source: Path | str) -> dict[str, Any]:
     hooks: Any = {"object_pairs_hook": _object, "parse_constant": _constant, "parse_int": _whole}
-    return _parsed(source, lambda: json.loads(text, **hooks), "is not valid JSON")
+
+    def parse() -> Any:
+        try:
+            return json.loads(text, **hooks)
+        except ValueError:
+            # From Python 3.14 on the parser goes deeper than older ones, to the fault at the end.
+            if _nesting(text) > MAX_DEPTH:
+                raise RecursionError from None
+            raise
+
+    return _parsed(source, parse, "is not valid JSON")
+
+
+def _nesting(text: str) -> int:
+    """Depth of a JSON text where it is more than allowed; 0 otherwise."""
+    depth = 0
+    for found in _BRACKETS.finditer(text):
+        depth += {"{": 1, "[": 1, "}": -1, "]": -1}.get(found[0], 0)
+        if depth > MAX_DEPTH:
+            return depth
+    return 0
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
