@@ -35,6 +35,7 @@ nb_execution_mode = "off"
 suppress_warnings = ["ref.python"]
 
 autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
 autodoc_typehints = "signature"
 autodoc_class_signature = "separated"
 

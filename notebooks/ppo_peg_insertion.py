@@ -5,7 +5,8 @@
     python notebooks/ppo_peg_insertion.py --device cuda:0 --envs 256 --updates 300
     python notebooks/ppo_peg_insertion.py --draw out/ppo_peg_insertion
 
-Needs warp, numpy, scipy, torch and gymnasium, and matplotlib for the picture alone. Writes
+Needs warp, numpy, scipy, torch and gymnasium, matplotlib for the picture alone, and tensorboard for
+--tensorboard, which writes each row of the curve as scalars of its number of steps. Writes
 curve.json, a row an update, policy.pt and curve.png into --output; Ctrl-C keeps what there is. At
 the end the policy, without noise, meets the 64 starts of the task's own seeds, as its blind
 baseline does.
@@ -27,12 +28,15 @@ from torch import nn
 
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.learning.scalars import Scalars, scalars_in, unwritten
 from taccel_lab.report.machine import describe_run
 from taccel_lab.tasks.draw import draw
 
 TASK = "peg-insertion"
 BASELINE = 53 / 64
 """Success rate of the task's blind baseline on seeds 0 to 63 (docs/tasks.md)."""
+FOLDERS = ("output", "draw", "tensorboard")
+"""Options that say where, and nothing of what is learned."""
 
 
 class Policy(nn.Module):
@@ -132,7 +136,7 @@ def improve(
     return figures
 
 
-def train(args: argparse.Namespace) -> dict[str, Any]:
+def train(args: argparse.Namespace, scalars: Scalars = unwritten) -> dict[str, Any]:
     """Learn, print a line an update, and write the results; returns what curve.json holds."""
     torch.manual_seed(args.seed)
     env = make_vec(
@@ -144,7 +148,7 @@ def train(args: argparse.Namespace) -> dict[str, Any]:
     curve: dict[str, Any] = {
         "what": "PPO of peg-insertion: a row an update, of the episodes that ended in it",
         "run": describe_run(args.device),
-        "settings": {k: v for k, v in vars(args).items() if k not in ("output", "draw")},
+        "settings": {k: v for k, v in vars(args).items() if k not in FOLDERS},
         "complete": False,
         "baseline_success": BASELINE,
         "rows": [],
@@ -202,6 +206,7 @@ def train(args: argparse.Namespace) -> dict[str, Any]:
                 **losses,
             }
             curve["rows"].append(row)
+            scalars(row, taken)
             print(
                 f"update {update}/{args.updates}, {taken:,} steps, {row['seconds']:.0f} s: return "
                 f"{row['return']:.3f}, success {row['success']:.1%} of {episodes} episodes, "
@@ -288,6 +293,7 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
     add("--judge", type=int, default=64, help="seeds of the task that judge the policy; 0: none")
     add("--save-every", type=int, default=10, help="updates")
     add("--output", type=Path, default=Path("out/ppo_peg_insertion"))
+    add("--tensorboard", type=Path, help="folder for scalars; needs the package tensorboard")
     add("--draw", type=Path, help="only draw curve.png of this folder")
     return parser.parse_args(words)
 
@@ -297,4 +303,5 @@ if __name__ == "__main__":
     if arguments.draw:
         draw_curve(arguments.draw)
     else:
-        train(arguments)
+        with scalars_in(arguments.tensorboard) as written:
+            train(arguments, written)

@@ -156,8 +156,9 @@ WRITTEN = {
     "capture guide": {"presses.gcode", "printer_presses.csv"},
     "capture record": {"captures.toml", "background.png", "press_000.png"},
     "depth": {f"press_000.{ending}" for ending in ("json", "npz", "png")},
-    "design": {"profile"},
+    "design": {"profile", "preview.png"},
     "import-gel": {"profile"},
+    "preview": {"overview.png"},
     "study": {"report.html"},
 }
 """Files of a command that pages name; those of a press go with its profile."""

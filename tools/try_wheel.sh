@@ -2,7 +2,7 @@
 # Builds the sdist, from it the wheel, installs that in a clean environment and uses it from an empty
 # folder beside modules of a user's own that are named like our packages.
 #   tools/try_wheel.sh PYTHON BUILD_PYTHON [COMMAND...]
-# PYTHON: the interpreter to try; BUILD_PYTHON: one that has hatchling, hatch-vcs and pip.
+# PYTHON: the interpreter to try; BUILD_PYTHON: one that has hatchling and pip.
 # COMMAND: what to run at the end instead of the demonstration (`true`: nothing).
 # PIP_FLAGS are passed to pip. Needs 2 GB in $TMPDIR; leaves the archives in dist/.
 set -euo pipefail

@@ -251,6 +251,8 @@ class CalibrateForce(ForceOptions):
     """Profile to extend. Default: the one of the data set."""
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON). Default: <out>_report."""
+    tensorboard: Path | None = None
+    """Folder for the loss as TensorBoard reads it; needs the extra tensorboard."""
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 
@@ -261,6 +263,7 @@ class CalibrateForce(ForceOptions):
         from taccel_lab.learning.force.fit import calibrate_force
         from taccel_lab.learning.force.force_page import force_page
         from taccel_lab.learning.force.training_file import TrainingFile
+        from taccel_lab.learning.scalars import scalars_in
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
         from taccel_lab.progress import stage_progress
@@ -277,8 +280,8 @@ class CalibrateForce(ForceOptions):
         )
         kept = TrainingFile.beside(self.out, say)
         with keeping(kept.what_stays):
-            with stage_progress(notes()) as progress:
-                result = calibrate_force(self.datasets, base, self, progress, kept)
+            with stage_progress(notes()) as progress, scalars_in(self.tensorboard) as scalars:
+                result = calibrate_force(self.datasets, base, self, progress, kept, scalars)
             saved = result.apply_to(base), self.out
             write_results("force", result, force_page(result), saved, report, self.json)
         kept.remove()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from taccel_lab.files.documents import read_toml
+from taccel_lab.processes.cores import bound_cores
 
 # Distributions whose import package is not their own name with underscores.
 IMPORT_NAMES = {
@@ -79,7 +80,7 @@ def describe_machine() -> dict[str, Any]:
         "executable": sys.executable,
         "platform": platform.platform(),
         "machine": platform.machine(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": bound_cores(),
         "memory_gib": round(memory, 1),
     }
 

@@ -184,6 +184,6 @@ def _print(console: Console, result: TaskResult, output: Path) -> None:
     lines += [f"  seed {seed}: {cause}" for seed, cause in causes[:10]]
     if causes[10:]:
         lines.append(f"  and {len(causes) - 10} more failures")
-    lines.append(f"wrote {output / 'result.json'} and {output / 'report.html'}")
+    lines.append(f"wrote {output / 'result.json'}")
     for line in lines:
         console.print(line, soft_wrap=True)

@@ -83,7 +83,7 @@ def number_at(document: Any, keys: str, source: str) -> float:
 
 
 def _parsed(
-    path: Path, parse: Callable[[], Any], fault: str, *errors: type[Exception]
+    path: Path | str, parse: Callable[[], Any], fault: str, *errors: type[Exception]
 ) -> dict[str, Any]:
     """The table that ``parse`` makes of a file; ``errors`` and ValueErrors are a ``fault``."""
     try:
@@ -129,6 +129,8 @@ def _path(place: _Place) -> str:
 JSON_LIMIT_BYTES = 8 << 20
 """Most bytes of a file, as TOML's; the results of a design have some 100 KiB."""
 _MAX_DIGITS = 20
+_BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', flags=re.DOTALL)
+"""Brackets, and strings, whose brackets do not count."""
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -137,9 +139,43 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises InputError with the path: no file, too large, no text, no JSON or no object, nested too
     deep, a key that stands twice, numbers that are not finite or too large.
     """
-    text = read_text(path, JSON_LIMIT_BYTES, "a JSON file")
+    return _json(read_text(path, JSON_LIMIT_BYTES, "a JSON file"), path)
+
+
+def read_json_lines(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Objects of a file that holds one a line, each with its place for messages.
+
+    A last line without its end was cut short by a power failure: it counts as never written.
+    Raises InputError as ``read_json`` does, with the line.
+    """
+    lines = read_text(path, JSON_LIMIT_BYTES, "a file of JSON lines").split("\n")[:-1]
+    places = [f"{path}, line {number}," for number in range(1, len(lines) + 1)]
+    return [(place, _json(line, place)) for place, line in zip(places, lines, strict=True)]
+
+
+def _json(text: str, source: Path | str) -> dict[str, Any]:
     hooks: Any = {"object_pairs_hook": _object, "parse_constant": _constant, "parse_int": _whole}
-    return _parsed(path, lambda: json.loads(text, **hooks), "is not valid JSON")
+
+    def parse() -> Any:
+        try:
+            return json.loads(text, **hooks)
+        except ValueError:
+            # From Python 3.14 on the parser goes deeper than older ones, to the fault at the end.
+            if _nesting(text) > MAX_DEPTH:
+                raise RecursionError from None
+            raise
+
+    return _parsed(source, parse, "is not valid JSON")
+
+
+def _nesting(text: str) -> int:
+    """Depth of a JSON text where it is more than allowed; 0 otherwise."""
+    depth = 0
+    for found in _BRACKETS.finditer(text):
+        depth += {"{": 1, "[": 1, "}": -1, "]": -1}.get(found[0], 0)
+        if depth > MAX_DEPTH:
+            return depth
+    return 0
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

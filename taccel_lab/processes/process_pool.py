@@ -15,6 +15,7 @@ from typing import Any, Generic, Self, TypeVar
 
 from taccel_lab.errors import is_of_a_file
 from taccel_lab.processes.child_process import ChildProcess
+from taccel_lab.processes.cores import bound_cores
 from taccel_lab.progress import Progress, silent
 
 Item = TypeVar("Item")
@@ -28,7 +29,7 @@ THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def usable_cores() -> int:
     """Cores that this process may use: in a SLURM job at most those that it was given, since not
     every cluster binds its jobs to them."""
-    cores = len(os.sched_getaffinity(0))
+    cores = bound_cores()
     for name in ("SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE"):
         given = os.environ.get(name, "")
         if given.isdecimal() and int(given) > 0:

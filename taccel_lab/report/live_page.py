@@ -59,7 +59,7 @@ def live_page(
     with ``serve_until_stopped``. The page is closed when the block is left, however that happens.
 
     Args:
-        title: At the top of the page's panel.
+        title: At the top of the page's panel and in the browser's tab.
         options: Where it is served.
         say: Told in one sentence where the page is, once it can be opened.
 
@@ -75,7 +75,8 @@ def live_page(
     # viser prints where it listens and that it stopped: no results of the command.
     with contextlib.redirect_stdout(io.StringIO()):
         server = start_guarded(
-            lambda: viser.ViserServer(options.host, options.port, label=title, verbose=False)
+            lambda: viser.ViserServer(options.host, options.port, label=title, verbose=False),
+            title,
         )
     try:
         # Sharing sends the page through a server of strangers; no button for that.

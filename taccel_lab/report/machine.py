@@ -12,6 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from taccel_lab.processes.cores import bound_cores
+
 PACKAGES = {"warp-lang": "warp", "numpy": "numpy", "torch": "torch", "scipy": "scipy"}
 """Distributions that results name, with their import names; only those that are loaded."""
 
@@ -25,7 +27,7 @@ def describe_run(device: str = "cpu") -> dict[str, Any]:
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _commit(),
         "cpu": _cpu_model(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": bound_cores(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         **_describe_device(wp_device),

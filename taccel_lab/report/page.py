@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.report.citation import CITATION
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
 from taccel_lab.report.style import in_report_style, save_figure_to
 
@@ -243,6 +244,7 @@ def report_environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["citation"] = CITATION
     environment.filters["number"] = format_number
     environment.filters["breakable"] = _breakable
     return environment

@@ -91,8 +91,8 @@ def _means_this_machine(host: str, served: str) -> bool:
     return True
 
 
-def start_guarded(start: Callable[[], ViserServer]) -> ViserServer:
-    """The server that ``start`` starts, which answers ``is_own_request`` alone.
+def start_guarded(start: Callable[[], ViserServer], title: str) -> ViserServer:
+    """The server that ``start`` starts, which answers ``is_own_request`` alone, under a title.
 
     viser has no place for such a check, so the call by which it starts to listen is caught.
 
@@ -109,7 +109,7 @@ def start_guarded(start: Callable[[], ViserServer]) -> ViserServer:
             handler: Any, host: str, port: int, *, process_request: Answer, **options: Any
         ) -> module.serve:
             guarded.append(host)
-            check = _checked(process_request, host)
+            check = _checked(process_request, host, title)
             return listen(handler, host, port, process_request=check, **options)
 
         module.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
@@ -123,10 +123,12 @@ def start_guarded(start: Callable[[], ViserServer]) -> ViserServer:
     return server
 
 
-def _checked(answer: Answer, served: str) -> Answer:
+def _checked(answer: Answer, served: str, title: str) -> Answer:
     """``answer`` to requests of our own, with the token taken off their path."""
     from websockets.datastructures import Headers
     from websockets.http11 import Response
+
+    from taccel_lab.report.page_title import give_title
 
     def checked(connection: ServerConnection, request: Request) -> Response | None:
         if not is_own_request(request.path, request.headers, served):
@@ -136,6 +138,7 @@ def _checked(answer: Answer, served: str) -> Answer:
         request.path = request.path.removeprefix(f"/{run_token()}") or "/"
         found = answer(connection, request)
         if found is not None:
+            give_title(found, title)
             found.headers["Content-Security-Policy"] = POLICY.format(host=request.headers["Host"])
             found.headers["Referrer-Policy"] = "no-referrer"
             found.headers["X-Content-Type-Options"] = "nosniff"

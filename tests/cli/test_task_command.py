@@ -37,7 +37,11 @@ def test_list(cli: Cli) -> None:
 def test_run(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ["task run", short_task(tmp_path, 3), "--seeds", "2", "--out", out]
-    assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in cli(*words).err
+    said = cli(*words).err
+    assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in said
+    assert [path.name for path in out.iterdir() if path.suffix in (".json", ".html")] == [
+        name for name in ("result.json", "report.html") if name in said
+    ]
     result = json.loads((out / "result.json").read_text())
     assert (result["trials"], result["success_rate"]) == (2, 0.0)
     assert [row["seed"] for row in result["per_seed"]] == [0, 1]

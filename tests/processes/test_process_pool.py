@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.cli.doctor import describe_machine
 from taccel_lab.processes.child_process import ChildProcess
 from taccel_lab.processes.process_pool import Finished, ProcessPool, Underway, usable_cores
 from taccel_lab.progress import Progress
+from taccel_lab.report.machine import describe_run
 
 
 def patient(item: Path, told: Progress) -> int:
@@ -84,6 +86,16 @@ def test_a_slurm_job_takes_the_cores_that_it_was_given(monkeypatch: pytest.Monke
     assert usable_cores() == 4
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "128")
     assert usable_cores() == 64
+
+
+def test_without_bounds_all_cores_of_the_machine_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on macOS."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 12)
+    for name in ("SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE"):
+        monkeypatch.delenv(name, raising=False)
+    assert usable_cores() == 12
+    assert describe_machine()["cores"] == describe_run()["cores"] == 12
 
 
 # Caches -------------------------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import gzip
+import html
 import http.client
 import json
 import re
@@ -247,6 +249,20 @@ def test_pages_listen_on_this_machine_alone_unless_asked(host, reached):
                 assert status(server.get_port(), path, Host=host) == answer
 
 
+@pytest.mark.parametrize("encoding", ["gzip", "identity"])
+def test_the_browsers_tab_bears_the_pages_title(encoding):
+    with live_page("Press: <mini> & co", HERE) as server:
+        asked = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
+        asked.request("GET", f"{TOKEN}/", headers={"Accept-Encoding": encoding})
+        answer = asked.getresponse()
+        body = answer.read()
+        asked.close()
+    assert answer.headers.get_all("Content-Length") == [str(len(body))]
+    text = (gzip.decompress(body) if encoding == "gzip" else body).decode()
+    (title,) = re.findall("<title>(.*?)</title>", text)
+    assert "<" not in title and html.unescape(title) == "Press: <mini> & co"
+
+
 def test_a_name_that_was_asked_for_is_ours():
     asked = Headers(Host="sensors.example:8080", Origin="http://sensors.example:8080")
     assert is_own_request(TOKEN, asked, "sensors.example")
@@ -256,7 +272,7 @@ def test_a_name_that_was_asked_for_is_ours():
 def test_a_server_that_nobody_guards_is_stopped():
     unknown = Mock()  # As if viser listened by other means.
     with pytest.raises(RuntimeError, match="pages would be open"):
-        start_guarded(lambda: unknown)
+        start_guarded(lambda: unknown, "A page")
     unknown.stop.assert_called_once()
 
 

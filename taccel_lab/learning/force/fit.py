@@ -49,6 +49,7 @@ from taccel_lab.learning.force.train import (
     train_force_model,
 )
 from taccel_lab.learning.force.training_file import TrainingFile
+from taccel_lab.learning.scalars import Scalars, unwritten
 from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
@@ -68,6 +69,7 @@ def calibrate_force(
     options: ForceOptions = ForceOptions(),
     progress: Progress = silent,
     kept: TrainingFile | None = None,
+    scalars: Scalars = unwritten,
 ) -> ForceCalibration:
     """Train a force model on a data set.
 
@@ -77,6 +79,7 @@ def calibrate_force(
         options: Of the training.
         progress: Reports reading and training.
         kept: Where the training is kept and gone on with; for the caller to remove at the end.
+        scalars: Receives the loss of the training.
 
     Raises:
         InputError: No data set, channels that it lacks, images of another view than the profile's,
@@ -97,7 +100,7 @@ def calibrate_force(
         return read_samples(data, touches, config, f"touches for {name}", progress)
 
     train = read("training", split.train)
-    trained = train_force_model(train, config, centers, light, options, progress, kept)
+    trained = train_force_model(train, config, centers, light, options, progress, kept, scalars)
 
     def predicted(samples: ForceSamples, seed: int, strength: float = options.light) -> Predictions:
         drawn = dataclasses.replace(options, light=strength)

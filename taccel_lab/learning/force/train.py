@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.samples import ForceSamples, spread_of
 from taccel_lab.learning.force.training_file import Keeper, TrainingFile, training_key
+from taccel_lab.learning.scalars import Scalars, unwritten
 from taccel_lab.networks.force_settings import (
     LEVELS,
     STATISTICS,
@@ -214,6 +215,7 @@ def train_force_model(
     options: ForceOptions,
     progress: Progress = silent,
     kept: TrainingFile | None = None,
+    scalars: Scalars = unwritten,
 ) -> TrainedForces:
     """Train on ``samples``; the same on the same machine for the same seed.
 
@@ -229,7 +231,7 @@ def train_force_model(
     )
     with _repeatable(device):
         weights, curve = _train(
-            samples, config, centers_mm, light, options, device, progress, kept
+            samples, config, centers_mm, light, options, device, progress, kept, scalars
         )  # fmt: skip
         predicted = tell(
             samples, config, weights, centers_mm, light, options, seed=options.seed + 1
@@ -257,6 +259,7 @@ def _train(
     device: torch.device,
     progress: Progress,
     kept: TrainingFile | None,
+    scalars: Scalars,
 ) -> tuple[dict[str, np.ndarray], list[tuple[int, float]]]:
     generator = torch.Generator().manual_seed(options.seed)
     tensors = {
@@ -292,6 +295,7 @@ def _train(
                     f"({options.learning_rate:g})"
                 )
             curve.append((step, number))
+            scalars({"loss": number}, step)
             progress(TASK, step, options.steps)
 
     keeper = None

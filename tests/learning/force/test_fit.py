@@ -120,6 +120,15 @@ def test_a_profile_scales_it(touches: Path, trained: ForceCalibration, tmp_path:
 
 
 @pytest.mark.thorough
+def test_scalars_are_the_loss(touches: Path) -> None:
+    seen: list[tuple[int, float]] = []
+    found = calibrate_force(
+        touches, options=BRIEF, scalars=lambda values, step: seen.append((step, values["loss"]))
+    )
+    assert seen == found.trained.curve and seen[-1][0] == BRIEF.steps
+
+
+@pytest.mark.thorough
 def test_markers_may_help_where_both_have_them(touches: Path, sensor: Path) -> None:
     sizes = {"rows": 4, "columns": 6, "pitch_x_mm": 2, "pitch_y_mm": 2, "radius_mm": 0.2}
     dots = MarkersBlock(**sizes, provenance=ASSUMED)
