@@ -16,7 +16,8 @@ from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.robust_fit import rms
-from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
 if TYPE_CHECKING:

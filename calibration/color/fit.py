@@ -47,6 +47,7 @@ from taccel_lab.calibration.response.frame import (
     press_frames,
     score_image,
 )
+from taccel_lab.calibration.response.training import one_thread
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
@@ -108,6 +109,7 @@ def calibrate_color(
     return replace(found, gel=presses.gel, untouched=presses.untouched, remarks=remarks)
 
 
+@one_thread()
 def fit_color(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],

@@ -181,6 +181,15 @@ class Press(Summary):
             return None
         return photo.figures(painted, self.contact_mask, self.plan.profile)
 
+    @property
+    def simulated_photo(self) -> np.ndarray | None:
+        """The image over the photo's own background, levels, [height_px, width_px, 3]; None of
+        presses that are like no photo."""
+        photo, painted = self.plan.photo, self._painted[0]
+        if photo is None or painted is None:
+            return None
+        return photo.simulated(painted, self.plan.profile)
+
     def figures(self) -> dict[str, Any]:
         """Return every number of the press, as in ``press.json``."""
         like = {} if self.like is None else {"like": self.like}
@@ -208,9 +217,12 @@ class Press(Summary):
         Raises:
             InputError: The folder holds files that taccel-lab did not write.
         """
+        from taccel_lab.api.press_page import write_press_page
+
         with atomic_directory(folder) as staging:
             self.plan.write_scene(staging)
             self.write_into(staging)
+            write_press_page(self, staging)
 
     def write_into(self, folder: Path, call: Call = at_once) -> None:
         """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``."""
@@ -239,8 +251,8 @@ class Press(Summary):
             inner.mkdir(parents=True)
             write_seen(inner, seen.outcome, seen.plan.profile, seen._painted[0], call)
         if plan.photo is not None and self.like is not None:
-            assert rgb is not None
-            figure = plan.photo.draw(rgb, plan.profile, self.like["psnr_db"])
+            assert self.simulated_photo is not None
+            figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])
             save_figure(figure, folder / LIKE)
 
     def plot(self) -> Figure:
@@ -257,9 +269,9 @@ class Press(Summary):
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
             ("95 % of it", "{:.3g} to {:.3g} N, all told".format(*self.force_interval_n)),
-            ("deepest", f"{with_error(self._deepest_mm(), self.height_error.total)} mm"),
+            ("deepest", f"{with_error(self.deepest_mm, self.height_error.total)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
-            ("image", f"{width} x {height} px, {self._colours()}"),
+            ("image", f"{width} x {height} px, {self.colours}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
         ]
@@ -270,7 +282,8 @@ class Press(Summary):
         depth = self.outcome.steps[-1].depth_mm
         return f"{options.indenter} pressed {depth:.4g} mm into {self.plan.sensor}", rows
 
-    def _deepest_mm(self) -> float:
+    @property
+    def deepest_mm(self) -> float:
         """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze
         it."""
         depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
@@ -280,7 +293,9 @@ class Press(Summary):
         assert self.like is not None
         return f"the untouched image {self.like['untouched_psnr_db']:.1f} dB"
 
-    def _colours(self) -> str:
+    @property
+    def colours(self) -> str:
+        """Where the colours of the image come from."""
         if self.plan.profile.color is not None:
             starter = is_starter(self.plan.profile)
             return "colours of a starter profile" if starter else "calibrated colours"

@@ -14,7 +14,8 @@ from taccel_lab.api.study import StudyResult
 from taccel_lab.calibration.calibrate import Calibration
 from taccel_lab.calibration.unfinished import BlockOutcome, BlockState
 from taccel_lab.geometry.block import free_block
-from taccel_lab.report.page import Page, Picture, first_figure
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page, first_figure
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 
 SCREENFUL = 400

@@ -27,8 +27,9 @@ from websockets.sync import client
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.printable import readable
 from taccel_lab.profile import DepthResponseBlock, Provenance
+from taccel_lab.report.lead import Picture
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
-from taccel_lab.report.page import Page, Picture, Table, page_html, to_do_first, write_page
+from taccel_lab.report.page import Page, Table, page_html, to_do_first, write_page
 from taccel_lab.report.page_guard import is_own_request, run_token, start_guarded
 from taccel_lab.report.page_text import PageText, add_html_note, add_note, page_table
 from taccel_lab.report.remark import Remark, Severity

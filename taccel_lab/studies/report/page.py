@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.report.figures import draw_mesh
+from taccel_lab.report.lead import Picture
 from taccel_lab.report.mesh_view import MeshView, mesh_view
-from taccel_lab.report.page import Page, Picture, Table, format_number, write_page_into
+from taccel_lab.report.page import Page, Table, format_number, write_page_into
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report import figures, figures_effects
