@@ -99,14 +99,21 @@ def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
 
 
 def _overview(blocks: dict[str, Block]) -> Table:
-    """A row for all blocks that came about alike: a design's are twelve of thirteen."""
+    """Calibrated blocks first; a row for all others that came about alike."""
     alike: dict[tuple[Any, ...], list[str]] = {}
     for key, block in blocks.items():
         of = block.provenance
-        said = of.kind, of.verdict or "–", of.method, of.source, len(of.inputs) or None
+        said = of.kind, of.verdict or "–", of.method, len(of.inputs) or None
         alike.setdefault(said, []).append(key)
-    rows = [(", ".join(keys), *said) for said, keys in alike.items()]
-    rows.sort(key=lambda row: row[1] == "assumed")
+
+    def sources(keys: list[str]) -> str:
+        return "; ".join(dict.fromkeys(blocks[key].provenance.source for key in keys))
+
+    rows = [
+        (", ".join(keys), kind, verdict, method, sources(keys), inputs)
+        for (kind, verdict, method, inputs), keys in alike.items()
+    ]
+    rows.sort(key=lambda row: row[1] != "calibrated")
     return Table("Blocks", ("blocks", "kind", "verdict", "method", "source", "inputs"), rows)
 
 

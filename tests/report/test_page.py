@@ -109,14 +109,16 @@ def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path):
     assert html.count("<ol>") == 1 and html.count("<li>") == len(remarks)
 
 
-def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path):
+def test_a_picture_opens_a_page_and_folded_blocks_and_long_sources_end_it(tmp_path):
     source = "measured on the bench by a person who writes long sentences, " * 3
     tables = [
         Table("Evidence", ("name", "value", "never known"), [("x", 1, None)], folded=True),
         Table("Sources", ("of", "source"), [("y", source)]),
     ]
-    html = written(Page("x", "", tables=tables, pictures=[EMPTY]), tmp_path)
-    places = [html.index(text) for text in ("<h2>Sources", "A picture.", "<summary><h2>Evidence")]
+    another = replace(EMPTY, name="another", caption="Another.")
+    html = written(Page("x", "", tables=tables, pictures=[EMPTY, another]), tmp_path)
+    order = ("A picture.", "<h2>Sources", "Another.", "<summary><h2>Evidence")
+    places = [html.index(text) for text in order]
     assert places == sorted(places)
     assert "never known" not in html
     assert source in html and f"<td>{source}" not in html and '<details class="long">' in html
