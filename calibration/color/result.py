@@ -33,7 +33,6 @@ from taccel_lab.calibration.scores import HELD_OUT
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
-from taccel_lab.signals.tactile_image import tactile_images
 
 Placement = Literal["label", "found"]
 
@@ -254,13 +253,12 @@ class HeldoutPress:
 def score_heldout(
     press: CapturedPress,
     frame: PressFrame,
-    fit: ColorFit,
+    rendered: np.ndarray,
     scene: CaptureScene,
     captured_background: np.ndarray,
 ) -> HeldoutPress:
-    """A press in its place, rendered by ``fit`` and compared with its capture."""
+    """A press in its place, ``rendered`` there, and compared with its capture."""
     figures_in = press.circle or frame.circle
-    (rendered,) = tactile_images(fit.model, fit.background, [frame.surface])
     shown = in_light_of(frame.image, rendered, figures_in, scene)
     return HeldoutPress(
         press.name, frame.image, figures_in, frame.circle,

@@ -9,25 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_page import force_score, press_strip
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.atomic_file import write_image
+from taccel_lab.processes.process_pool import Died, ProcessPool, Underway, usable_cores
 from taccel_lab.profile.assumed import is_modulus_known
-from taccel_lab.report.lead import Link, Score
+from taccel_lab.progress import Progress, silent
+from taccel_lab.report.lead import Link, Score, Strip
 from taccel_lab.report.page import PAGE, Page, write_page_into
 from taccel_lab.report.remark import Remark, Severity
 
 if TYPE_CHECKING:
-    from taccel_lab.api.press_result import Press
     from taccel_lab.calibration.calibrate import Calibration
     from taccel_lab.calibration.capture.captures import CapturedPress
     from taccel_lab.calibration.capture.folder import CaptureFolder
-    from taccel_lab.presses.press_force import StepProgress
+    from taccel_lab.profile import SensorProfile
 
 REPORT, PROFILE, PHOTOS, PRESSES = "report", "profile", "photos", "presses"
 """Folders of a demonstration."""
@@ -58,42 +60,75 @@ def shown_presses(folder: CaptureFolder) -> tuple[CapturedPress, ...]:
 
 @dataclass(frozen=True)
 class SimulatedPhoto:
-    """A held-out photo and its simulation."""
+    """A held-out photo and what its simulation gave."""
 
     name: str
     file: str
     """What its files are called, without a suffix."""
-    pressed: Press | None = None
-    """None where the photo cannot be simulated."""
-    reason: str = ""
-    """Why it cannot."""
+    strip: Strip | None = None
+    """Photo, simulation, difference and depth; None where the photo cannot be simulated."""
+    force: Score | None = None
+    figures: dict[str, Any] | None = None
+    said: str = ""
+    """What the press says of itself, or why there is none."""
 
 
-def simulate_photo(
-    found: Calibration, press: CapturedPress, root: Path, progress: StepProgress | None = None
+def simulate_photos(
+    found: Calibration,
+    presses: Sequence[CapturedPress],
+    root: Path,
+    progress: Progress = silent,
+) -> list[SimulatedPhoto]:
+    """Simulate held-out photos, each in a process, and write them and their presses below
+    ``root``."""
+    captured = {press.name: press for press in found.captures.presses}
+    asked = []
+    (root / PHOTOS).mkdir()
+    (root / PRESSES).mkdir()
+    for press in presses:
+        file = press.name.replace("/", "_")  # Images may lie in inner folders.
+        # As the blocks saw it: rectified where a board lay on the gel.
+        write_image(root / PHOTOS / f"{file}.png", captured[press.name].image())
+        asked.append(_Asked(press.name, file, _ball(press, found.captures)))
+    # By the models that were scored: those of the profile were fitted to these photos, too.
+    work = partial(_simulate, found.basis, root)
+    cores = usable_cores()
+    done: dict[str, SimulatedPhoto] = {}
+    with ProcessPool(work, min(len(asked), cores) if cores > 1 else 0) as pool:
+        for event in pool.run(asked):
+            if isinstance(event, Underway):
+                progress(event.what, event.done, event.total)
+            elif isinstance(event, Died):
+                one = event.item
+                done[one.name] = SimulatedPhoto(one.name, one.file, said=event.cause)
+            else:
+                done[event.item.name] = event.result
+    return [done[one.name] for one in asked]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    name: str
+    file: str
+    indenter: str
+
+
+def _simulate(
+    basis: SensorProfile, root: Path, asked: _Asked, progress: Progress
 ) -> SimulatedPhoto:
-    """Simulate a held-out photo and write both below ``root``; ``progress`` as of ``press``.
-
-    Raises:
-        SimulationError: A step did not converge.
-    """
     from taccel_lab.api.press_run import PressRun
 
-    name = press.name.replace("/", "_")  # Images may lie in inner folders.
-    photo = root / PHOTOS / f"{name}.png"
-    photo.parent.mkdir(exist_ok=True)
-    # As the blocks saw it: rectified where a board lay on the gel.
-    seen = next(one for one in found.captures.presses if one.name == press.name)
-    write_image(photo, seen.image())
-    options = PressOptions(indenter=_ball(press, found.captures), like=photo)
+    name, file = asked.name, asked.file
+    options = PressOptions(indenter=asked.indenter, like=root / PHOTOS / f"{file}.png")
     try:
-        # By the models that were scored: those of the profile were fitted to this photo, too.
-        pressed = PressRun.plan(found.basis, options).run(progress)
-    except InputError as error:
-        return SimulatedPhoto(press.name, name, reason=str(error))
-    (root / PRESSES).mkdir(exist_ok=True)
-    pressed.save(root / PRESSES / name)
-    return SimulatedPhoto(press.name, name, pressed)
+        pressed = PressRun.plan(basis, options).run(
+            lambda done, total, _: progress(f"simulating {name}", done, total)
+        )
+    except (InputError, SimulationError) as error:
+        return SimulatedPhoto(name, file, said=str(error))
+    pressed.save(root / PRESSES / file)
+    strip = press_strip(pressed, file, tuple(_links(file)))
+    return SimulatedPhoto(name, file, strip, force_score(pressed), pressed.figures(), repr(pressed))
 
 
 def write_demonstration(found: Calibration, photos: Sequence[SimulatedPhoto], root: Path) -> None:
@@ -112,11 +147,12 @@ def demonstration_page(found: Calibration, photos: Sequence[SimulatedPhoto], rep
     """
     page = found.page(report)
     lost = [
-        Remark(Severity.WARNING, "not_simulated", f"{one.name} was not simulated: {one.reason}")
+        Remark(Severity.WARNING, "not_simulated", f"{one.name} was not simulated: {one.said}")
         for one in photos
-        if one.pressed is None
+        if one.strip is None
     ]
-    done = [(one, one.pressed) for one in photos if one.pressed is not None]
+    strips = [one.strip for one in photos if one.strip is not None]
+    forces = [_force(one.name, one.force, found) for one in photos if one.force is not None]
     return replace(
         page,
         title=f"{found.captures.sensor}: photos beside their simulations",
@@ -125,11 +161,11 @@ def demonstration_page(found: Calibration, photos: Sequence[SimulatedPhoto], rep
         "is painted by the calibrated colours. The profile was fitted to all presses afterwards. "
         + page.summary,
         remarks=(*lost, *page.remarks),
-        strips=[press_strip(pressed, one.name, _links(one)) for one, pressed in done],
-        scores=(*page.scores, *(_force(one, pressed, found) for one, pressed in done[:1])),
+        strips=strips,
+        scores=(*page.scores, *forces[:1]),
         links=(Link("the profile", f"../{PROFILE}/"), *page.links),
         # The photos say it better.
-        pictures=page.pictures if not done else page.pictures[1:],
+        pictures=page.pictures[1:] if strips else page.pictures,
     )
 
 
@@ -141,19 +177,18 @@ def _ball(press: CapturedPress, folder: CaptureFolder) -> str:
     return f"sphere:{radius_mm:g}"
 
 
-def _links(photo: SimulatedPhoto) -> Iterator[Link]:
-    name = quote(photo.file)
+def _links(file: str) -> Iterator[Link]:
+    name = quote(file)
     yield Link("all of this press", f"../{PRESSES}/{name}/{PAGE}")
     yield Link("its files", f"../{PRESSES}/{name}/")
     yield Link("the photo", f"../{PHOTOS}/{name}.png")
 
 
-def _force(photo: SimulatedPhoto, pressed: Press, found: Calibration) -> Score:
-    score = force_score(pressed)
+def _force(name: str, score: Score, found: Calibration) -> Score:
     if is_modulus_known(found.profile.material):
-        return replace(score, scored_on=f"{photo.name}, {score.scored_on}")
+        return replace(score, scored_on=f"{name}, {score.scored_on}")
     return replace(
         score,
-        scored_on=f"{photo.name}, simulated; scored on nothing: these captures have no forces, and "
-        "the modulus is assumed",
+        scored_on=f"{name}, simulated; scored on nothing: these captures have no forces, and the "
+        "modulus is assumed",
     )

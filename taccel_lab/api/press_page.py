@@ -140,15 +140,15 @@ def force_score(press: Press) -> Score:
     low, high = press.force_interval_n
     widest = press.force_interval.ranked()[0]
     return Score(
-        with_error(press.force_n, press.force_error_n),
+        to_error(press.force_n, press.force_error_n),
         "N",
-        f"normal force; 95 %: {low:.3g} to {high:.3g} N",
-        f"simulated; +- is numerical, the interval rests most on {widest.name}",
+        f"normal force; with 95 % from {low:.2g} to {high:.2g} N",
+        f"simulated; the interval rests most on {widest.name}",
     )
 
 
 def _force_words(press: Press) -> str:
-    return f"{with_error(press.force_n, press.force_error_n)} N"
+    return f"{to_error(press.force_n, press.force_error_n)} N"
 
 
 def _jpeg(levels: np.ndarray) -> Any:
@@ -163,7 +163,7 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     ends = press.force_interval_n
     yield from _path_rows(outcome.path, figures)
     yield "normal force, numerical error", with_error(force[2], error_n), "N"
-    yield "its 95 % interval, all told", "  ".join(f"{end:.3g}" for end in ends), "N"
+    yield "its 95 % interval, all told", " to ".join(f"{end:.3g}" for end in ends), "N"
     yield "force of the gel on the indenter", _digits(force, error_n), "N"
     yield "moment about the gel's origin", _digits(moment, error_n), "N mm"
     yield "heights off by: numerical, all told", _both(heights, 1e3), "um rms"
@@ -205,4 +205,4 @@ def _digits(values: Iterable[float], error: float) -> str:
 
 
 def _both(error: SignalError, unit: float = 1.0) -> str:
-    return f"{unit * error.numerical:.2g}  {unit * error.total:.2g}"
+    return "  ".join(f"{float(f'{unit * one:.2g}'):g}" for one in (error.numerical, error.total))

@@ -32,10 +32,9 @@ class Demo:
         from taccel_lab.api.demonstration import (
             REPORT,
             shown_presses,
-            simulate_photo,
+            simulate_photos,
             write_demonstration,
         )
-        from taccel_lab.api.press_run import step_progress
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.calibration.capture import find_taxim_pack
         from taccel_lab.calibration.capture.load import load_capture_folder
@@ -48,27 +47,23 @@ class Demo:
         folder = load_capture_folder(self.captures or find_taxim_pack())
         # What can be rejected is rejected before minutes of work.
         presses = shown_presses(folder)
-        photos = []
         with kept_blocks(self.out) as unfinished, atomic_directory(self.out) as staging:
             with stage_progress(console) as progress:
                 found = calibrate(folder, progress=progress, unfinished=unfinished)
-            for press in presses:
-                with step_progress(console, f"simulating {press.name}") as bar:
-                    photos.append(simulate_photo(found, press, staging, bar))
+                photos = simulate_photos(found, presses, staging, progress)
             with working(console, "writing the reports"):
                 write_demonstration(found, photos, staging)
         if found.unfinished is not None:
             found.unfinished.remove()
-        done = [photo.pressed for photo in photos if photo.pressed is not None]
         if self.json:
-            figures = {photo.name: photo.pressed and photo.pressed.figures() for photo in photos}
+            figures = {photo.name: photo.figures for photo in photos}
             print_json({"blocks": found.figures(), "presses": figures})
         else:
-            for one in (found, *done):
-                results().print(repr(one), soft_wrap=True)
+            for said in (repr(found), *(photo.said for photo in photos if photo.strip)):
+                results().print(said, soft_wrap=True)
         for photo in photos:
-            if photo.pressed is None:
-                console.print(f"{photo.name} was not simulated: {photo.reason}")
+            if photo.strip is None:
+                console.print(f"{photo.name} was not simulated: {photo.said}")
         console.print(f"look at {self.out / REPORT / 'report.html'}")
-        if found.unfit or not done:
+        if found.unfit or not any(photo.strip for photo in photos):
             raise SystemExit(1)

@@ -263,7 +263,13 @@ def report_environment() -> Any:
     )
     environment.filters["number"] = format_number
     environment.filters["breakable"] = _breakable
+    environment.filters["signed"] = _signed
     return environment
+
+
+def _signed(text: str) -> str:
+    """A text with the sign that a terminal may lack."""
+    return text.replace("+-", "±")
 
 
 def _breakable(name: str) -> Any:
