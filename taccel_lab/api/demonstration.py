@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -19,6 +20,7 @@ from taccel_lab.api.press_page import force_score, press_strip
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.processes.process_pool import Died, ProcessPool, Underway, usable_cores
+from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.profile.assumed import is_modulus_known
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.lead import Link, Score, Strip
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.calibrate import Calibration
     from taccel_lab.calibration.capture.captures import CapturedPress
     from taccel_lab.calibration.capture.folder import CaptureFolder
-    from taccel_lab.profile import SensorProfile
 
 REPORT, PROFILE, PHOTOS, PRESSES = "report", "profile", "photos", "presses"
 """Folders of a demonstration."""
@@ -88,21 +89,24 @@ def simulate_photos(
     for press in presses:
         file = press.name.replace("/", "_")  # Images may lie in inner folders.
         # As the blocks saw it: rectified where a board lay on the gel.
-        write_image(root / PHOTOS / f"{file}.png", captured[press.name].image())
+        seen = captured.get(press.name, press)
+        write_image(root / PHOTOS / f"{file}.png", seen.image())
         asked.append(_Asked(press.name, file, _ball(press, found.captures)))
-    # By the models that were scored: those of the profile were fitted to these photos, too.
-    work = partial(_simulate, found.basis, root)
     cores = usable_cores()
     done: dict[str, SimulatedPhoto] = {}
-    with ProcessPool(work, min(len(asked), cores) if cores > 1 else 0) as pool:
-        for event in pool.run(asked):
-            if isinstance(event, Underway):
-                progress(event.what, event.done, event.total)
-            elif isinstance(event, Died):
-                one = event.item
-                done[one.name] = SimulatedPhoto(one.name, one.file, said=event.cause)
-            else:
-                done[event.item.name] = event.result
+    with TemporaryDirectory(prefix="taccel_lab_") as basis:
+        # By the models that were scored: those of the profile were fitted to these photos, too.
+        save_profile(found.basis, Path(basis) / PROFILE)
+        work = partial(_simulate, Path(basis) / PROFILE, root)
+        with ProcessPool(work, min(len(asked), cores) if cores > 1 else 0) as pool:
+            for event in pool.run(asked):
+                if isinstance(event, Underway):
+                    progress(event.what, event.done, event.total)
+                elif isinstance(event, Died):
+                    one = event.item
+                    done[one.name] = SimulatedPhoto(one.name, one.file, said=event.cause)
+                else:
+                    done[event.item.name] = event.result
     return [done[one.name] for one in asked]
 
 
@@ -113,15 +117,17 @@ class _Asked:
     indenter: str
 
 
-def _simulate(
-    basis: SensorProfile, root: Path, asked: _Asked, progress: Progress
-) -> SimulatedPhoto:
+def _simulate(basis: Path, root: Path, asked: _Asked, progress: Progress) -> SimulatedPhoto:
     from taccel_lab.api.press_run import PressRun
 
     name, file = asked.name, asked.file
     options = PressOptions(indenter=asked.indenter, like=root / PHOTOS / f"{file}.png")
     try:
-        pressed = PressRun.plan(basis, options).run(
+        run = PressRun.plan(load_profile(basis), options)
+        assert run.photo is not None
+        # As seen from the press's folder, wherever the whole is moved.
+        photo = replace(run.photo, path=Path("..", "..", PHOTOS, f"{file}.png"))
+        pressed = replace(run, photo=photo).run(
             lambda done, total, _: progress(f"simulating {name}", done, total)
         )
     except (InputError, SimulationError) as error:

@@ -146,6 +146,7 @@ def test_what_reads_and_paints_the_photo_was_not_fitted_to_it(
         assert "p0" in profile.blocks()[key].provenance.inputs
     press = json.loads((out / "presses" / "p0" / "press.json").read_text())
     like = press["like"]
+    assert (out / "presses" / "p0" / like["photo"]).samefile(out / "photos" / "p0.png")
     assert like["psnr_db"] > like["untouched_psnr_db"] + 3 and press["press"]["force_n"] > 0
     # Nor is its label: the place is read.
     middle = GRID.gel_from_pixel(np.array([CIRCLES[0].u_px, CIRCLES[0].v_px]))
