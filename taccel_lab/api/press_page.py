@@ -140,15 +140,20 @@ def force_score(press: Press) -> Score:
     low, high = press.force_interval_n
     widest = press.force_interval.ranked()[0]
     return Score(
-        to_error(press.force_n, press.force_error_n),
+        _two_digits(press.force_n),
         "N",
-        f"normal force; with 95 % from {low:.2g} to {high:.2g} N",
+        f"normal force; 95 %: {_two_digits(low)} to {_two_digits(high)} N",
         f"simulated; the interval rests most on {widest.name}",
     )
 
 
 def _force_words(press: Press) -> str:
-    return f"{to_error(press.force_n, press.force_error_n)} N"
+    return f"{_two_digits(press.force_n)} N"
+
+
+def _two_digits(value: float) -> str:
+    """What the interval of a force leaves of it."""
+    return f"{float(f'{value:.2g}') + 0.0:g}"
 
 
 def _jpeg(levels: np.ndarray) -> Any:

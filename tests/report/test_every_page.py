@@ -34,7 +34,8 @@ PARTLY_SHOWN = """() => [...document.querySelectorAll('section *')].filter(e => 
   }).map(e => e.tagName + ' ' + (e.innerText || e.className).slice(0, 60))"""
 OUTSIDE = """() => [...document.querySelectorAll('section *')].filter(e => {
     const box = e.getBoundingClientRect(), card = e.closest('section').getBoundingClientRect();
-    return box.width > 0 && !e.closest('.scroll *') && (box.right > card.right + 1 || box.left < card.left - 1);
+    const out = box.right > card.right + 1 || box.left < card.left - 1;
+    return box.width > 0 && out && !e.closest('.scroll *');
   }).map(e => e.tagName + ' ' + (e.innerText || e.className).slice(0, 60))"""
 """What leaves its card, but for the inner parts of tables, which scroll inside it."""
 SCREENS = ((1280, "screen"), (1600, "screen"), (690, "print"))
