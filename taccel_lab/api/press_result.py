@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -57,6 +58,8 @@ class Press(Summary):
     """What the numerical error rests on; None of a stored mesh and of a press that failed."""
     below: PressOutcome | None = None
     """The coarser press that the error was measured by."""
+    write_page: Callable[[Press, Path], None] | None = None
+    """Writes the page of a press into its folder, whose pictures are there."""
     slippery: float | None = None
     """Force without friction over that with it, where the coefficient was in doubt and pressed."""
 
@@ -217,12 +220,11 @@ class Press(Summary):
         Raises:
             InputError: The folder holds files that taccel-lab did not write.
         """
-        from taccel_lab.api.press_page import write_press_page
-
         with atomic_directory(folder) as staging:
             self.plan.write_scene(staging)
             self.write_into(staging)
-            write_press_page(self, staging)
+            if self.write_page is not None:
+                self.write_page(self, staging)
 
     def write_into(self, folder: Path, call: Call = at_once) -> None:
         """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``."""
