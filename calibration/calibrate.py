@@ -166,7 +166,8 @@ class Calibration(Summary):
         return first_figure(pages[name] for name in order)
 
     def page(self, report: Path) -> Page:
-        """The page of the whole, which links to the blocks' pages in the folder ``report``."""
+        """Return the page of the whole, which links to the blocks' pages in the folder
+        ``report``."""
         return calibration_page(self.profile, self.blocks, report)
 
     def write_blocks(self, report: Path) -> None:

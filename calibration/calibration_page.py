@@ -68,7 +68,7 @@ def _blocks(blocks: Sequence[BlockOutcome], report: Path) -> Table:
 
 
 def _links(report: Path, name: str) -> Iterator[Link]:
-    """To the page of a block first, then to its pictures and files."""
+    """Links to the page of a block, then to its pictures and files."""
     yield Link("page", f"{quote(name)}/{PAGE}")
     for path in sorted((report / name).iterdir()):
         if path.is_file() and path.name != PAGE and not path.name.startswith("."):

@@ -75,11 +75,11 @@ class DrawnNoise:
 
     blur_px: float
     colors: np.ndarray
-    """Of uneven colours, shape [row, column, 3]."""
+    """Numbers of uneven colours, shape [row, column, 3]."""
     light: np.ndarray
-    """Of uneven light, likewise."""
+    """Numbers of uneven light, likewise."""
     white: np.ndarray
-    """Of each pixel, shape [h, w, 3]."""
+    """Number of each pixel, shape [h, w, 3]."""
 
 
 @dataclass(frozen=True)

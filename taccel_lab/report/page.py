@@ -114,7 +114,7 @@ class Page:
     scores: Sequence[Score] = ()
     """Figures below the picture that opens the page."""
     links: Sequence[Link] = ()
-    """To what stands beside the page."""
+    """Ways to what stands beside the page."""
 
     @property
     def drawn(self) -> list[Picture]:
