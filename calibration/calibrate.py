@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale, with_session
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
+from taccel_lab.calibration.calibration_page import MAPS, calibration_page
 from taccel_lab.calibration.camera.rectification import (
     LEFT_OUT,
     RectificationMaps,
@@ -27,8 +28,6 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck, capture_check
-from taccel_lab.calibration.profile_page import profile_page
-from taccel_lab.calibration.remarks import BLOCK
 from taccel_lab.calibration.unfinished import (
     BlockOutcome,
     BlockState,
@@ -42,7 +41,7 @@ from taccel_lab.guards import require_known, unknown
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, bars_if_watched
-from taccel_lab.report.page import Page, Table, first_figure, write_page
+from taccel_lab.report.page import Page, first_figure, write_page, write_page_into
 from taccel_lab.report.remark import Severity, judge
 from taccel_lab.summary import Summary
 
@@ -67,6 +66,12 @@ class Calibration(Summary):
     """A profile with how each of its blocks came about."""
 
     profile: SensorProfile
+    """Fitted to all presses, once the held-out ones were scored."""
+    basis: SensorProfile
+    """Profile that no held-out press has a part in: simulations of their photos are honest by it
+    alone."""
+    captures: CaptureFolder
+    """What was captured, as the blocks saw it: rectified where a board lay on the gel."""
     blocks: tuple[BlockOutcome, ...]
     """Outcomes in the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
     results: Mapping[str, BlockResult] = field(default_factory=dict)
@@ -161,24 +166,20 @@ class Calibration(Summary):
         order = sorted(pages, key=lambda name: name != first) if block is None else [first]
         return first_figure(pages[name] for name in order)
 
-    def page(self) -> Page:
-        """Return the page of the whole: how each block ended, then the profile's own page."""
-        page = profile_page(self.profile)
-        unfit = [
-            BLOCK(block=o.name, what=f"{o.state}: {o.message}", grave=True) for o in self.unfit
-        ]
-        table = Table(
-            "Calibrated blocks",
-            ("block", "state", "verdict or reason", "seconds"),
-            [(o.name, str(o.state), o.message, o.seconds or None) for o in self.blocks],
-            caption="The report of each block is in the folder of its name beside this page.",
-        )
-        return replace(
-            page,
-            remarks=(*unfit, *page.remarks),
-            tables=(table, *page.tables),
-            figures={**page.figures, "blocks": [o.figures() for o in self.blocks]},
-        )
+    def page(self, report: Path) -> Page:
+        """Return the page of the whole, which links to the blocks' pages in the folder
+        ``report``."""
+        return calibration_page(self.profile, self.blocks, report)
+
+    def write_blocks(self, report: Path) -> None:
+        """Write the page of each block into a folder of its name, and the maps beside them."""
+        for outcome in self.blocks:
+            if outcome.written is not None:
+                shutil.copytree(outcome.written, report / outcome.name)
+            elif outcome.page is not None:
+                write_page(outcome.page, report / outcome.name)
+        if self.maps is not None:
+            self.maps.save(report / MAPS)
 
     def write_report(self, folder: Path | str) -> None:
         """Write the page of the whole, and that of each block into a folder of its name.
@@ -187,17 +188,8 @@ class Calibration(Summary):
             InputError: The folder holds files that taccel-lab did not write.
         """
         with atomic_directory(folder) as staging:
-            write_page(self.page(), staging / "index")
-            for path in (staging / "index").iterdir():
-                path.replace(staging / path.name)
-            (staging / "index").rmdir()
-            for outcome in self.blocks:
-                if outcome.written is not None:
-                    shutil.copytree(outcome.written, staging / outcome.name)
-                elif outcome.page is not None:
-                    write_page(outcome.page, staging / outcome.name)
-            if self.maps is not None:
-                self.maps.save(staging / "maps.npz")
+            self.write_blocks(staging)
+            write_page_into(self.page(staging), staging)
 
 
 def calibrate(
@@ -276,7 +268,9 @@ def _calibrate(
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
     profile = with_session(extended, profiles.final, raw)
-    return Calibration(profile, tuple(outcomes), results, maps, notes, rectified, kept)
+    return Calibration(
+        profile, profiles.basis, folder, tuple(outcomes), results, maps, notes, rectified, kept
+    )
 
 
 def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[CalibrationBlock]:

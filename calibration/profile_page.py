@@ -11,11 +11,13 @@ import numpy as np
 
 from taccel_lab.calibration.remarks import BLOCK, BLOCK_STATE
 from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.calibration.scores import profile_scores
 from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.profile import Block, SensorProfile
 from taccel_lab.report.figures import draw_mesh
+from taccel_lab.report.lead import Picture
 from taccel_lab.report.mesh_view import mesh_view
-from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.report.style import BLUE, GREY, ORANGE, in_report_style, new_figure
 from taccel_lab.signals.color_model import ColorModel
@@ -59,6 +61,7 @@ def profile_page(profile: SensorProfile) -> Page:
         ),
         _pictures(profile),
         {key: block.model_dump(mode="json") for key, block in blocks.items()},
+        scores=profile_scores(profile),
     )
 
 
@@ -96,11 +99,22 @@ def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
 
 
 def _overview(blocks: dict[str, Block]) -> Table:
+    """Calibrated blocks first; a row for all others that came about alike."""
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for key, block in blocks.items():
+        of = block.provenance
+        said = of.kind, of.verdict or "–", of.method, len(of.inputs) or None
+        alike.setdefault(said, []).append(key)
+
+    def sources(keys: list[str]) -> str:
+        return "; ".join(dict.fromkeys(blocks[key].provenance.source for key in keys))
+
     rows = [
-        (key, of.kind, of.verdict or "–", of.method, of.source, len(of.inputs) or None)
-        for key, of in ((key, block.provenance) for key, block in blocks.items())
+        (", ".join(keys), kind, verdict, method, sources(keys), inputs)
+        for (kind, verdict, method, inputs), keys in alike.items()
     ]
-    return Table("Blocks", ("block", "kind", "verdict", "method", "source", "inputs"), rows)
+    rows.sort(key=lambda row: row[1] != "calibrated")
+    return Table("Blocks", ("blocks", "kind", "verdict", "method", "source", "inputs"), rows)
 
 
 def _recordings(profile: SensorProfile) -> list[Table]:
@@ -170,15 +184,8 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _pictures(profile: SensorProfile) -> list[Picture]:
-    mesh = profile.mesh
-    pictures = [
-        Picture(
-            "mesh",
-            lambda: draw_mesh(mesh.nodes_m, mesh.faces, mesh.face_regions),
-            "The gel's mesh, faces by region.",
-            mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions),
-        )
-    ]
+    """What the sensor shows first, then its gel."""
+    mesh, pictures = profile.mesh, []
     if profile.background_rgb is not None:
         pictures.append(
             Picture(
@@ -197,6 +204,14 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
                 "the rim is a tilt of 44 degrees.",
             )
         )
+    pictures.append(
+        Picture(
+            "mesh",
+            lambda: draw_mesh(mesh.nodes_m, mesh.faces, mesh.face_regions),
+            "The gel's mesh, faces by region.",
+            mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions),
+        )
+    )
     if profile.depth_response is not None:
         pictures.append(_depth_response(profile))
     if profile.perturbation is not None and profile.background_rgb is not None:

@@ -171,7 +171,7 @@ HELDOUT_ERROR = warning(
 )
 LABELS_OFF = warning(
     "labels_off",
-    "{off} of {count} {what} disagree with the images: {how}. {advice}",
+    "{wrong} of {count} {labels} disagree with the images: {how}. {advice}",
     graver=Severity.ERROR,
 )
 GREY_OR_COLOUR = warning(

@@ -147,8 +147,8 @@ def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:
     if useless:
         allowed = sorted({_group(spec) for spec in specs.values()} - {*SHAPES})
         raise InputError(
-            f"{', '.join(useless)}: of no use beside a file, which gives the gel's shape; "
-            f"parameters of {', '.join(allowed)} can be set"
+            f"{', '.join(useless)} cannot be set: the file gives the gel's shape; parameters of "
+            f"{', '.join(allowed)} can be set"
         )
 
 

@@ -16,8 +16,10 @@ from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.robust_fit import rms
-from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.report.lead import Picture, Score
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +49,24 @@ def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:
         tables,
         pictures,
         result.figures(),
+        scores=_scores(result),
     )
+
+
+def _scores(result: CameraCalibration) -> tuple[Score, ...]:
+    """Errors of points that the fits did not see."""
+    found, on_gel = [], result.on_gel
+    if result.intrinsics is not None:
+        error, on = result.intrinsics.chosen.heldout_px, f"{len(result.intrinsics.views)} views"
+        words = "error of the lens", f"{on} of a board, each left out of the fit in turn"
+        found.append(Score(f"{error:.3f}", "px rms", *words))
+    if on_gel is not None:
+        words = "error of the board on the gel", "points that were left out of the fit"
+        found.append(Score(f"{on_gel.fit.heldout_px:.3f}", "px rms", *words))
+        scale = on_gel.frame.mm_per_px_x
+        words = "width of a pixel", "by the board on the gel; +- is one standard deviation"
+        found.append(Score(with_error(scale.value, scale.sigma), "mm", *words))
+    return tuple(found)
 
 
 def _image(folder: CaptureFolder, source: str) -> np.ndarray:

@@ -17,7 +17,8 @@ from taccel_lab.calibration.check.light import BackgroundCheck
 from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import CHANNELS, GREEN, INK, ORANGE, new_figure
 
 if TYPE_CHECKING:

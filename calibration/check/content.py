@@ -275,8 +275,8 @@ def _check_labels(markers: MarkerCaptures) -> list[Remark]:
         f"moved by their displacements they are more than {LABEL_DOT_PX:g} px from any dot of "
         f"{frame.name} (median {np.median(gap):.1f} px)"
     )
-    figures = {"off": lost, "count": len(gap), "advice": "Measure them again", "how": how}
-    return [LABELS_OFF(what="measured dots", blocks=("markers",), **figures)]
+    figures = {"wrong": lost, "count": len(gap), "advice": "Measure them again", "how": how}
+    return [LABELS_OFF(labels="measured dots", blocks=("markers",), **figures)]
 
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
@@ -318,9 +318,11 @@ def _check_edges(edges: Sequence[EdgeCapture]) -> list[Remark]:
         ]
         if off:
             how = f"more than 15 % longer or shorter than {middle:.4f} mm/px says; {name_some(off)}"
-            figures = {"off": len(off), "count": len(scales), "advice": "Look at them"}
+            figures = {"wrong": len(off), "count": len(scales), "advice": "Look at them"}
             findings.append(
-                LABELS_OFF(what="labelled edges", how=how, frames=off, blocks=("scale",), **figures)
+                LABELS_OFF(
+                    labels="labelled edges", how=how, frames=off, blocks=("scale",), **figures
+                )
             )
     return findings
 

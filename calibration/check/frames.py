@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,7 +18,9 @@ from taccel_lab.calibration.circles.labels import CutContactError, DetectedConta
 from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.progress import Progress, silent
+from taccel_lab.processes.ahead import ahead
+from taccel_lab.processes.process_pool import one_blas_thread
+from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.depth_response import Channel
 
 SATURATED_LEVEL = 254
@@ -81,11 +84,12 @@ def measure_presses(
     """Figures of every press against a background of the same framing (RGB uint8), of a ``grey``
     sensor by the channel that darkens with depth."""
     small = thumb(background)
-    figures = []
-    for i, press in enumerate(presses):
-        figures.append(_measure(press, background, small, mask, grid, grey))
-        progress("checking the presses", i + 1, len(presses))
-    return figures
+    measure = partial(
+        _measure, background=background, background_small=small, mask=mask, grid=grid, grey=grey
+    )
+    with one_blas_thread():  # A thread a press is enough.
+        measured = ahead(measure, presses)
+        return list(counted(measured, progress, "checking the presses", len(presses)))
 
 
 def _measure(

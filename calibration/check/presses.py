@@ -169,12 +169,12 @@ def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remar
     if not wrong:
         return []
     count = sum(frame.press.circle is not None for frame in frames)
-    figures = {"off": len(wrong), "count": count, "advice": "Correct them"}
+    figures = {"wrong": len(wrong), "count": count, "advice": "Correct them"}
     how = f"they can be of no press, {next(iter(wrong.values()))}"
     blocks = ("color", "normals", "depth")
     return [
         LABELS_OFF(
-            what="labelled circles", how=how, frames=list(wrong), blocks=blocks, grave=True,
+            labels="labelled circles", how=how, frames=list(wrong), blocks=blocks, grave=True,
             **figures,
         )
     ]  # fmt: skip
@@ -203,7 +203,7 @@ def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remar
     )
     return [
         LABELS_OFF(
-            off=len(off), count=len(gaps), what="labelled circles", how=how, advice=advice,
+            wrong=len(off), count=len(gaps), labels="labelled circles", how=how, advice=advice,
             frames=names, blocks=remarks.BY_COLOR, grave=many,
         )
     ]  # fmt: skip

@@ -47,6 +47,7 @@ from taccel_lab.calibration.response.frame import (
     press_frames,
     score_image,
 )
+from taccel_lab.calibration.response.training import one_thread
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
@@ -54,6 +55,7 @@ from taccel_lab.networks.color_settings import STEEPEST
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.report.remark import Remark
+from taccel_lab.signals.tactile_image import tactile_images
 
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
@@ -108,6 +110,7 @@ def calibrate_color(
     return replace(found, gel=presses.gel, untouched=presses.untouched, remarks=remarks)
 
 
+@one_thread()
 def fit_color(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
@@ -149,12 +152,13 @@ def fit_color(
     failures: list[HeldoutFailure] = []
     joining: list[PressFrame] = []
     if heldout is not None:
-        for found in counted(heldout.placed(labels), progress, SCORING, heldout.count):
-            if isinstance(found, HeldoutFailure):
-                failures.append(found)
-                continue
-            press, frame = found
-            item = score_heldout(press, frame, fit, scene, captures.background)
+        placed = list(counted(heldout.placed(labels), progress, SCORING, heldout.count))
+        failures = [found for found in placed if isinstance(found, HeldoutFailure)]
+        shown = [found for found in placed if not isinstance(found, HeldoutFailure)]
+        faces = [frame.surface for _, frame in shown]
+        rendered = tactile_images(fit.model, fit.background, faces) if faces else []
+        for (press, frame), image in zip(shown, rendered, strict=True):
+            item = score_heldout(press, frame, image, scene, captures.background)
             held.append(item)
             # One that is rendered no better than the bare background shows something else.
             if item.score.crop_psnr_db > item.background_only.crop_psnr_db:

@@ -29,10 +29,10 @@ from taccel_lab.calibration.response.frame import (
     score_image,
 )
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
+from taccel_lab.calibration.scores import HELD_OUT
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
-from taccel_lab.signals.tactile_image import tactile_images
 
 Placement = Literal["label", "found"]
 
@@ -154,9 +154,7 @@ class ColorCalibration(ScoredFit[ColorFit]):
         fit = self.last
         if self.untouched is None:
             profile = profile.with_block(self._captured_background(), fit.background)
-        block = ColorBlock(
-            architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
-        )
+        block = ColorBlock(architecture=fit.model.config.to_dict(), provenance=self.evidence)
         return profile.with_block(block, fit.model.weights)
 
     def _inputs(self, fit: ColorFit) -> dict[str, str]:
@@ -179,7 +177,9 @@ class ColorCalibration(ScoredFit[ColorFit]):
         )
         return BackgroundBlock(provenance=provenance)
 
-    def _color_provenance(self) -> Provenance:
+    @property
+    def evidence(self) -> Provenance:
+        """Provenance of the block."""
         train = list(self.fit.disc_l1_train.values())
         residuals = {"train_disc_l1_levels": float(np.mean(train))}
         spread = {"train_disc_l1_levels": float(np.std(train))}
@@ -187,6 +187,9 @@ class ColorCalibration(ScoredFit[ColorFit]):
             residuals |= {f"heldout_{key}": value for key, value in self.heldout_means().items()}
             if self.heldout:
                 spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
+            residuals[HELD_OUT] = float(len(in_figures([*self.heldout, *self.failures])))
+            bare = mean_bare(self.heldout, self.failures)
+            residuals["background_crop_psnr_db"] = bare["crop_psnr_db"]
             residuals["heldout_failures"] = float(len(in_figures(self.failures)))
             residuals["heldout_labels_rejected"] = float(len(self.rejected))
         return calibrated(
@@ -250,13 +253,12 @@ class HeldoutPress:
 def score_heldout(
     press: CapturedPress,
     frame: PressFrame,
-    fit: ColorFit,
+    rendered: np.ndarray,
     scene: CaptureScene,
     captured_background: np.ndarray,
 ) -> HeldoutPress:
-    """A press in its place, rendered by ``fit`` and compared with its capture."""
+    """A press in its place, ``rendered`` there, and compared with its capture."""
     figures_in = press.circle or frame.circle
-    (rendered,) = tactile_images(fit.model, fit.background, [frame.surface])
     shown = in_light_of(frame.image, rendered, figures_in, scene)
     return HeldoutPress(
         press.name, frame.image, figures_in, frame.circle,

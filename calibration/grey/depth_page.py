@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.grey.result import DepthCalibration
+from taccel_lab.calibration.scores import block_scores
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
@@ -42,8 +43,9 @@ def depth_page(result: DepthCalibration) -> Page:
         f"{result.response.depth_mm[-1]:.2f} mm deep: {result.headline()}. Zero: {result.zero}.",
         result.remarks,
         [presses],
-        [_curve(result), _depths(result)],
+        [_depths(result), _curve(result)],
         result.figures(),
+        scores=block_scores("depth_response", result.residuals()),
     )
 
 

@@ -349,8 +349,8 @@ def label_remarks(captures: CaptureSet, found: Sequence[ContactCircle]) -> list[
     off.sort(key=lambda name: -gaps[name])
     worst = ", ".join(f"{name} by {gaps[name]:.0f} px" for name in off[:4])
     advice = "Calibrate with the circles found (--circles detected), or correct them"
-    figures = {"off": len(off), "count": len(gaps), "how": worst, "advice": advice}
-    return [LABELS_OFF(what="given circles", grave=True, **figures)]
+    figures = {"wrong": len(off), "count": len(gaps), "how": worst, "advice": advice}
+    return [LABELS_OFF(labels="given circles", grave=True, **figures)]
 
 
 def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:

@@ -103,6 +103,14 @@ class DepthCalibration(BlockResult):
             "depth_mm": self.response.depth_mm.tolist(),
         }
 
+    def residuals(self) -> dict[str, float]:
+        """What the fit left over."""
+        return {
+            "absolute_depth_mm": self.absolute_mm,
+            "left_out_depth_mm": float(self.left_out_mm.mean()),
+            "left_out_p90_depth_mm": float(np.percentile(self.left_out_mm, 90)),
+        }
+
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the block depth_response, and a background where
         it has none."""
@@ -127,11 +135,7 @@ class DepthCalibration(BlockResult):
                     f"ball contacts; depth zero: {self.zero}",
                     source=source,
                     inputs=inputs,
-                    residuals={
-                        "absolute_depth_mm": self.absolute_mm,
-                        "left_out_depth_mm": float(self.left_out_mm.mean()),
-                        "left_out_p90_depth_mm": float(np.percentile(self.left_out_mm, 90)),
-                    },
+                    residuals=self.residuals(),
                     spread={
                         "curve_mm": float(self.spread_mm[1:].mean()),
                         "zero_mm": self.zero_sigma_mm,

@@ -20,6 +20,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
+from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.report.style import CHANNELS, new_figure
@@ -244,6 +245,15 @@ def background_page(result: BackgroundCalibration) -> Page:
         [_images(result), _drift(result)],
         figures,
         {"dust.png": lambda path: _write_mask(path, result.clean)},
+        scores=[
+            Score(
+                f"{figures['heldout_l1']:.2f}",
+                "levels of 255",
+                "mean error of untouched gel",
+                f"{len(result.frames)} frames, each by a background made of the others; one image "
+                f"alone: {figures['plain_l1']:.2f}",
+            )
+        ],
     )
 
 

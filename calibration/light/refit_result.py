@@ -15,6 +15,7 @@ from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
+from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.report.style import BLUE, GREY, new_figure
@@ -182,8 +183,17 @@ def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
         f"whole frames. Surfaces: {result.surface_provider}.",
         result.remarks,
         tables,
-        [_errors(result), _backgrounds(result, old)],
+        [_backgrounds(result, old), _errors(result)],
         result.figures(),
+        scores=[
+            Score(
+                f"{result.mean('after'):.2f}",
+                "levels of 255",
+                "mean error after the refit",
+                f"{len(result.errors)} new frames, each left out of the fit in turn; before: "
+                f"{result.mean('before'):.2f}",
+            )
+        ],
     )
 
 

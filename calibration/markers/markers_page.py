@@ -12,6 +12,7 @@ from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
+from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, new_figure
 
@@ -53,7 +54,25 @@ def markers_page(result: MarkerCalibration) -> Page:
         tables.append(Table(f"Motion in {video.name}", ["what", "value"], rows))
         for one in (_tracks(result, video), _motion(video)):
             pictures.append(replace(one, name=f"video{number}_{one.name}"))
-    return Page("Markers", _summary(result, figures), result.remarks, tables, pictures, figures)
+    scores = (
+        Score(
+            f"{1e3 * result.layout_mm.residual_rms:.0f}",
+            "um rms",
+            "distance of the dots from a regular grid",
+            f"{figures['dots']} dots at rest",
+        ),
+        *(
+            Score(
+                f"{100 * video.figures.seen_share:.0f}",
+                "%",
+                f"of the dots followed in {video.name}",
+                f"{video.figures.frames} frames, up to {video.figures.largest_px:.1f} px from rest",
+            )
+            for video in result.videos
+        ),
+    )
+    summary = _summary(result, figures)
+    return Page("Markers", summary, result.remarks, tables, pictures, figures, scores=scores)
 
 
 def _summary(result: MarkerCalibration, figures: dict[str, Any]) -> str:

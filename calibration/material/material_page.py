@@ -13,7 +13,9 @@ from taccel_lab.calibration.material.indentation import HeldOut, force_interval_
 from taccel_lab.calibration.material.likelihood import hull
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import Stiffness
-from taccel_lab.report.page import Page, Picture, Table, picture
+from taccel_lab.calibration.scores import block_scores
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, PURPLE, new_figure
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ def material_page(result: MaterialCalibration) -> Page:
             _profiles(result.stiffness, open_held=bool(result.held())),
         ],
         result.figures(),
+        scores=block_scores("material", result.stiffness.residuals()),
     )
 
 

@@ -56,6 +56,7 @@ from taccel_lab.calibration.response.frame import (
     place_region,
     press_frames,
 )
+from taccel_lab.calibration.response.training import one_thread
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
@@ -136,6 +137,7 @@ def _unseeing_colors(presses: BallPresses) -> ColorModel | None:
     return ColorModel.from_profile(presses.profile)
 
 
+@one_thread()
 def fit_normals(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],

@@ -12,6 +12,7 @@ from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
 from taccel_lab.calibration.response.frame import CaptureScene, crop_slices
 from taccel_lab.calibration.result import in_figures
+from taccel_lab.calibration.scores import block_scores
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, LIGHT, ORANGE, new_figure
@@ -43,6 +44,7 @@ def normals_page(result: NormalCalibration) -> Page:
         tables,
         pictures,
         result.figures(),
+        scores=block_scores("normals", result.evidence.residuals),
     )
 
 

@@ -14,6 +14,7 @@ from taccel_lab.calibration.normals.samples import SyntheticScore
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.result import calibrated, in_figures, mean_figures
+from taccel_lab.calibration.scores import HELD_OUT
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import judge
 
@@ -127,11 +128,13 @@ class NormalCalibration(ScoredFit[InverseFit]):
         )
         model = self.last.model
         return profile.with_block(
-            NormalsBlock(architecture=model.config.to_dict(), provenance=self._provenance()),
+            NormalsBlock(architecture=model.config.to_dict(), provenance=self.evidence),
             model.weights,
         )
 
-    def _provenance(self) -> Provenance:
+    @property
+    def evidence(self) -> Provenance:
+        """Provenance of the block."""
         left_out = list(self.fit.left_out_deg.values())
         residuals, spread = {}, {}
         if left_out:
@@ -140,7 +143,10 @@ class NormalCalibration(ScoredFit[InverseFit]):
         if self.has_scores:
             used = self.heldout_means("used")
             residuals |= {f"heldout_{key}": value for key, value in used.items()}
-            residuals["heldout_absolute_depth_mae_mm"] = self.absolute_means()["mae_mm"]
+            residuals[HELD_OUT] = float(len(in_figures(self.heldout)) + len(self.failed))
+            absolute = self.absolute_means()
+            residuals["heldout_absolute_depth_mae_mm"] = absolute["mae_mm"]
+            residuals["heldout_absolute_depth_mm"] = absolute["wanted_mm"]
             residuals["heldout_in_given_circles_deg"] = self.heldout_means("given")["mean_deg"]
             residuals["heldout_failures"] = float(len(self.failed))
             residuals["heldout_labels_rejected"] = float(len(self.rejected))

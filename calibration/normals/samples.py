@@ -41,6 +41,7 @@ from taccel_lab.calibration.response.frame import (
 from taccel_lab.calibration.robust_fit import MIN_PRESSES, radius_factor
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import RAYLEIGH_95, NormalModelConfig
+from taccel_lab.processes.ahead import ahead
 from taccel_lab.signals.normal_features import color_change, image_features
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
 from taccel_lab.signals.normals import rotate_to_z
@@ -345,7 +346,8 @@ def all_errors(
     model: NormalModel, presses: Iterable[KnownPress], scene: CaptureScene
 ) -> list[ReadingErrors]:
     """Errors of every press of which a pixel is compared."""
-    return [found for press in presses if (found := errors_of(model, press, scene)) is not None]
+    found = ahead(lambda press: errors_of(model, press, scene), presses)
+    return [one for one in found if one is not None]
 
 
 def errors_of(

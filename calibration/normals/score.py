@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII, deeper_per_mm
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.normals.samples import (
     KnownPress,
+    ReadingErrors,
     angle_between_deg,
     ball_normals,
     circle_angle_rad,
@@ -31,6 +32,7 @@ from taccel_lab.calibration.response.frame import (
 from taccel_lab.calibration.result import in_figures
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
+from taccel_lab.processes.ahead import ahead
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights, with_deviations
@@ -155,11 +157,12 @@ def read_heldout(
         circle_sigma_px: Of the circles of training presses.
         progress: Told of each press.
     """
-    failures, found, errors = {}, [], []
-    for placed in counted(heldout.placed(labels), progress, READING, heldout.count):
+
+    def read_one(
+        placed: tuple[CapturedPress, PressFrame] | HeldoutFailure,
+    ) -> tuple[CapturedPress, PressFrame, ReadHeights, ReadingErrors | None] | HeldoutFailure:
         if isinstance(placed, HeldoutFailure):
-            failures[placed.name] = placed.reason
-            continue
+            return placed
         press, captured = placed
         sigma_px = circle_sigma_px
         if press.circle is not None:
@@ -172,21 +175,28 @@ def read_heldout(
                 rest_normals=scene.rest_normals, uncertainty=False,
             )  # fmt: skip
         except InputError as error:
-            failures[press.name] = str(error)
-            continue
-        found.append((press, frame, read))
-        if not press.mislabelled:
-            known = KnownPress.of_ball(frame, scene, rise_sigma_m=_rise_sigma_m(frame, scene))
-            errors.append(errors_of(model, known, scene, read))
-    model = widened(model, [error for error in errors if error is not None])
-    items = [
-        score_heldout(
-            with_deviations(read, model.config, scene.grid, scene.mask), frame, press.circle, scene,
-            rejected=press.mislabelled,
-        )
-        for press, frame, read in found
-    ]  # fmt: skip
-    return HeldoutReading(model, tuple(items), failures)
+            return HeldoutFailure(press.name, str(error))
+        if press.mislabelled:
+            return press, frame, read, None
+        known = KnownPress.of_ball(frame, scene, rise_sigma_m=_rise_sigma_m(frame, scene))
+        return press, frame, read, errors_of(model, known, scene, read)
+
+    failures, found = {}, []
+    readings = ahead(read_one, heldout.placed(labels))
+    for reading in counted(readings, progress, READING, heldout.count):
+        if isinstance(reading, HeldoutFailure):
+            failures[reading.name] = reading.reason
+        else:
+            found.append(reading)
+    wide = widened(model, [error for *_, error in found if error is not None])
+    items = ahead(
+        lambda one: score_heldout(
+            with_deviations(one[2], wide.config, scene.grid, scene.mask), one[1], one[0].circle,
+            scene, rejected=one[0].mislabelled,
+        ),
+        found,
+    )  # fmt: skip
+    return HeldoutReading(wide, tuple(items), failures)
 
 
 def _rise_sigma_m(frame: PressFrame, scene: CaptureScene) -> float:

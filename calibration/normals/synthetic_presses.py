@@ -26,6 +26,7 @@ from taccel_lab.calibration.normals.samples import KnownPress, NormalSamples
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.processes.ahead import ahead
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_features import blurred, color_change, image_features
@@ -66,6 +67,29 @@ Tool = Callable[[np.random.Generator, np.ndarray, np.ndarray, float], np.ndarray
 LEAN = 0.15
 """Largest slope of a tool that leans; every second one does."""
 SIDE_BY_SIDE = (1, 1, 1, 2, 3)
+
+
+@dataclass(frozen=True)
+class DrawnNoise:
+    """Random numbers of one image's noise."""
+
+    blur_px: float
+    colors: np.ndarray
+    """Numbers of uneven colours, shape [row, column, 3]."""
+    light: np.ndarray
+    """Numbers of uneven light, likewise."""
+    white: np.ndarray
+    """Number of each pixel, shape [h, w, 3]."""
+
+
+@dataclass(frozen=True)
+class DrawnPress:
+    """Random numbers of one press."""
+
+    depth_mm: float
+    tool_mm: np.ndarray
+    """Height of the tool over its lowest point, shape [h, w]."""
+    noise: DrawnNoise
 
 
 @dataclass(frozen=True)
@@ -112,17 +136,21 @@ class ImageNoise:
             float(np.sqrt(more / max(float(np.mean(change)), 1e-9))),
         )
 
-    def spoil(
-        self, change: np.ndarray, background: np.ndarray, rng: np.random.Generator
-    ) -> np.ndarray:
+    def draw(self, shape: tuple[int, ...], rng: np.random.Generator) -> DrawnNoise:
+        """Noise of the next image, of shape [h, w, 3]."""
+        blur_px = rng.uniform(0.0, MAX_BLUR_PX)
+        colors, light = _coarse(rng, shape), _coarse(rng, shape)
+        return DrawnNoise(blur_px, colors, light, rng.standard_normal(shape, dtype=np.float32))
+
+    def spoil(self, change: np.ndarray, background: np.ndarray, noise: DrawnNoise) -> np.ndarray:
         """An image as the camera would give it [levels] of a change of colour, float32, [h, w, 3].
 
         Blur, uneven colours and light, white noise, and full level where it is too bright.
         """
-        change = blurred(change, rng.uniform(0.0, MAX_BLUR_PX))
-        change = change * (1.0 + self.uneven_share * _uneven(rng, change.shape))
-        image = background + change + self.uneven_levels * _uneven(rng, change.shape)
-        image += self.white_levels * rng.standard_normal(change.shape, dtype=np.float32)
+        change = blurred(change, noise.blur_px)
+        change = change * (1.0 + self.uneven_share * _uneven(noise.colors, change.shape))
+        image = background + change + self.uneven_levels * _uneven(noise.light, change.shape)
+        image += self.white_levels * noise.white
         return np.clip(image, 0.0, 255.0).astype(np.float32)
 
 
@@ -143,7 +171,8 @@ class SyntheticPresses:
 
     def presses(self, count: int, progress: Progress = silent) -> Iterator[KnownPress]:
         """The next ``count`` presses."""
-        return counted((self._press() for _ in range(count)), progress, TASK, count)
+        drawn = (self._draw() for _ in range(count))
+        return counted(ahead(self._press, drawn), progress, TASK, count)
 
     @cached_property
     def _rest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -157,15 +186,26 @@ class SyntheticPresses:
         still = self.colors.network_levels(pixels, rest.reshape(-1, 3), np.zeros(len(pixels)))
         return rest, slope_of(rest), still
 
-    def _press(self) -> KnownPress:
+    def _draw(self) -> DrawnPress:
+        """Depth and tool of the next press, and where the noise of its image is drawn from.
+
+        All random numbers are drawn here, in order: what comes of a press does not depend on how
+        many are worked on at once.
+        """
         grid, rng = self.scene.grid, self.rng
-        step = (grid.mm_per_px_x, grid.mm_per_px_y)
         low, high = (share * self.deepest_mm for share in DEPTHS)
         low = min(low, LEAST * self.pad.thickness_mm)
         high = min(high, MOST * self.pad.thickness_mm)
         depth_mm = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
-        rise_mm = press_in_view(tool_mm, depth_mm, step, self.pad, SOLVED_TO).rise_mm
+        return DrawnPress(depth_mm, tool_mm, self.noise.draw(self.scene.background.shape, rng))
+
+    def _press(self, drawn: DrawnPress) -> KnownPress:
+        """The press that was drawn, simulated and seen."""
+        grid = self.scene.grid
+        step = (grid.mm_per_px_x, grid.mm_per_px_y)
+        found = press_in_view(drawn.tool_mm, drawn.depth_mm, step, self.pad, SOLVED_TO)
+        rise_mm = found.rise_mm
         rest, lean, still = self._rest
         slope = slopes_from_height(1e-3 * rise_mm, grid)
         sharp = normals_from_slopes(lean + slope)
@@ -178,19 +218,23 @@ class SyntheticPresses:
         seen = normals_from_slopes(lean + slopes_from_height(smooth_m, grid))
         rise_m = 1e-3 * rise_mm
         return KnownPress(
-            image=self.noise.spoil(change, self.scene.background, rng),
+            image=self.noise.spoil(change, self.scene.background, drawn.noise),
             normals=rotate_to_z(seen, rest).astype(np.float32),
             rise_m=rise_m,
             compared=rise_m < -1e-3 * DENT_MM,
         )
 
 
-def _uneven(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+def _coarse(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """What ``_uneven`` is smoothed from."""
+    rows, columns = (max(2, round(count / UNEVEN_PX)) + 1 for count in shape[:2])
+    return rng.standard_normal((rows, columns, 3))
+
+
+def _uneven(coarse: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A smooth field of about unit variance for each channel, shape [h, w, 3]."""
     import cv2
 
-    rows, columns = (max(2, round(count / UNEVEN_PX)) + 1 for count in shape[:2])
-    coarse = rng.standard_normal((rows, columns, 3))
     return np.asarray(cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC))
 
 

@@ -232,7 +232,7 @@ class PressureReader:
         if doubt_n > UNKNOWN_SHARE * force:
             said = (
                 "how long the gel was held is not known: a sudden press takes "
-                f"{1 + overstress.most:.3g} times the force of a long one, and the interval holds "
+                f"{1 + overstress.most:.3g} times the force of a long one, and the interval covers "
                 "both",
             )
         return total, interval, said
@@ -334,8 +334,8 @@ class PressureReader:
         if deepest > DEEPEST_SHARE * self.layer.thickness_mm:
             strain = deepest / self.layer.thickness_mm
             said.append(
-                f"the gel is pressed by {strain:.0%} of its thickness: for the layer's law alone "
-                f"the interval holds {NORMAL_95 * LAYER_SHARE * strain:.0%} there"
+                f"the gel is pressed by {strain:.0%} of its thickness, where the layer's law may "
+                f"be off by {NORMAL_95 * LAYER_SHARE * strain:.0%}; the interval includes that"
             )
         border = np.ones(pressure.shape, dtype=bool)
         border[1:-1, 1:-1] = False
@@ -358,7 +358,7 @@ def _about(profile: SensorProfile) -> tuple[str, ...]:
     low_pa, high_pa = modulus_interval_pa(material)
     return (
         f"Young's modulus {1e-3 * material.young_modulus_pa:.3g} kPa is "
-        f"{material.provenance.kind}: the force's interval holds {1e-3 * low_pa:.3g} to "
+        f"{material.provenance.kind}: the force's interval covers {1e-3 * low_pa:.3g} to "
         f"{1e-3 * high_pa:.3g} kPa",
     )
 

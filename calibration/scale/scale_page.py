@@ -11,8 +11,10 @@ import numpy as np
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.scale.result import ScaleCalibration
+from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, new_figure
+from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +35,16 @@ def scale_page(result: ScaleCalibration, folder: CaptureFolder) -> Page:
         _tables(result),
         pictures,
         result.figures(),
+        scores=[
+            Score(
+                with_error(found.estimate.value, found.estimate.sigma),
+                "mm/px",
+                f"scale along {axis}",
+                f"by {', '.join(e.method for e in result.estimates if e.along(axis) is not None)}; "
+                "+- is one standard deviation",
+            )
+            for axis, found in result.axes.items()
+        ],
     )
 
 

@@ -95,6 +95,8 @@ class PressPhoto:
     """What the reading says of itself, a sentence each."""
     seen: SeenPress = field(repr=False)
     """What is read in the photo itself."""
+    read_depth_mm: np.ndarray = field(repr=False)
+    """Depth below the resting face as read, at each pixel [mm], [height_px, width_px]."""
     reader: SurfaceReader = field(repr=False)
 
     @property
@@ -147,6 +149,7 @@ class PressPhoto:
             seen.depth_sigma_mm,
             tuple(warnings),
             seen,
+            1e3 * reading.depth_m,
             reader,
         )
 
@@ -220,11 +223,10 @@ class PressPhoto:
             "warnings": list(self.warnings),
         }
 
-    def draw(self, painted: np.ndarray, profile: SensorProfile, psnr_db: float) -> Figure:
+    def draw(self, simulated: np.ndarray, profile: SensorProfile, psnr_db: float) -> Figure:
         """Photo, simulation and their difference side by side, over the gel."""
         from taccel_lab.report.figures import draw_comparison
 
-        simulated = self.simulated(painted, profile)
         return draw_comparison(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -59,6 +60,8 @@ class Press(Summary):
     """What the numerical error rests on; None of a stored mesh and of a press that failed."""
     below: PressOutcome | None = None
     """The coarser press that the error was measured by."""
+    write_page: Callable[[Press, Path], None] | None = None
+    """Writes the page of a press into its folder, whose pictures are there."""
     slippery: float | None = None
     """Force without friction over that with it, where the coefficient was in doubt and pressed."""
 
@@ -199,6 +202,15 @@ class Press(Summary):
             return None
         return photo.figures(painted, self.contact_mask, self.plan.profile)
 
+    @property
+    def simulated_photo(self) -> np.ndarray | None:
+        """The image over the photo's own background, levels, [height_px, width_px, 3]; None of
+        presses that are like no photo."""
+        photo, painted = self.plan.photo, self._painted[0]
+        if photo is None or painted is None:
+            return None
+        return photo.simulated(painted, self.plan.profile)
+
     def figures(self) -> dict[str, Any]:
         """Return every number of the press, as in ``press.json``."""
         like = {} if self.like is None else {"like": self.like}
@@ -229,6 +241,8 @@ class Press(Summary):
         with atomic_directory(folder) as staging:
             self.plan.write_scene(staging)
             self.write_into(staging)
+            if self.write_page is not None:
+                self.write_page(self, staging)
 
     def save_ply(self, path: Path | str) -> None:
         """Write the contact face as PLY: vertices in metres with their normals, and triangles."""
@@ -261,8 +275,8 @@ class Press(Summary):
             inner.mkdir(parents=True)
             write_seen(inner, seen.outcome, seen.plan.profile, seen._painted[0], call)
         if plan.photo is not None and self.like is not None:
-            assert rgb is not None
-            figure = plan.photo.draw(rgb, plan.profile, self.like["psnr_db"])
+            assert self.simulated_photo is not None
+            figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])
             save_figure(figure, folder / LIKE)
 
     def plot(self) -> Figure:
@@ -279,9 +293,9 @@ class Press(Summary):
         rows = [
             ("force", f"{with_error(self.force_n, self.force_error_n)} N"),
             ("95 % interval", "{:.3g} to {:.3g} N, of all causes".format(*self.force_interval_n)),
-            ("deepest", f"{with_error(self._deepest_mm(), self.height_error.total)} mm"),
+            ("deepest", f"{with_error(self.deepest_mm, self.height_error.total)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
-            ("image", f"{width} x {height} px, {self._colours()}"),
+            ("image", f"{width} x {height} px, {self.colours}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
         ]
@@ -291,7 +305,8 @@ class Press(Summary):
             rows.append(("stopped", self.failure))
         return f"{options.indenter} pressed {self.travel_mm:.4g} mm into {self.plan.sensor}", rows
 
-    def _deepest_mm(self) -> float:
+    @property
+    def deepest_mm(self) -> float:
         """Largest depth of the contact [mm]: at a dome's border depths are those of rays that graze
         it."""
         depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
@@ -301,7 +316,9 @@ class Press(Summary):
         assert self.like is not None
         return f"the untouched image {self.like['untouched_psnr_db']:.1f} dB"
 
-    def _colours(self) -> str:
+    @property
+    def colours(self) -> str:
+        """Where the colours of the image come from."""
         if self.plan.profile.color is not None:
             starter = is_starter(self.plan.profile)
             return "colours of a starter profile" if starter else "calibrated colours"

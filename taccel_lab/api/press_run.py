@@ -81,6 +81,7 @@ class PressRun(PressPlan):
         """Simulate the press. Where a step fails, or an interrupt comes, ``stopped`` is handed what
         was finished, if anything was; the error goes on."""
         # Loaded here: a plan is checked, and its scene drawn, without kernels.
+        from taccel_lab.api.press_page import write_press_page
         from taccel_lab.api.press_result import Press
         from taccel_lab.presses import press_to_force
         from taccel_lab.presses.measured_press import AS_IT_IS, Resolution, measured_press
@@ -106,7 +107,7 @@ class PressRun(PressPlan):
             if error is not None and failure is None:
                 outcome = error.stated_for(outcome)
             seconds = time.perf_counter() - started
-            return Press(run, outcome, seconds, failure, error, below, slippery)
+            return Press(run, outcome, seconds, failure, error, below, write_press_page, slippery)
 
         slippery: float | None = None
         error: NumericalError | None = None

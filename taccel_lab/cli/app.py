@@ -75,6 +75,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
         capture_record,
         catalogue,
         dataset,
+        demo,
         design,
         doctor,
         live,
@@ -93,7 +94,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "refit": calibrate.CalibrateRefit,
     }
     return {
-        "demo": calibrate_all.Demo,
+        "demo": demo.Demo,
         "design": design.Design,
         "import-gel": design.ImportGel,
         "preview": design.Preview,

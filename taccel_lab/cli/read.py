@@ -129,6 +129,7 @@ def each_image(
     read: Callable[[Path], Found],
     keep: Callable[[Found, Path, Path | None], dict[str, Any]],
     *,
+    title: str,
     as_json: bool,
     lines: Callable[[Path, dict[str, Any]], Sequence[str]],
 ) -> dict[str, dict[str, Any]]:
@@ -139,6 +140,7 @@ def each_image(
         out: Folder to write, or None.
         read: Gives what an image shows; an InputError refuses that image alone.
         keep: Writes it into the folder that is given, where there is one; returns its figures.
+        title: Of the page that the folder gets.
         as_json: Print all figures and refusals as JSON at the end, not lines as they come.
         lines: What to print of an image.
 
@@ -148,9 +150,12 @@ def each_image(
     """
     from taccel_lab.cli.console import print_json, results
     from taccel_lab.files.output_folder import atomic_directory
+    from taccel_lab.report.page import PAGE, write_page_file
+    from taccel_lab.report.readings_page import readings_page
 
     console, figures = results(), {}
     refused: dict[str, str] = {}
+    said: dict[str, Sequence[str]] = {}
     with nullcontext() if out is None else atomic_directory(out) as folder:
         for path in paths:
             try:
@@ -159,13 +164,16 @@ def each_image(
                 refused[path.stem] = str(error)
                 continue
             figures[path.stem] = about = keep(found, path, folder)
-            for line in () if as_json else lines(path, about):
+            said[path.stem] = lines(path, about)
+            for line in () if as_json else said[path.stem]:
                 console.print(line, soft_wrap=True)
         if not figures:
             # Leaving with an error keeps what an earlier run wrote there.
             if as_json:
                 print_json({"out": None, "images": {}, "refused": refused})
             raise InputError("\n".join(refused.values()))
+        if folder is not None:
+            write_page_file(readings_page(title, said, refused, folder), folder / PAGE)
     if as_json:
         folder = None if out is None else str(out)
         print_json({"out": folder, "images": figures, "refused": refused})
@@ -198,7 +206,7 @@ class Depth:
     images: Positional[tuple[Path, ...]]
     """Tactile images (PNG or JPEG) of the profile's size, or raw ones with --maps."""
     out: Path
-    """Folder to write: three files per image."""
+    """Folder to write: a page of all, three files per image."""
     ply: bool = False
     """Also write the surface as `<name>.ply`: vertices in metres with their normals, triangles."""
     background: Path | None = None
@@ -265,7 +273,10 @@ class Depth:
             assert folder is not None
             return write_reading(found, folder, ply=self.ply)
 
-        each_image(self.images, self.out, read, keep, as_json=self.json, lines=_depth_lines)
+        each_image(
+            self.images, self.out, read, keep,
+            title="Depths read from images", as_json=self.json, lines=_depth_lines,
+        )  # fmt: skip
 
 
 def _depth_lines(path: Path, about: dict[str, Any]) -> list[str]:
@@ -307,7 +318,7 @@ class Force:
     images: Positional[tuple[Path, ...]]
     """Tactile images (PNG or JPEG) of the profile's size."""
     out: Path | None = None
-    """Folder to write: two files per image. Default: none."""
+    """Folder to write: a page of all, two files per image. Default: none."""
     background: Path | None = None
     """Image of the untouched sensor, if newer than the profile's, or of another unit."""
     json: bool = False
@@ -343,8 +354,9 @@ class Force:
             return {"image": str(path), **found[0].figures()}
 
         figures = each_image(
-            self.images, self.out, read, keep, as_json=self.json, lines=_force_lines
-        )
+            self.images, self.out, read, keep,
+            title="Forces read from images", as_json=self.json, lines=_force_lines,
+        )  # fmt: skip
         if not all(about["inside_training"] for about in figures.values()):
             raise SystemExit(1)
 

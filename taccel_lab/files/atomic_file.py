@@ -138,15 +138,20 @@ def write_image(path: Path, levels: np.ndarray, parameters: Sequence[int] = ()) 
     The suffix says the format, ``parameters`` are OpenCV's, whose own writer ends the process at a
     path that is not UTF-8.
     """
+    write_bytes(path, image_file(levels, path.suffix, parameters))
+
+
+def image_file(levels: np.ndarray, suffix: str, parameters: Sequence[int] = ()) -> bytes:
+    """RGB or grey levels 0..255 as a file's bytes; arguments as of ``write_image``."""
     import cv2
 
     image = eight_bit(levels)
     if image.ndim == 3:
         image = np.ascontiguousarray(image[..., ::-1])
-    done, data = cv2.imencode(path.suffix, image, list(parameters))
+    done, data = cv2.imencode(suffix, image, list(parameters))
     if not done:
-        raise ValueError(f"OpenCV makes no {path.suffix} of an image of shape {levels.shape}")
-    write_bytes(path, data.data)
+        raise ValueError(f"OpenCV makes no {suffix} of an image of shape {levels.shape}")
+    return data.tobytes()
 
 
 def to_jsonable(value: Any) -> Any:

@@ -65,12 +65,15 @@ class ForceInterval:
         ends = sorted((low * force_n, high * force_n))
         return cls(ends[0], ends[1], causes)
 
+    def ranked(self) -> list[Cause]:
+        """Causes, the largest first."""
+        return sorted(self.causes, key=lambda each: -max(_log(each.low), _log(each.high)))
+
     def words(self) -> str:
         """Interval and largest causes, for people."""
-        ranked = sorted(self.causes, key=lambda each: -max(_log(each.low), _log(each.high)))
         said = [
             f"{each.name} {_ends(each)}"
-            for each in ranked
+            for each in self.ranked()
             if max(_log(each.low), _log(each.high)) > 1e-3
         ]
         return f"95 % interval: {self.low_n:.3g} to {self.high_n:.3g} N ({', '.join(said)})"

@@ -102,13 +102,36 @@ def draw_press(
     return figure
 
 
+def twofold_difference(simulated: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Difference of two images, twofold about middle grey [levels]."""
+    return 128 + 2 * (simulated.astype(np.float64) - photo)
+
+
+@in_report_style
+def draw_depth_panel(depth_mm: np.ndarray, grid: PixelGrid, top_mm: float) -> Figure:
+    """Depth [mm], shape [height_px, width_px], over the whole picture like a photo, its scale up to
+    ``top_mm`` inside it."""
+    aspect = (grid.height_px * grid.mm_per_px_y) / (grid.width_px * grid.mm_per_px_x)
+    figure, axes = new_figure(5.8, 5.8 * aspect)
+    figure.set_layout_engine("none")
+    axes.set_position((0, 0, 1, 1))
+    axes.set_axis_off()
+    shown = axes.imshow(depth_mm, cmap="viridis", vmin=0, vmax=max(top_mm, 1e-3), aspect="auto")
+    scale = figure.add_axes((0.07, 0.1, 0.34, 0.035))
+    bar = figure.colorbar(shown, cax=scale, orientation="horizontal", ticks=[0, top_mm])
+    bar.outline.set_edgecolor("white")
+    scale.set_xticklabels(["0", f"{top_mm:.2f} mm"], color="white", fontsize=13)
+    scale.tick_params(color="white")
+    return figure
+
+
 @in_report_style
 def draw_comparison(
     photo: np.ndarray, simulated: np.ndarray, grid: PixelGrid, psnr_db: float
 ) -> Figure:
     """Photo of a press, its simulation, and their difference, twofold about middle grey, over the
     gel; RGB levels, uint8, [height_px, width_px, 3]."""
-    difference = 128 + 2 * (simulated.astype(np.float64) - photo)
+    difference = twofold_difference(simulated, photo)
     aspect = (grid.height_px * grid.mm_per_px_y) / (grid.width_px * grid.mm_per_px_x)
     figure, axes = new_figure(11, 1.2 + 3.4 * aspect, 1, 3)
     for panel, title, image in (

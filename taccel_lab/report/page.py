@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One page for any result: verdict, remarks, tables, pictures; self-contained HTML and JSON.
+"""One page for any result: pictures and figures first, then remarks, tables, further pictures;
+self-contained HTML and JSON.
 
 Whoever has a result describes its page in these terms and draws its own figures; nothing here knows
 what was found. The page embeds every figure and its one script, and loads nothing, so it can be
-mailed as one file.
+mailed as one file; links lead to what stands beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -23,15 +24,16 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_bytes, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.report.citation import CITATION
+from taccel_lab.report.lead import Link, Picture, Score, Strip
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
 from taccel_lab.report.style import in_report_style, save_figure_to
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.report.mesh_view import MeshView
-
 P = ParamSpec("P")
+PAGE, REPORT = "report.html", "report.json"
+"""Files of a written page: itself, and its figures."""
 MOST_TO_DO = 3
 VERDICT_CODES = ("block_state",)
 """Codes of remarks that only repeat a block's verdict."""
@@ -39,7 +41,7 @@ VERDICT_CODES = ("block_state",)
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells; numbers are formatted with four significant digits."""
+    """Rows of cells; numbers are formatted with four significant digits, links can be followed."""
 
     title: str
     columns: Sequence[str]
@@ -72,18 +74,6 @@ class Table:
         return replace(self, columns=columns, rows=[[row[i] for i in keep] for row in self.rows])
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure that is drawn when the page is written, and stored by its name."""
-
-    name: str
-    draw: Callable[[], Figure | bytes]
-    """The figure, or the PNG or JPEG file that it has become already."""
-    caption: str
-    view: MeshView | None = None
-    """What the reader can turn in its place; print and pages without scripts show the picture."""
-
-
 def picture(name: str, caption: str) -> Callable[[Callable[P, Figure]], Callable[P, Picture]]:
     """Declare a picture by the function that draws its figure.
 
@@ -113,12 +103,24 @@ class Page:
     remarks: Sequence[Remark] = ()
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture] = ()
+    """The first one opens the page, unless ``strips`` do."""
     figures: dict[str, Any] = field(default_factory=dict)
     """Everything measured, written as JSON beside the page."""
     files: dict[str, Callable[[Path], None]] = field(default_factory=dict)
     """Other files beside the page: name, and what writes it."""
     headline: str = ""
     """Words in place of "Verdict: good"."""
+    strips: Sequence[Strip] = ()
+    """What was achieved, side by side, above everything else."""
+    scores: Sequence[Score] = ()
+    """Figures below the picture that opens the page."""
+    links: Sequence[Link] = ()
+    """Ways to what stands beside the page."""
+
+    @property
+    def drawn(self) -> list[Picture]:
+        """All pictures, as they come on the page."""
+        return [*(panel for strip in self.strips for panel in strip.panels), *self.pictures]
 
     @property
     def verdict(self) -> Verdict:
@@ -135,7 +137,7 @@ def first_figure(pages: Iterable[Page]) -> Figure:
     from matplotlib.figure import Figure
 
     for page in pages:
-        for picture in page.pictures:
+        for picture in page.drawn:
             if isinstance(found := picture.draw(), Figure):
                 return found
     raise InputError("nothing was measured that a figure could show")
@@ -160,39 +162,55 @@ def to_do_first(remarks: Sequence[Remark]) -> tuple[list[Remark], list[Remark]]:
 def page_html(page: Page, images: Mapping[str, str]) -> str:
     """The page as HTML; ``images``: each picture as text that a page embeds, by its name."""
     to_do, others = to_do_first(page.remarks)
+    judging = [remark for remark in page.remarks if remark.severity != Severity.INFO]
+    opening, further = (
+        ((), page.pictures) if page.strips else (page.pictures[:1], page.pictures[1:])
+    )
     return (
         report_environment()
         .get_template("page.html.j2")
         .render(
             page=page,
             verdict=page.verdict,
+            state="plain" if page.headline and not judging else page.verdict,
             to_do=to_do,
             others=others,
             tables=[table.shown() for table in page.tables if table.rows],
+            opening=opening,
+            further=further,
             images=images,
         )
     )
 
 
-def page_figures(page: Page) -> dict[str, Any]:
-    """What stands in ``report.json``."""
+def page_figures(page: Page, files: Mapping[str, str]) -> dict[str, Any]:
+    """What stands in ``report.json``; ``files``: each picture's file by its name."""
     remarks = [{"severity": r.severity, "code": r.code, "message": r.message} for r in page.remarks]
-    return {"title": page.title, "verdict": page.verdict, "remarks": remarks, **page.figures}
+    pictures = [{"file": files[one.name], "caption": one.caption} for one in page.drawn]
+    return {
+        "title": page.title,
+        "verdict": page.verdict,
+        "remarks": remarks,
+        "scores": [asdict(score) for score in page.scores],
+        "pictures": pictures,
+        **page.figures,
+    }
 
 
 def write_page_into(page: Page, folder: Path) -> None:
     """Write ``report.html``, ``report.json``, pictures and files into a folder that is there."""
-    images = {}
-    for picture in page.pictures:
+    images, files = {}, {}
+    for picture in page.drawn:
         drawn = _drawn(picture)
-        write_bytes(folder / f"{picture.name}{image_suffix(drawn)}", drawn)
+        files[picture.name] = f"{picture.name}{image_suffix(drawn)}"
+        write_bytes(folder / files[picture.name], drawn)
         images[picture.name] = data_url(drawn)
     for name, write in page.files.items():
         write(folder / name)
-    with atomic_file(folder / "report.html") as staging:
+    with atomic_file(folder / PAGE) as staging:
         html = page_html(page, images)
         staging.write_text(html, encoding="utf-8", errors="backslashreplace")
-    write_json(folder / "report.json", page_figures(page))
+    write_json(folder / REPORT, page_figures(page, files))
 
 
 def write_page(page: Page, folder: Path | str) -> None:
@@ -207,7 +225,7 @@ def write_page(page: Page, folder: Path | str) -> None:
 
 def write_page_file(page: Page, path: Path | str) -> None:
     """Write the page alone, as one file."""
-    images = {picture.name: data_url(_drawn(picture)) for picture in page.pictures}
+    images = {picture.name: data_url(_drawn(picture)) for picture in page.drawn}
     with atomic_file(path) as staging:
         html = page_html(page, images)
         staging.write_text(html, encoding="utf-8", errors="backslashreplace")
@@ -247,7 +265,13 @@ def report_environment() -> Any:
     environment.globals["citation"] = CITATION
     environment.filters["number"] = format_number
     environment.filters["breakable"] = _breakable
+    environment.filters["signed"] = _signed
     return environment
+
+
+def _signed(text: str) -> str:
+    """A text with the sign that a terminal may lack."""
+    return text.replace("+-", "±")
 
 
 def _breakable(name: str) -> Any:

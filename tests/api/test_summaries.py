@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from taccel_lab.api.study import StudyResult
 from taccel_lab.calibration.calibrate import Calibration
 from taccel_lab.calibration.unfinished import BlockOutcome, BlockState
 from taccel_lab.geometry.block import free_block
-from taccel_lab.report.page import Page, Picture, first_figure
+from taccel_lab.report.lead import Picture
+from taccel_lab.report.page import Page, first_figure
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 
 SCREENFUL = 400
@@ -57,7 +59,8 @@ def test_a_calibration_draws_the_figure_of_a_block():
     blocks = tuple(
         BlockOutcome(name, BlockState.DONE, "good", page=page(name)) for name in ("scale", "color")
     )
-    found = Calibration(tl.load_sensor("flat_pad"), blocks)
+    pad = tl.load_sensor("flat_pad")
+    found = Calibration(pad, pad, Mock(), blocks)
     assert title(found.plot()) == "color" and title(found.plot("scale")) == "scale"
     with pytest.raises(tl.InputError, match="'depth' was not fitted; allowed: scale, color"):
         found.plot("depth")

@@ -110,7 +110,9 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
     found.write_report(report)
     assert {"report.html", "dust.png"} <= {path.name for path in (report / "background").iterdir()}
     html = (report / "report.html").read_text(encoding="utf-8")
-    assert "Calibrated blocks" in html and "perturbation" in html
+    links = {"background/report.html", "background/report.json", "background/dust.png"}
+    assert links <= set(re.findall(r'href="([^"]+)"', html)) and "perturbation" in html
+    assert found.basis is found.profile and found.captures.sensor == found.profile.sensor.family
 
 
 @pytest.mark.thorough

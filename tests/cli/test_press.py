@@ -31,7 +31,7 @@ from tests.support.small_captures import everything_below, write_profile
 
 FILES = {
     OUTPUT_MARKER, "contact_pressure.png", "force_depth.png", "gel.vtu", "height_map.png",
-    "normals.png", "scene.png", "press.json", "times.json", "signals.npz",
+    "normals.png", "scene.png", "press.json", "times.json", "signals.npz", "report.html",
 }  # fmt: skip
 PREDICTED = {"predicted.png"}
 """Of a sensor without colour model whose optics are known."""
@@ -82,6 +82,10 @@ def test_press_on_a_sensor_of_the_catalogue(tmp_path: Path, cli: Cli) -> None:
     assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     assert cv2.imread(str(out / "predicted.png")).shape == (48, 64, 3)
     assert os.listdir(out.parent) == ["press"]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    opening = ("image, predicted by the design", "contact, dark", "deepest place", "normal force",
+               'href="press.json"', "smallest gap", "Force over depth.")  # fmt: skip
+    assert [text for text in opening if text not in page] == []
     values = read(out)
     figures, force = values["press"], values["press"]["wrench"]["force_n"]
     assert figures["force_n"] == force[2] > 0 > force[0]

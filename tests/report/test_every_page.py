@@ -32,6 +32,12 @@ PARTLY_SHOWN = """() => [...document.querySelectorAll('section *')].filter(e => 
     const box = e.getBoundingClientRect(), card = e.closest('section').getBoundingClientRect();
     return box.width > 0 && (box.right > card.right + 1 || box.left < card.left - 1);
   }).map(e => e.tagName + ' ' + (e.innerText || e.className).slice(0, 60))"""
+OUTSIDE = """() => [...document.querySelectorAll('section *')].filter(e => {
+    const box = e.getBoundingClientRect(), card = e.closest('section').getBoundingClientRect();
+    const out = box.right > card.right + 1 || box.left < card.left - 1;
+    return box.width > 0 && out && !e.closest('.scroll *');
+  }).map(e => e.tagName + ' ' + (e.innerText || e.className).slice(0, 60))"""
+"""What leaves its card, but for the inner parts of tables, which scroll inside it."""
 SCREENS = ((1280, "screen"), (1600, "screen"), (690, "print"))
 """Widths [px], and for what; A4 between its margins is 690 px wide."""
 
@@ -117,6 +123,19 @@ def test_no_page_runs_over_on_screens_nor_on_paper(pages):
                 page.set_viewport_size({"width": width, "height": 900})
                 for check in (WIDER, PARTLY_SHOWN):
                     found += [f"{path.name}, {width} px: {e}" for e in page.evaluate(check)]
+    assert not found
+
+
+@pytest.mark.thorough
+def test_on_a_phone_nothing_leaves_its_card(pages):
+    found: list[str] = []
+    with chromium_page("about:blank", (390, 844)) as page:
+        for path in pages:
+            page.goto(path.as_uri())
+            page.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
+            found += [f"{path.name}: {e}" for e in page.evaluate(OUTSIDE)]
+            width = page.evaluate("document.documentElement.scrollWidth")
+            found += [f"{path.name} is {width} px wide"] * (width > 390)
     assert not found
 
 

@@ -7,6 +7,7 @@ import gzip
 import html
 import http.client
 import json
+import os
 import re
 import socket
 import threading
@@ -29,8 +30,9 @@ from websockets.sync import client
 from taccel_lab.calibration.profile_page import profile_page
 from taccel_lab.printable import readable
 from taccel_lab.profile import DepthResponseBlock, Provenance
+from taccel_lab.report.lead import Link, Picture, Score, Strip
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
-from taccel_lab.report.page import Page, Picture, Table, page_html, to_do_first, write_page
+from taccel_lab.report.page import Page, Table, page_html, to_do_first, write_page
 from taccel_lab.report.page_guard import is_own_request, run_token, start_guarded
 from taccel_lab.report.page_text import PageText, add_html_note, add_note, page_table
 from taccel_lab.report.remark import Remark, Severity
@@ -64,6 +66,29 @@ def test_a_page_shows_its_verdict_and_escapes_text(tmp_path):
     assert "http" not in html
     data = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert data["x"] == 1.5 and data["remarks"][0]["code"] == "few"
+
+
+def test_a_page_opens_with_pictures_scores_and_links(tmp_path):
+    panels = [replace(EMPTY, name=name, caption=f"the {name}") for name in ("photo", "depth")]
+    page = Page(
+        "Press", "Made so.", [Remark(Severity.WARNING, "few", "only 3")],
+        [Table("Blocks", ("block", "look at"), [("x", (Link("page", "x/report.html"),))])],
+        [EMPTY],
+        strips=[Strip("p<0>: 2.10 +- 0.20 mm", panels, (Link("all of it", "../p0/"),))],
+        scores=[Score("38.7", "dB", "rendered images", "12 held-out presses; bare: 20")],
+        links=[Link("the profile", "../profile/")],
+    )  # fmt: skip
+    html = written(page, tmp_path)
+    order = ("Verdict: usable", "p&lt;0&gt;: 2.10 ± 0.20 mm", "the photo", "the depth",
+             'href="../p0/"', "38.7 <small>dB", "12 held-out presses", 'href="../profile/"',
+             "Made so.", "To do first", "<h2>Blocks", 'href="x/report.html"',
+             "A picture.")  # fmt: skip
+    places = [html.index(text) for text in order]
+    assert places == sorted(places)
+    assert {"photo.png", "depth.png", "empty.png"} <= set(os.listdir(tmp_path / "out"))
+    data = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    assert data["scores"][0]["value"] == "38.7"
+    assert data["pictures"][0] == {"file": "photo.png", "caption": "the photo"}
 
 
 def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores():
@@ -110,14 +135,16 @@ def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path):
     assert html.count("<ol>") == 1 and html.count("<li>") == len(remarks)
 
 
-def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path):
+def test_a_picture_opens_a_page_and_folded_blocks_and_long_sources_end_it(tmp_path):
     source = "measured on the bench by a person who writes long sentences, " * 3
     tables = [
         Table("Evidence", ("name", "value", "never known"), [("x", 1, None)], folded=True),
         Table("Sources", ("of", "source"), [("y", source)]),
     ]
-    html = written(Page("x", "", tables=tables, pictures=[EMPTY]), tmp_path)
-    places = [html.index(text) for text in ("<h2>Sources", "A picture.", "<summary><h2>Evidence")]
+    another = replace(EMPTY, name="another", caption="Another.")
+    html = written(Page("x", "", tables=tables, pictures=[EMPTY, another]), tmp_path)
+    order = ("A picture.", "<h2>Sources", "Another.", "<summary><h2>Evidence")
+    places = [html.index(text) for text in order]
     assert places == sorted(places)
     assert "never known" not in html
     assert source in html and f"<td>{source}" not in html and '<details class="long">' in html

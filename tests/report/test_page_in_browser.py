@@ -161,11 +161,11 @@ def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address):
 
         def turned_wheel_says():
             # Once more where a busy machine has let the words pass.
-            page.mouse.wheel(0, -60)
+            page.mouse.wheel(0, 60)
             return page.is_visible(".mesh-view .hint:has-text('Ctrl')")
 
         wait_for(page, turned_wheel_says)
-        wait_for(page, lambda: page.evaluate("scrollY") < before)
+        wait_for(page, lambda: page.evaluate("scrollY") > before)
         assert (np.abs(canvas_pixels(page) - seen) > 16).mean() < 1e-3
         page.wait_for_selector(".mesh-view .hint", state="hidden")
 
@@ -202,5 +202,5 @@ def test_fingers_scroll_the_page_turn_and_zoom(address):
         move(((-30, 0), (-90, 0)), ((30, 0), (90, 0)))
         wait_for(page, lambda: changed(seen))
         assert page.evaluate("scrollY") == at
-        move(((0, -60), (0, 100)))
-        wait_for(page, lambda: page.evaluate("scrollY") < at)
+        move(((0, 60), (0, -100)))
+        wait_for(page, lambda: page.evaluate("scrollY") > at)

@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.score import Errors, outside_rows
+from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
@@ -61,6 +62,27 @@ def force_page(result: ForceCalibration) -> Page:
         ],
         pictures=[_predicted(result), _errors(result), _patches(result), _loss(result)],
         figures=result.figures(),
+        scores=_scores(result),
+    )
+
+
+def _scores(result: ForceCalibration) -> tuple[Score, ...]:
+    """Errors over all held-out images that press."""
+    all_of, on = result.overall, f"{result.overall.images:,} held-out simulated images"
+    return (
+        Score(
+            f"{all_of.fz_n:.3f}",
+            "N rms",
+            "error of the normal force",
+            f"{on}; guessing zero is off by {all_of.fz_spread_n:.2f}",
+        ),
+        Score(
+            f"{all_of.shear_n:.3f}",
+            "N rms",
+            "error of the tangential force",
+            f"{on}; guessing zero is off by {all_of.shear_spread_n:.2f}",
+        ),
+        Score(f"{all_of.inside95:.0%}", "", "of the forces inside their 95 % interval", on),
     )
 
 

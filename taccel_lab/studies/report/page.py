@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.report.figures import draw_mesh
+from taccel_lab.report.lead import Picture, Score
 from taccel_lab.report.mesh_view import MeshView, mesh_view
-from taccel_lab.report.page import Page, Picture, Table, format_number, write_page_into
+from taccel_lab.report.page import Page, Table, format_number, write_page_into
 from taccel_lab.studies.evaluate.design_row import DesignRow
 from taccel_lab.studies.evaluate.runner import StudyOutcome
 from taccel_lab.studies.report import figures, figures_effects
@@ -25,6 +26,8 @@ MOST_ROWS = 400
 """Rows of the page's table; the CSV has all."""
 FIGURES = "figures"
 """Folder of the pictures."""
+MOST_SCORES = 4
+"""Metrics that open the page."""
 _NAMED = 3
 """Designs that a row of missing figures names."""
 
@@ -64,7 +67,27 @@ def study_page(outcome: StudyOutcome) -> Page:
         pictures=tuple(_pictures(outcome, values, found)),
         figures=values,
         headline=verdict.headline,
+        scores=tuple(_scores(outcome, values)),
     )
+
+
+def _scores(outcome: StudyOutcome, values: Values) -> Iterator[Score]:
+    """Metrics of the design that is shown first, the goal's before the others."""
+    ends = _ends(outcome, values)
+    if not ends:
+        return
+    word, row = ends[0]
+    others = f"; {ends[-1][0]}: {{}}" if len(ends) > 1 else ""
+    names = sorted(values["metrics"], key=lambda name: name not in (values["goal"] or ""))
+    for name in names[:MOST_SCORES]:
+        unit = values["metrics"][name]["unit"]
+        yield Score(
+            format_number(row.figures[name]),
+            "" if unit == "1" else unit,
+            name.replace("_", " "),
+            f"{word}: {values['names'][row.id]}"
+            + others.format(format_number(ends[-1][1].figures[name])),
+        )
 
 
 def _named(name: str, unit: str) -> str:
@@ -261,8 +284,9 @@ def _picture(
 def _pictures(
     outcome: StudyOutcome, values: Values, found: dict[str, Sensitivity]
 ) -> Iterator[Picture]:
-    """Every figure that there is something to show in."""
-
+    """Every figure that there is something to show in; first what was chosen between."""
+    if len(outcome.done) >= 2:
+        yield from _trade_offs(outcome, values, found)
     if figures.tool_curves(outcome):
         yield _picture(
             "force_depth",
@@ -275,8 +299,6 @@ def _pictures(
             lambda: figures.draw_tools(outcome, contact=True),
             "Diameter of the disc of the contact's area over the force.",
         )
-    if len(outcome.done) >= 2:
-        yield from _trade_offs(outcome, values, found)
     yield from _ends_pictures(outcome, values)
 
 

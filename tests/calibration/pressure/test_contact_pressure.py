@@ -127,7 +127,7 @@ def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile
     assert read(modulus, rise).remarks == ()
     assumed = catalogue_profile("flat_pad", LAYER)
     assert width(assumed) == pytest.approx(np.hypot(known, 2 * np.log(2.0)), rel=0.1)
-    assert "holds 75 to 300 kPa" in read(assumed, rise).remarks[0]
+    assert "covers 75 to 300 kPa" in read(assumed, rise).remarks[0]
 
 
 def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorProfile) -> None:
