@@ -30,7 +30,7 @@ from taccel_lab.state import State, initial_state
 STARTS = ("positions", "velocities", "poses")
 """Arrays of the state that a step begins with."""
 COLUMNS = (*STARTS, "targets", "newton", "ends")
-"""Of the file: a row each step; ``ends`` [m] and ``newton`` are what it led to when recorded."""
+"""Arrays of the file, a row a step; ``ends`` [m] and ``newton``: what it led to when recorded."""
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,7 @@ def _aim_step_kernel(
     p.prescribed.moving[env] = 0
     p.clearance.bend[env] = wp.float64(0.0)
     p.clearance.reach[env] = p.clearance.margin[env]
+    p.following.follows[env] = 0
     if p.phases.active[env] == 0:
         return
     one = wp.float64(1.0)

@@ -45,7 +45,6 @@ def follows_friction(env: int, p: Progress):
     """Choose whether the next direction follows friction: where that is frozen at the positions,
     and matrices are not projected. With joints it does not: their forces have rounds of their own.
     """
-    p.following.follows[env] = 0
     if (
         p.rules.has_friction == 0
         or p.rules.has_joints != 0

@@ -43,7 +43,7 @@ REFUSALS = {
         "": "'gelsite' is neither a profile folder nor a sensor of the catalogue ... gelsight",
     },
     "demo --captures captures --out out": {
-        "--depth-mm 5.2": "depth 5.2 mm goes past the gel, which is 5 mm thick",
+        "--depth-mm 5.2": "demo has no option --depth-mm",
     },
     "design gelsight --out earlier --set": {
         "thickness_mm=-1": "thickness_mm = -1 is below its bound; allowed: 0.8 to 20 mm",

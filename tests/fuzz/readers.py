@@ -13,6 +13,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import copy
 from typing import Any
 from unittest.mock import patch
 
@@ -87,7 +88,11 @@ def _show_profile(given: Path, out: Path) -> None:
 
 def _read_depth(given: Path, out: Path) -> None:
     pictures = {name: given / f"{name}.png" for name in ("background", "mask")}
-    with patch.multiple(touch, draw_reading=lambda *_: None, save_figure=lambda *_: None):
+    copied = {
+        "draw_reading": lambda *_: None,
+        "save_figure": lambda _, to: copy(pictures["mask"], to),
+    }
+    with patch.multiple(touch, **copied):
         _run(Depth(given / "profile", (given / "press.png",), out, method="depth", **pictures))
 
 

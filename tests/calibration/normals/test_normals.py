@@ -281,7 +281,7 @@ def test_grey_captures_are_called_so() -> None:
     (lambda c, s: InverseTraining([], CaptureScene.of(c, None), QUICK), "at least one press"),
     (lambda c, s: fit_normals(c, [], s), "3 presses need as many circles and surfaces"),
     (lambda c, s: InverseFitOptions(members=0), "members must be at least 1"),
-    (lambda c, s: InverseFitOptions(position_bands=9), r"_bands must lie in \[0, 8\], got 9"),
+    (lambda c, s: InverseFitOptions(position_bands=9), r"-bands of .* must lie in \[0, 8\], got 9"),
     (lambda c, s: fit_normals(replace(c, mask=c.mask & False), circles_of(c), s, options=QUICK),
      "masked|usable"),
     (lambda c, s: SurfaceReader(tiny_profile(GRID)), "neither a normals nor a depth_response"),
