@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.files.atomic_file import image_file
-from taccel_lab.report.figures import draw_depth_panel, twofold_difference
+from taccel_lab.report.figures import depth_panel, twofold_difference
 from taccel_lab.report.lead import Link, Picture, Score, Strip
 from taccel_lab.report.page import PAGE, Page, Table, write_page_file
 from taccel_lab.report.remark import Remark, Severity
@@ -79,14 +79,14 @@ def press_strip(press: Press, name: str = "", links: Iterable[Link] = ()) -> Str
     def panel(key: str, draw: Any, caption: str) -> Picture:
         return Picture(f"{name}_{key}" if name else key, draw, caption)
 
-    grid, photo, like = press.plan.profile.grid(), press.plan.photo, press.like
+    photo, like = press.plan.photo, press.like
     title = f"{name}: " if name else ""
     if photo is None or like is None:
         panels = []
         if press.image is not None:
             panels.append(panel("image", _jpeg(press.image), f"image, {press.colours}"))
         top_mm = press.deepest_mm
-        depth = partial(draw_depth_panel, press.depth_mm, grid, top_mm)
+        depth = _jpeg(depth_panel(press.depth_mm, top_mm))
         deepest = with_error(top_mm, press.height_error.total)
         panels.append(panel("depth", depth, f"depth, to {deepest} mm"))
         contact = _jpeg(np.where(press.contact_mask, 40, 235))
@@ -94,7 +94,7 @@ def press_strip(press: Press, name: str = "", links: Iterable[Link] = ()) -> Str
         return Strip(f"{title}{_force_words(press)}", panels, tuple(links))
     simulated = press.simulated_photo
     assert simulated is not None
-    depth = partial(draw_depth_panel, photo.read_depth_mm, grid, photo.seen.depth_mm)
+    depth = _jpeg(depth_panel(photo.read_depth_mm, photo.seen.depth_mm))
     read = with_error(photo.seen.depth_mm, photo.depth_sigma_mm)
     return Strip(
         f"{title}{like['psnr_db']:.1f} dB, {with_error(photo.depth_mm, photo.depth_sigma_mm)} mm "

@@ -28,20 +28,14 @@ class Envs:
 
 
 @wp.func
-def env_of(place: int, envs: Envs) -> int:
-    """Environment at a place of a launch, whether it takes part or not; -1 beyond the list."""
-    if envs.listed.shape[0] == 0:
-        return place
-    if place >= envs.count[0]:
-        return -1
-    return envs.listed[place]
-
-
-@wp.func
 def env_at(place: int, envs: Envs) -> int:
     """Environment at a place of a launch that takes part, -1 for none."""
-    env = env_of(place, envs)
-    if env >= 0 and envs.mask[wp.max(env, 0)] == 0:
+    env = place
+    if envs.listed.shape[0] > 0:
+        if place >= envs.count[0]:
+            return -1
+        env = envs.listed[place]
+    if envs.mask[env] == 0:
         return -1
     return env
 

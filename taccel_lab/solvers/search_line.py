@@ -17,7 +17,6 @@ from taccel_lab.model.env_lists import Envs, env_at
 from taccel_lab.model.launches import launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
-from taccel_lab.solvers.limit_step import longest
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -25,8 +24,6 @@ wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
-FREE_SHARE = 0.3
-"""Part of the collision-free way that a direction which follows friction is taken along."""
 SHARPENING = 0.5
 """What a full step adds to the curvature of friction that the next direction counts."""
 
@@ -84,12 +81,9 @@ def _open_search_kernel(
         p.search.before[env] = p.search.base[env] + friction
         p.clearance.near[env] = 0
         p.search.cuts[env] = 0
-        alpha = wp.min(p.clearance.limit[env], p.balance.damping[env])
-        if p.following.follows[env] != 0:
-            alpha = p.clearance.limit[env]
-            if alpha < longest(env, p):
-                # A direction that meets something is far too long.
-                alpha *= wp.float64(FREE_SHARE)
+        alpha = p.clearance.limit[env]
+        if p.following.follows[env] == 0:
+            alpha = wp.min(alpha, p.balance.damping[env])
         p.search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)

@@ -165,10 +165,12 @@ def _bent(nodes: np.ndarray) -> np.ndarray:
 
 def _any_inverted(nodes: np.ndarray) -> bool:
     """Whether a tet [n, 4, 3] is inverted, or one of ten nodes [n, 10, 3] at any sample."""
-    if not (_volume_ratios(nodes[:, :4]) > 0).all():
-        return True
-    # Straight tets, as all are at rest, have one determinant.
-    return nodes.shape[1] == 10 and not (_volume_ratios(nodes[_bent(nodes)]) > 0).all()
+    right = _volume_ratios(nodes[:, :4])[:, 0] > 0
+    if nodes.shape[1] == 10:
+        # Straight tets, as all are at rest, have one determinant.
+        bent = _bent(nodes)
+        right[bent] = (_volume_ratios(nodes[bent]) > 0).all(axis=1)
+    return not right.all()
 
 
 def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:

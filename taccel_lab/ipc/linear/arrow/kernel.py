@@ -23,7 +23,6 @@ from taccel_lab.ipc.linear.arrow.program import ArrowLayout
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRows
 from taccel_lab.ipc.linear.problem.packed_rows import RowSlices
 from taccel_lab.ipc.linear.problem.row_products import multiply_extra, multiply_unpacked, row_sum
-from taccel_lab.model.env_lists import Envs, env_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -85,7 +84,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
     @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
     def arrow_kernel(
         lanes: int,
-        active: Envs,
+        active: wp.array(dtype=wp.int32),
         lists: ArrowLists,
         layout: ArrowLayout,
         slices: RowSlices,
@@ -104,10 +103,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         residuals: wp.array(dtype=wp.float64),
         breakdowns: wp.array(dtype=wp.int32),
     ):
-        place, lane = wp.tid()
-        env = env_of(place, active)
-        if env < 0:
-            return
+        env, lane = wp.tid()
         # Decided as it is compiled: the compiler has to see which kind of memory it is.
         if room:
             tile = wp.tile_empty(shape=room, dtype=wp.float64, storage="shared")
@@ -134,7 +130,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
             iterations[env] = 0
             residuals[env] = zero
             breakdowns[env] = 0
-        if active.mask[env] == 0:
+        if active[env] == 0:
             return
         b_sq = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
         if b_sq == zero:
