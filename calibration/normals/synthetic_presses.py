@@ -189,8 +189,8 @@ class SyntheticPresses:
     def _draw(self) -> DrawnPress:
         """Depth and tool of the next press, and where the noise of its image is drawn from.
 
-        All random numbers are drawn here, in order: what comes of a press does not depend on how
-        many are worked on at once.
+        All random numbers are drawn here, in order: a press is the same however many are worked on
+        at once.
         """
         grid, rng = self.scene.grid, self.rng
         low, high = (share * self.deepest_mm for share in DEPTHS)

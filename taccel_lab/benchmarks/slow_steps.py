@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The suite ``slow_steps``: slow steps of a learning loop, taken again from where they began.
 
-A batch waits for its slowest environment, and of a thousand steps a few dozen are slow: two codes
-that take the same starts are told apart by a hundredth of the steps that two whole runs need. Steps
-are recorded once, to a file, and another code, or other settings, takes them from there.
+A batch waits for its slowest environment, and of a thousand steps a few dozen are slow. Steps are
+recorded once, to a file; another version of the code, or other settings, starts from the same
+states, so that a hundredth of the steps of two whole runs shows a difference.
 """
 
 from __future__ import annotations

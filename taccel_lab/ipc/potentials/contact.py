@@ -206,8 +206,8 @@ def add_contact_hessian(
     parts: int,
     system: NewtonSystem,
 ):
-    """Add the blocks [N/m] of one collision to the Newton system, or a part of them; without what
-    comes of a mollifier's slope."""
+    """Add the blocks [N/m] of one collision to the Newton system, or a part of them, without the
+    terms of a mollifier's slope."""
     kind = lists.kinds[at]
     nodes = lists.stencils[at]
     k = lists.stiffnesses[at]
@@ -241,7 +241,7 @@ def add_mollifier_hessian(
     parts: int,
     system: NewtonSystem,
 ):
-    """Add what comes of the slope of one collision's mollifier, where that acts."""
+    """Add the terms of the slope of one collision's mollifier [N/m], where that acts."""
     nodes = lists.stencils[at]
     threshold = lists.thresholds[at]
     if not is_mollified(env, nodes, threshold, positions):
