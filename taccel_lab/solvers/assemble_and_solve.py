@@ -14,7 +14,7 @@ from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_syst
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import Progress, lower_flags
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.friction_lag import follow_friction, follows_friction
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
@@ -93,15 +93,13 @@ def _aim_step_kernel(
     in any case.
     """
     env = wp.tid()
-    if env == 0:
-        p.flags.rounds[0] += 1
-        lower_flags(p)
     p.prescribed.moving[env] = 0
+    p.following.seeks[env] = 0
+    if p.phases.stepping[env] == 0:
+        return
     p.clearance.bend[env] = wp.float64(0.0)
     p.clearance.reach[env] = p.clearance.margin[env]
     p.following.follows[env] = 0
-    if p.phases.active[env] == 0:
-        return
     one = wp.float64(1.0)
     progress = p.prescribed.progress[env]
     goal = one
@@ -136,7 +134,7 @@ def _count_solve_kernel(
     """Counts the solve. After a breakdown the solution still descends, unless there is none: this
     iteration stays where it is. The next ones project."""
     env = wp.tid()
-    if p.phases.active[env] == 0:
+    if p.phases.stepping[env] == 0:
         return
     if overflows(env, extra):
         stop(env, _CONTACT_OVERFLOW, p)
@@ -148,6 +146,7 @@ def _count_solve_kernel(
             p.flags.following[0] = 1
         return
     p.following.follows[env] = 0
+    p.following.seeks[env] = 0
     if p.curvature.psd_mode[env] == PSD_NONE:
         p.curvature.projected[env] = PROJECTED_AFTER
     elif iterations[env] == 0:
@@ -155,21 +154,21 @@ def _count_solve_kernel(
 
 
 def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] = ()) -> None:
-    """The Newton direction of all active environments, in ``displacements``. ``beside``: what else
-    may be launched meanwhile."""
+    """The Newton direction of all environments that are stepping, in ``displacements``. ``beside``:
+    what else may be launched meanwhile."""
     s, p = run.s, run.p
     linear = s.linear
     _assemble(run, beside)
-    linear.solve(run.active, s.config.max_cg_iterations)
+    linear.solve(run.stepping, s.config.max_cg_iterations)
 
     def count() -> None:
         run.decide(_count_solve_kernel, linear.iterations, linear.breakdown, linear.extra.room)
 
     def spread() -> None:
-        # Not by ``active``, from which counting takes those that stop.
+        # Counting may take some that stop from the mask meanwhile; nobody reads theirs.
         spread_solution(
             run.model,
-            run.those(p.roster.underway),
+            run.stepping,
             linear.solution,
             s.displacements,
             p.curvature.boost,
@@ -181,9 +180,9 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
 
 
 def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
-    """Matrix and right-hand side of all active environments."""
+    """Matrix and right-hand side of all environments that are stepping."""
     s, p, x = run.s, run.p, run.state.positions
-    active, moving = run.active, run.those(p.prescribed.moving)
+    active, moving = run.stepping, run.those(p.prescribed.moving)
     system = newton_system(run.model, s.linear, s.displacements)
     in_any_order = newton_systems(run.model, s.linear, s.displacements)
     bits_count = s.linear.in_any_order

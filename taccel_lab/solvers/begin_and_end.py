@@ -50,6 +50,8 @@ def _begin_step_kernel(
     p.phases.fresh[env] = p.roster.who[env]
     p.roster.underway[env] = p.roster.who[env]
     p.phases.active[env] = p.roster.who[env]
+    p.phases.stepping[env] = p.roster.who[env]
+    p.phases.searching[env] = 0
     p.phases.inner[env] = 0
     p.phases.flying[env] = 0
     p.prescribed.turning[env] = 0
@@ -62,6 +64,7 @@ def _begin_step_kernel(
     p.counts.starts_taken[env] = 0
     p.counts.joint_rounds[env] = 0
     p.search.cuts[env] = 0
+    p.search.strays[env] = 0
     p.balance.residual[env] = wp.float64(wp.inf)
     p.balance.excess[env] = wp.float64(wp.inf)
     p.balance.contact_force[env] = zero
@@ -76,6 +79,7 @@ def _begin_step_kernel(
     p.balance.lag_change[env] = wp.float64(wp.inf)
     p.balance.damping[env] = one
     p.following.follows[env] = 0
+    p.following.seeks[env] = 0
     p.following.pause[env] = 0
     p.following.left[env] = wp.float64(0.0)
     p.clearance.margin[env] = p.rules.dhat

@@ -9,6 +9,7 @@ from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.solvers.env_phase import (
     CLOSING,
     FREEZING,
+    SEARCHING,
     enter,
     forget_gain,
     go_on,
@@ -88,7 +89,7 @@ def _judge_kernel(
     ``last``: without joints, all that follows is decided at once.
     """
     env = wp.tid()
-    if p.phases.active[env] != 0 and mask[env] != 0:
+    if p.phases.active[env] != 0 and mask[env] != 0 and p.phases.phase[env] != SEARCHING:
         judge(env, elements, p)
     if last != 0:
         go_on(env, p)
@@ -117,19 +118,19 @@ def _settle_kernel(
 ):
     """Settles environments after the joints were looked at."""
     env = wp.tid()
-    if p.phases.active[env] != 0 and mask[env] != 0:
+    if p.phases.active[env] != 0 and mask[env] != 0 and p.phases.phase[env] != SEARCHING:
         weigh(env, elements, p)
         settle(env, p)
     go_on(env, p)
 
 
 def measure_and_judge(run: StepLaunches, mask: EnvMask, take_trial: bool = False) -> None:
-    """Forces and residual of the environments of ``mask``; those that have finished stop.
-    ``take_trial``: where the line search has led."""
+    """Forces and residual of the environments of ``mask`` whose line search is over; those that
+    have finished stop. ``take_trial``: where it has led."""
     s, p = run.s, run.p
     if not take_trial:
         bound_rounding(run)
-    evaluate_gradient(run, mask, take_trial)
+    evaluate_gradient(run, run.stepping if take_trial else mask, take_trial)
     elements = element_rounding(run)
     run.decide(_judge_kernel, mask, int(s.joints is None), elements)
     if s.joints is not None:

@@ -25,7 +25,7 @@ class EnvPhase(IntEnum):
     STAYING = 3
     """Its step starts from where it is."""
     SEARCHING = 4
-    """Its line search goes on."""
+    """Its line search goes on, a trial a round."""
     CLOSING = 5
     """Newton has converged, its joints may be open."""
     FREEZING = 6
@@ -59,13 +59,19 @@ _MORE_PROGRESS = 1e-3
 def enter(env: int, phase: int, p: Progress):
     """Take part in what only some environments do."""
     p.phases.phase[env] = phase
-    p.phases.inner[env] = 1
+    p.phases.stepping[env] = 0
+    if phase == SEARCHING:
+        p.phases.searching[env] = 1
+    else:
+        p.phases.inner[env] = 1
 
 
 @wp.func
 def leave(env: int, p: Progress):
     """Go on like all others."""
     p.phases.phase[env] = STEPPING
+    p.phases.stepping[env] = 1
+    p.phases.searching[env] = 0
     p.phases.inner[env] = 0
 
 
@@ -75,6 +81,8 @@ def stop(env: int, status: int, p: Progress):
     p.phases.status[env] = status
     p.phases.phase[env] = _RESTING
     p.phases.active[env] = 0
+    p.phases.stepping[env] = 0
+    p.phases.searching[env] = 0
     p.phases.inner[env] = 0
     p.phases.fresh[env] = 0
 
@@ -113,10 +121,26 @@ def gains(env: int, p: Progress) -> bool:
 
 
 @wp.func
+def count_on(env: int, p: Progress):
+    """Go on in the next round, if there is one; ``running`` says whether any environment does."""
+    if p.flags.rounds[0] < p.flags.most_rounds[0]:
+        before = wp.atomic_add(p.flags.going, 0, 1)
+        p.flags.running[0] = 1
+        if before >= p.rules.few:
+            p.flags.some_running[0] = 1
+        if before >= p.rules.some:
+            p.flags.many_running[0] = 1
+
+
+@wp.func
 def go_on(env: int, p: Progress):
-    """Stop where the iterations are used up, or lead nowhere; ``running`` says whether any goes
-    on. Not where friction is frozen anew first, or a step taken back."""
-    if p.phases.active[env] != 0 and p.phases.phase[env] < FREEZING:
+    """Stop where the iterations are used up, or lead nowhere. Not where friction is frozen anew
+    first, a step taken back, or a line search goes on: a trial counts that."""
+    if p.phases.phase[env] == SEARCHING:
+        # Since the last call, whose trial counted for that one.
+        if p.flags.rounds[0] == 0:
+            count_on(env, p)
+    elif p.phases.active[env] != 0 and p.phases.phase[env] < FREEZING:
         if gains(env, p):
             p.gain.idle[env] = 0
         else:
@@ -125,10 +149,6 @@ def go_on(env: int, p: Progress):
             stop(env, _NO_CONVERGENCE, p)
         elif p.gain.idle[env] > STALL_AFTER:
             stop(env, _STALLED, p)
-        elif p.flags.rounds[0] < p.flags.most_rounds[0]:
-            before = wp.atomic_add(p.flags.going, 0, 1)
-            p.flags.running[0] = 1
-            if before >= p.rules.few:
-                p.flags.some_running[0] = 1
-            if before >= p.rules.some:
-                p.flags.many_running[0] = 1
+        else:
+            p.flags.stepping[0] = 1
+            count_on(env, p)

@@ -89,11 +89,15 @@ class Phases:
     fresh: wp.array(dtype=wp.int32)
     """Mask of those that begin it in this call."""
     phase: wp.array(dtype=wp.int32)
-    """``env_phase.EnvPhase``; of what follows from it, the next two are masks for kernels."""
+    """``env_phase.EnvPhase``; the next four are what follows from it, as masks for kernels."""
     active: wp.array(dtype=wp.int32)
     """Mask of those that are at it: in any phase but RESTING."""
+    stepping: wp.array(dtype=wp.int32)
+    """Mask of those in phase STEPPING."""
+    searching: wp.array(dtype=wp.int32)
+    """Mask of those in phase SEARCHING."""
     inner: wp.array(dtype=wp.int32)
-    """Mask of those that take part in what only some do: in a phase beyond STEPPING."""
+    """Mask of those that take part in what only some do: in any other phase."""
     flying: wp.array(dtype=wp.int32)
     """Mask of those whose start is free flight alone."""
     status: wp.array(dtype=wp.int32)
@@ -148,7 +152,7 @@ class Clearance:
     """Fraction up to which trials keep to the chords that were checked; longer ones are checked
     again."""
     limit: wp.array(dtype=wp.float64)
-    """Collision-free fraction of the search direction, or of a turning trial's path."""
+    """Collision-free fraction of the search direction."""
     margin: wp.array(dtype=wp.float64)
     """Reach of the broad phase [m]."""
     reach: wp.array(dtype=wp.float64)
@@ -195,6 +199,8 @@ class Following:
 
     follows: wp.array(dtype=wp.int32)
     """Mask of those that take such a step."""
+    seeks: wp.array(dtype=wp.int32)
+    """Mask of those of them whose direction is looked for in this round."""
     excess_before: wp.array(dtype=wp.float64)
     """``excess`` where the step began."""
     share: wp.array(dtype=wp.float64)
@@ -227,6 +233,10 @@ class Search:
     """Fraction of the search direction that is tried."""
     cuts: wp.array(dtype=wp.int32)
     """Cuts of the present line search."""
+    strays: wp.array(dtype=wp.int32)
+    """Mask of those whose trial may leave the chords that were checked, and is checked itself."""
+    free: wp.array(dtype=wp.float64)
+    """Collision-free fraction of the path of such a trial."""
     smallest_step: wp.array(dtype=wp.float64)
     derivative: wp.array(dtype=wp.float64)
     """Directional derivative of the energy along the search direction [J]."""
@@ -265,19 +275,19 @@ class Flags:
     any_flight: wp.array(dtype=wp.int32)
     """Whether the start of any environment is free flight alone."""
     rounds: wp.array(dtype=wp.int32)
-    """Iterations of this call so far."""
+    """Rounds of this call so far: each a direction where one is wanted, and a trial."""
     most_rounds: wp.array(dtype=wp.int32)
-    """Iterations after which the call ends, whoever is underway."""
+    """Rounds after which the call ends, whoever is underway."""
     going: wp.array(dtype=wp.int32)
     """How many environments are active and have rounds left."""
     running: wp.array(dtype=wp.int32)
     """Whether any is; ``some_running``: more than ``few``; ``many_running``: more than ``some``."""
     some_running: wp.array(dtype=wp.int32)
     many_running: wp.array(dtype=wp.int32)
-    searching: wp.array(dtype=wp.int32)
-    """How many line searches go on."""
-    many_searching: wp.array(dtype=wp.int32)
-    """Whether more than ``few`` do."""
+    stepping: wp.array(dtype=wp.int32)
+    """Whether any environment wants a new direction."""
+    accepted: wp.array(dtype=wp.int32)
+    """Whether any trial was accepted in this round."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     following: wp.array(dtype=wp.int32)
@@ -330,8 +340,8 @@ def lower_flags(p: Progress):
     p.flags.running[0] = 0
     p.flags.some_running[0] = 0
     p.flags.many_running[0] = 0
-    p.flags.searching[0] = 0
-    p.flags.many_searching[0] = 0
+    p.flags.stepping[0] = 0
+    p.flags.accepted[0] = 0
     p.flags.freezing[0] = 0
     p.flags.following[0] = 0
     p.flags.retreating[0] = 0
@@ -388,7 +398,8 @@ class EnvProgress:
     def drop(self, who: np.ndarray, mask: wp.array) -> None:
         """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""
         phases = self.phases
-        for mine in (self.roster.underway, phases.active, phases.inner, phases.phase):
+        masks = (phases.active, phases.stepping, phases.searching, phases.inner)
+        for mine in (self.roster.underway, phases.phase, *masks):
             zero_rows(mask, mine)
         self.underway &= ~who
         self.again &= ~who

@@ -62,6 +62,7 @@ def follows_friction(env: int, p: Progress):
         return
     if p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(FOLLOW_BELOW):
         p.following.follows[env] = 1
+        p.following.seeks[env] = 1
         p.following.share[env] = wp.float64(1.0)
         p.following.excess_before[env] = p.balance.excess[env]
 
@@ -72,8 +73,8 @@ def follow_friction(run: StepLaunches) -> None:
     s, p = run.s, run.p
     assert s.friction is not None and s.corrected is not None
     friction, corrected, displacements = s.friction, s.corrected, s.displacements
-    follows = p.following.follows
-    copy_rows(follows, run.state.positions, s.follow_start)
+    seeks = p.following.seeks
+    copy_rows(seeks, run.state.positions, s.follow_start)
 
     def change(mask: wp.array) -> None:
         spread_solution(run.model, mask, s.linear.solution, displacements)
@@ -84,8 +85,8 @@ def follow_friction(run: StepLaunches) -> None:
         )
         reduce_gradient(run.model, mask, [s.friction_change], corrected.changes)
 
-    corrected.solve(follows, change, s.config.max_cg_iterations, p.counts.cg)
-    spread_solution(run.model, follows, s.linear.solution, displacements)
+    corrected.solve(seeks, change, s.config.max_cg_iterations, p.counts.cg)
+    spread_solution(run.model, seeks, s.linear.solution, displacements)
 
 
 _CONVERGED = wp.constant(int(EnvStatus.CONVERGED))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import warp as wp
 
@@ -13,10 +13,10 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope
 from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
-from taccel_lab.model.env_lists import Envs, env_at
-from taccel_lab.model.launches import launch_blocks
-from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
-from taccel_lab.solvers.env_progress import Progress
+from taccel_lab.model.env_lists import Envs, ListedMask, env_at
+from taccel_lab.model.launches import launch, launch_blocks
+from taccel_lab.solvers.env_phase import SEARCHING, count_on, enter, leave, stop
+from taccel_lab.solvers.env_progress import Progress, lower_flags
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -42,17 +42,17 @@ def begin_trial(env: int, collisions: ListRoom, p: Progress):
 
 @wp.func
 def search_on(env: int, collisions: ListRoom, p: Progress):
-    """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
+    """Try the fraction ``alpha``; ``strays`` if its path is to be checked."""
     begin_trial(env, collisions, p)
     if p.search.alpha[env] > p.clearance.safe[env]:
-        p.clearance.near[env] = 1
-        p.clearance.limit[env] = wp.float64(1.0)
+        p.search.strays[env] = 1
+        p.search.free[env] = wp.float64(1.0)
         p.counts.ccd_passes[env] += 1
 
 
 @wp.kernel
 def _open_search_kernel(
-    active: Envs,
+    stepping: Envs,
     gradient: wp.array2d(dtype=wp.vec3d),
     contact_gradient: wp.array2d(dtype=wp.vec3d),
     friction_gradient: wp.array2d(dtype=wp.vec3d),
@@ -67,7 +67,7 @@ def _open_search_kernel(
     One thread block an environment, of which the first thread decides when all have added up.
     """
     place, lane = wp.tid()
-    env = env_at(place, active)
+    env = env_at(place, stepping)
     if env < 0:
         return
     slope = block_slope(env, lane, gradient, contact_gradient, friction_gradient, direction)
@@ -79,7 +79,7 @@ def _open_search_kernel(
     if lane == 0:
         p.search.derivative[env] = slope
         p.search.before[env] = p.search.base[env] + friction
-        p.clearance.near[env] = 0
+        p.search.strays[env] = 0
         p.search.cuts[env] = 0
         alpha = p.clearance.limit[env]
         if p.following.follows[env] == 0:
@@ -88,8 +88,6 @@ def _open_search_kernel(
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)
             search_on(env, collisions, p)
-            if wp.atomic_add(p.flags.searching, 0, 1) >= p.rules.few:
-                p.flags.many_searching[0] = 1
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
             stop(env, _LINE_SEARCH, p)
@@ -115,7 +113,7 @@ def is_good(env: int, p: Progress) -> bool:
 
     While frames are still on their way the energy may rise: they do work. So it may along
     a direction that follows friction, which the residual will judge (``friction_lag``).
-    A body that turns leaves the chord that CCD checked: where one does, ``limit`` is that of the
+    A body that turns leaves the chord that CCD checked: where one does, ``free`` is that of the
     path really taken.
     Sums of that many terms carry rounding of about 1e-14 of the energy, each element's energy is a
     small difference of terms as large as its shear modulus times its volume, and that of an affine
@@ -134,7 +132,7 @@ def is_good(env: int, p: Progress) -> bool:
     minimises = p.prescribed.progress[env] >= one and p.following.follows[env] == 0
     if minimises and not (after <= before + descent + rounding):
         good = False
-    if p.search.alpha[env] > p.clearance.safe[env] and p.clearance.limit[env] < one:
+    if p.search.strays[env] != 0 and p.search.free[env] < one:
         good = False
     return good
 
@@ -159,12 +157,14 @@ def accept(env: int, p: Progress):
 
 @wp.func
 def judge_trial(env: int, collisions: ListRoom, p: Progress):
-    """Accept a trial, or halve its fraction."""
-    p.clearance.near[env] = 0
+    """Accept a trial, or halve its fraction for the next round."""
+    good = is_good(env, p)
+    p.search.strays[env] = 0
     if overflows(env, collisions):
         stop(env, _CONTACT_OVERFLOW, p)
-    elif is_good(env, p):
+    elif good:
         accept(env, p)
+        p.flags.accepted[0] = 1
     else:
         p.search.alpha[env] = wp.float64(0.5) * p.search.alpha[env]
         p.search.cuts[env] += 1
@@ -172,9 +172,14 @@ def judge_trial(env: int, collisions: ListRoom, p: Progress):
             stop(env, _LINE_SEARCH, p)
         else:
             search_on(env, collisions, p)
-    if p.phases.phase[env] != SEARCHING:
-        if wp.atomic_sub(p.flags.searching, 0, 1) == p.rules.few + 1:
-            p.flags.many_searching[0] = 0
+            count_on(env, p)
+
+
+@wp.kernel
+def _begin_trials_kernel(p: Progress):
+    """Begin to count who takes part in the next round."""
+    p.flags.rounds[wp.tid()] += 1
+    lower_flags(p)
 
 
 @wp.kernel
@@ -204,7 +209,7 @@ def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
     if s.affine is None:
         return []
     x, forces = run.state.positions, s.contact_gradient
-    return [lambda: find_pivots(run.model, run.active, x, forces, s.pivots)]
+    return [lambda: find_pivots(run.model, run.stepping, x, forces, s.pivots)]
 
 
 def bend_direction(run: StepLaunches) -> None:
@@ -213,7 +218,7 @@ def bend_direction(run: StepLaunches) -> None:
     if s.affine is not None:
         measure_turns(
             run.model,
-            run.active,
+            run.stepping,
             s.pivots,
             x,
             s.displacements,
@@ -229,78 +234,76 @@ def energies_at_start(run: StepLaunches) -> list[Callable[[], None]]:
     """
     s, state = run.s, run.state
     if s.joints is None:
-        return [lambda: run.friction_energy(run.active, state.positions, state.poses)]
-    return run.all_energies(run.active, state.positions, state.poses)
+        return [lambda: run.friction_energy(run.stepping, state.positions, state.poses)]
+    return run.all_energies(run.stepping, state.positions, state.poses)
 
 
-def search_line(run: StepLaunches) -> None:
-    """Find the longest fraction of the direction that is free of collisions and lowers the energy:
-    ``trial``, in the environments that are still active. ``energies_at_start`` are written.
+def open_search(run: StepLaunches) -> None:
+    """Begin to look for the longest fraction of the direction that is free of collisions and lowers
+    the energy, in the environments that are stepping. ``energies_at_start`` are written.
 
     While frames are still on their way the energy may rise: they do work.
     """
     s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
-    start = [run.active, *gradients, s.displacements, run.energies, known]
+    start = [run.stepping, *gradients, s.displacements, run.energies, known]
     start += [s.collisions.room, p.struct]
     launch_blocks(_open_search_kernel, run.model.env_count, *start)
 
-    # All that search have a first trial: a loop around it would only have to be entered.
-    try_fraction(run)
-    few = s.few_places
-    if few is None or run.places is few:
-        wp.capture_while(p.flags.searching, lambda: try_fraction(run))
-        return
-    wp.capture_while(p.flags.many_searching, lambda: try_fraction(run))
-
-    def try_few() -> None:
-        few.fill(p.phases.inner)
-        try_fraction(StepLaunches(s, few))
-
-    wp.capture_while(p.flags.searching, try_few)
-
 
 def try_fraction(run: StepLaunches) -> None:
-    """Evaluate and judge one trial of each search."""
-    evaluate_trial(run)
-    inputs = [run.inner, run.energies, run.s.collisions.room, run.p.struct]
+    """Evaluate and judge one trial of each search: ``trial`` where it is accepted.
+
+    One a round. Of a hundred directions 98 are taken at once, and of hundreds of environments
+    some try a fourth time: the others do not wait for them.
+    """
+
+    def begin() -> None:
+        launch(_begin_trials_kernel, 1, run.p.struct, device=run.model.device)
+
+    evaluate_trial(run, run.searching, beside=[begin])
+    inputs = [run.searching, run.energies, run.s.collisions.room, run.p.struct]
     launch_blocks(_judge_trial_kernel, run.model.env_count, *inputs)
 
 
-def evaluate_trial(run: StepLaunches) -> None:
+def evaluate_trial(
+    run: StepLaunches, mask: ListedMask, beside: Sequence[Callable[[], None]] = ()
+) -> None:
     """Positions, poses, collisions and energies at the fraction ``alpha`` of the way ahead, in the
-    environments of ``inner``; their lists of collisions are empty.
+    environments of ``mask``; their lists of collisions are empty. ``beside``: what else may be
+    launched meanwhile.
 
-    Where ``near``, ``limit`` becomes that of the path taken: unlike the chord, the way that a
-    turning body takes was not checked.
+    Where it ``strays``, ``free`` becomes the part of its path that is free of collisions: unlike
+    the chord, the way that a turning body takes was not checked.
     """
     s, p, x = run.s, run.p, run.state.positions
-    inner, near = run.inner, run.those(p.clearance.near)
+    strays = run.those(p.search.strays)
     trial = Trial()
-    trial.curved, trial.fractions = p.clearance.near, p.search.alpha
+    trial.curved, trial.fractions = p.search.strays, p.search.alpha
     trial.positions, trial.displacements = x, s.displacements
     trial.result, trial.paths = s.trial, s.path
     path = (s.start_poses, s.end_poses)
 
     def place_affine_bodies() -> None:
         if s.affine is not None:
-            place_affine(run.model, inner, p.clearance.bend, s.pivots, trial)
+            place_affine(run.model, mask, p.clearance.bend, s.pivots, trial)
 
     run.together(
         [
-            lambda: s.straight_nodes.place(inner, trial),
+            lambda: s.straight_nodes.place(mask, trial),
             lambda: s.frame_nodes.place(
-                inner, trial, path, p.prescribed.trial_progress, s.trial_poses
+                mask, trial, path, p.prescribed.trial_progress, s.trial_poses
             ),
             place_affine_bodies,
+            *beside,
         ]
     )
     checks = []
     if run.model.kinematic or s.affine is not None:
-        checks = limit_checks(run.model, near, s.candidates, x, s.path, p.clearance.limit)
-    energies = run.energy_parts(inner, s.trial, s.trial_poses)
-    searches = s.collisions.searches(inner, s.trial, s.candidates)
+        checks = limit_checks(run.model, strays, s.candidates, x, s.path, p.search.free)
+    energies = run.energy_parts(mask, s.trial, s.trial_poses)
+    searches = s.collisions.searches(mask, s.trial, s.candidates)
     run.together([*searches, *checks, *energies])
-    s.collisions.settle(inner)
-    s.contact.write_energies(inner, s.trial)
+    s.collisions.settle(mask)
+    s.contact.write_energies(mask, s.trial)

@@ -21,7 +21,7 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.motion.unknowns import coast, keep_steady, subtract_rows
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.model.env_rows import copy_rows
+from taccel_lab.model.env_rows import copy_rows, zero_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.limit_step import find_pairs, limit_step
@@ -67,7 +67,6 @@ def _keep_free_kernel(collisions: ListRoom, p: Progress):
     env = wp.tid()
     if p.phases.fresh[env] == 0:
         return
-    p.clearance.near[env] = 0
     if p.phases.inner[env] == 0:
         leave(env, p)
         return
@@ -127,7 +126,7 @@ def start_step(run: StepLaunches) -> None:
     its collisions and its energy."""
     s, p, state = run.s, run.p, run.state
     x = state.positions
-    s.displacements.zero_()
+    zero_rows(p.phases.fresh, s.displacements)
     plans = bool(run.model.kinematic) or (s.affine is not None and s.inertia is not None)
     if plans:
         plan_start(run)
@@ -147,7 +146,7 @@ def start_step(run: StepLaunches) -> None:
     if s.affine is not None and s.inertia is not None:
         wp.capture_if(p.flags.any_flight, on_true=energy_before)
     run.decide(_keep_free_kernel, s.collisions.room)
-    evaluate_trial(run)
+    evaluate_trial(run, run.inner)
     sum_energies(p.phases.inner, run.energies, p.search.base_after, p.search.after)
     run.decide(_accept_kernel, s.collisions.room)
     run.commit(p.phases.inner, s.trial, s.trial_poses)

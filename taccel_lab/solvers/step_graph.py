@@ -32,7 +32,8 @@ from taccel_lab.solvers.search_line import (
     bend_direction,
     energies_at_start,
     find_turning_points,
-    search_line,
+    open_search,
+    try_fraction,
 )
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.start_step import start_step
@@ -65,12 +66,22 @@ def _listed(run: StepLaunches, places: EnvList | None) -> StepLaunches:
 
 
 def _iterate(run: StepLaunches) -> None:
+    """One round: environments that want a direction get one, and each line search has a trial."""
+    flags = run.p.flags
+    wp.capture_if(flags.stepping, on_true=lambda: _direct(run))
+    try_fraction(run)
+    wp.capture_if(
+        flags.accepted, on_true=lambda: measure_and_judge(run, run.active, take_trial=True)
+    )
+
+
+def _direct(run: StepLaunches) -> None:
+    """Find directions, how far they are free, and open line searches along them."""
     assemble_and_solve(run, beside=find_turning_points(run))
     bend_direction(run)
-    find_pairs(run, run.active, run.s.target_poses, run.p.clearance.reach)
-    limit_step(run, run.active, beside=energies_at_start(run))
-    search_line(run)
-    measure_and_judge(run, run.active, take_trial=True)
+    find_pairs(run, run.stepping, run.s.target_poses, run.p.clearance.reach)
+    limit_step(run, run.stepping, beside=energies_at_start(run))
+    open_search(run)
 
 
 @contextmanager

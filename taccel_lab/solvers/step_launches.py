@@ -69,6 +69,16 @@ class StepLaunches:
         return self.those(self.p.phases.active)
 
     @property
+    def stepping(self) -> ListedMask:
+        """Environments that take part in the stage at hand like all others."""
+        return self.those(self.p.phases.stepping)
+
+    @property
+    def searching(self) -> ListedMask:
+        """Environments whose line search goes on."""
+        return self.those(self.p.phases.searching)
+
+    @property
     def inner(self) -> ListedMask:
         """Environments that take part in what only some do."""
         return self.those(self.p.phases.inner)
