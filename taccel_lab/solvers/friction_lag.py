@@ -16,6 +16,7 @@ import warp as wp
 
 from taccel_lab.ipc.motion.unknowns import reduce_gradient, spread_solution
 from taccel_lab.ipc.potentials.friction_change import add_friction_change
+from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows, zero_rows
 from taccel_lab.model.launches import launch
 from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
@@ -190,6 +191,8 @@ def _retreat(run: StepLaunches) -> None:
     assert s.friction is not None
     x, mask = state.positions, run.inner
     launch(_retreat_kernel, x.shape, s.trial, s.follow_start, x, p.struct)
+    # Between two calls all vertices are embedded: a bit of difference, if they were not before.
+    embed_vertices(run.model, x)
     run.collide(mask, x)
     s.friction.lag(mask, x, s.origin)
     evaluate_gradient(run, mask)

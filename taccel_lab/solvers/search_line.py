@@ -262,26 +262,21 @@ def try_fraction(run: StepLaunches) -> None:
     def begin() -> None:
         launch(_begin_trials_kernel, 1, run.p.struct, device=run.model.device)
 
-    evaluate_trial(run, run.searching, beside=[begin])
+    place_trial(run, run.searching, beside=[begin])
+    evaluate_trial(run, run.searching, beside=check_paths(run))
     inputs = [run.searching, run.energies, run.s.collisions.room, run.p.struct]
     launch_blocks(_judge_trial_kernel, run.model.env_count, *inputs)
 
 
-def evaluate_trial(
+def place_trial(
     run: StepLaunches, mask: ListedMask, beside: Sequence[Callable[[], None]] = ()
 ) -> None:
-    """Positions, poses, collisions and energies at the fraction ``alpha`` of the way ahead, in the
-    environments of ``mask``; their lists of collisions are empty. ``beside``: what else may be
-    launched meanwhile.
-
-    Where it ``strays``, ``free`` becomes the part of its path that is free of collisions: unlike
-    the chord, the way that a turning body takes was not checked.
-    """
-    s, p, x = run.s, run.p, run.state.positions
-    strays = run.those(p.search.strays)
+    """Positions and poses at the fraction ``alpha`` of the way ahead, in the environments of
+    ``mask``. ``beside``: what else may be launched meanwhile."""
+    s, p = run.s, run.p
     trial = Trial()
     trial.curved, trial.fractions = p.search.strays, p.search.alpha
-    trial.positions, trial.displacements = x, s.displacements
+    trial.positions, trial.displacements = run.state.positions, s.displacements
     trial.result, trial.paths = s.trial, s.path
     path = (s.start_poses, s.end_poses)
 
@@ -299,11 +294,26 @@ def evaluate_trial(
             *beside,
         ]
     )
-    checks = []
-    if run.model.kinematic or s.affine is not None:
-        checks = limit_checks(run.model, strays, s.candidates, x, s.path, p.search.free)
+
+
+def check_paths(run: StepLaunches) -> list[Callable[[], None]]:
+    """Launches that find ``free`` where a trial ``strays``: the way that a turning body takes was
+    not checked, unlike the chord."""
+    s, p = run.s, run.p
+    if not (run.model.kinematic or s.affine is not None):
+        return []
+    strays, x = run.those(p.search.strays), run.state.positions
+    return limit_checks(run.model, strays, s.candidates, x, s.path, p.search.free)
+
+
+def evaluate_trial(
+    run: StepLaunches, mask: ListedMask, beside: Sequence[Callable[[], None]] = ()
+) -> None:
+    """Collisions and energies of a trial in the environments of ``mask``, whose lists of collisions
+    are empty. ``beside``: what else may be launched meanwhile."""
+    s = run.s
     energies = run.energy_parts(mask, s.trial, s.trial_poses)
     searches = s.collisions.searches(mask, s.trial, s.candidates)
-    run.together([*searches, *checks, *energies])
+    run.together([*searches, *beside, *energies])
     s.collisions.settle(mask)
     s.contact.write_energies(mask, s.trial)

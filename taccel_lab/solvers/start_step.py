@@ -25,7 +25,7 @@ from taccel_lab.model.env_rows import copy_rows, zero_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
 from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.limit_step import find_pairs, limit_step
-from taccel_lab.solvers.search_line import begin_trial, evaluate_trial
+from taccel_lab.solvers.search_line import begin_trial, evaluate_trial, place_trial
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -146,6 +146,7 @@ def start_step(run: StepLaunches) -> None:
     if s.affine is not None and s.inertia is not None:
         wp.capture_if(p.flags.any_flight, on_true=energy_before)
     run.decide(_keep_free_kernel, s.collisions.room)
+    place_trial(run, run.inner)
     evaluate_trial(run, run.inner)
     sum_energies(p.phases.inner, run.energies, p.search.base_after, p.search.after)
     run.decide(_accept_kernel, s.collisions.room)

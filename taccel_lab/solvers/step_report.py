@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,18 +66,25 @@ class ReportBlock:
     def __init__(self, rows: wp.array) -> None:
         """``rows``: float64, see ``zeros``."""
         self._rows = rows
-        count = len(_FLOATS)
-        self.arrays: dict[str, wp.array] = {name: rows[i] for i, name in enumerate(_FLOATS)}
+
+    @cached_property
+    def arrays(self) -> dict[str, wp.array]:
         """Arrays of shape [env_count] by name, float64 or int32, on the memory of the block."""
-        # Two rows of integers take the place of one of floating point numbers.
-        ints = wp.array(
-            ptr=rows[count].ptr,
-            dtype=wp.int32,
-            shape=(2 * (rows.shape[0] - count), rows.shape[1]),
-            device=rows.device,
-        )
-        ints._ref = rows
-        self.arrays |= {name: ints[i] for i, name in enumerate(_INTS)}
+        floats = {name: self._rows[i] for i, name in enumerate(_FLOATS)}
+        return floats | {name: self._int_row(i) for i, name in enumerate(_INTS)}
+
+    @property
+    def status(self) -> wp.array:
+        """``EnvStatus`` alone, as of ``arrays``."""
+        return self._int_row(_INTS.index("status"))
+
+    def _int_row(self, index: int) -> wp.array:
+        """One row of integers, of which two take the place of one of floating point numbers."""
+        env_count, device = self._rows.shape[1], self._rows.device
+        first = self._rows.ptr + 8 * env_count * len(_FLOATS) + 4 * env_count * index
+        row = wp.array(ptr=first, dtype=wp.int32, shape=env_count, device=device)
+        row._ref = self._rows
+        return row
 
     @classmethod
     def zeros(cls, env_count: int, device: wp.Device) -> ReportBlock:
@@ -145,7 +153,7 @@ class StepReport:
         the rest of ``block``, which belongs to the report from now on, when it is first asked
         for."""
         report = object.__new__(cls)
-        status = block.arrays["status"].numpy().copy()
+        status = block.status.numpy().copy()
         substeps = (status == EnvStatus.CONVERGED).astype(np.int64)
         report.__dict__.update(status=status, substeps=substeps, seconds=0.0, _block=block)
         return report

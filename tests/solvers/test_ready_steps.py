@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.errors import InputError
 from taccel_lab.scene import MaxwellBranch, TimeScheme
 from taccel_lab.solvers import EnvStatus, ReadySteps, SolverIPC
-from taccel_lab.state import State
+from taccel_lab.state import State, initial_state
 from tests.solvers.steps import (
     DT_S,
     ENVS,
@@ -61,6 +62,35 @@ def test_the_pace_of_an_environment_changes_no_bit(
     assert len(set(report.newton_iterations)) > 1 or calls > STEPS, "paces differ"
     np.testing.assert_array_equal(state.positions.numpy(), expected)
     np.testing.assert_array_equal(solver.contact_gradient.numpy(), forces)
+
+
+def test_a_line_search_that_lasts_beyond_a_call_changes_no_bit() -> None:
+    """Of pegs that are pushed in by strides of four steps: their line searches are cut, and steps
+    that followed friction are taken back."""
+    bench = build_scene("peg", SceneOptions(3, "generated", {}))
+    model = bench.scene.finalize("cpu")
+    moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
+    offsets = np.random.default_rng(0).uniform(-1e-4, 1e-4, (30, 3, int(moves.sum()), 3))
+
+    def targets(taken: np.ndarray) -> np.ndarray:
+        found = bench.path[4 * (taken + 1)].copy()
+        found[:, moves, :3] += offsets[taken, np.arange(3)]
+        return found
+
+    solver, state = SolverIPC(model, bench.config), initial_state(model, bench.targets(0))
+    for step in range(30):
+        assert solver.step(state, targets(np.full(3, step))).converged.all()
+    expected = state.positions.numpy()
+
+    solver, state = SolverIPC(model, bench.config), initial_state(model, bench.targets(0))
+    ready = ReadySteps(solver, state, 1)
+    taken, searching = np.zeros(3, dtype=int), 0
+    while (taken < 30).any():
+        report = ready.step_ready(targets(np.minimum(taken, 29)), ~ready.underway & (taken < 30))
+        searching += int(solver.progress.phases.searching.numpy().sum())
+        taken += report.converged
+    assert searching > 10
+    np.testing.assert_array_equal(state.positions.numpy(), expected)
 
 
 def test_a_call_ends_after_its_iterations_and_leaves_alone_what_is_underway() -> None:

@@ -73,10 +73,8 @@ def _coast_kernel(
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
-    travel = wp.vec3d()
     if mask[env] != 0:
-        travel = dts[env] * velocities[env, free_nodes[row]]
-    displacements[env, free_nodes[row]] = travel
+        displacements[env, free_nodes[row]] = dts[env] * velocities[env, free_nodes[row]]
 
 
 @wp.kernel
@@ -231,7 +229,7 @@ def keep_steady(
 def coast(
     model: Model, mask: EnvMask, dts: wp.array, velocities: wp.array, displacements: wp.array
 ) -> None:
-    """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
+    """Set ``displacements`` [m] of free nodes to dt times velocity, in ``mask``."""
     inputs = [mask, model.free_nodes, dts, velocities, displacements]
     launch(_coast_kernel, (model.env_count, model.free_count), *inputs)
 
