@@ -150,5 +150,5 @@ def go_on(env: int, p: Progress):
         elif p.gain.idle[env] > STALL_AFTER:
             stop(env, _STALLED, p)
         else:
-            p.flags.stepping[0] = 1
+            p.flags.aiming[0] = 1
             count_on(env, p)

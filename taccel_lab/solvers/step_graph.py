@@ -68,7 +68,7 @@ def _listed(run: StepLaunches, places: EnvList | None) -> StepLaunches:
 def _iterate(run: StepLaunches) -> None:
     """One round: environments that want a direction get one, and each line search has a trial."""
     flags = run.p.flags
-    wp.capture_if(flags.stepping, on_true=lambda: _direct(run))
+    wp.capture_if(flags.aiming, on_true=lambda: _direct(run))
     try_fraction(run)
     wp.capture_if(
         flags.accepted, on_true=lambda: measure_and_judge(run, run.active, take_trial=True)
