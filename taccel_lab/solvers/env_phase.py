@@ -150,5 +150,4 @@ def go_on(env: int, p: Progress):
         elif p.gain.idle[env] > STALL_AFTER:
             stop(env, _STALLED, p)
         else:
-            p.flags.aiming[0] = 1
             count_on(env, p)

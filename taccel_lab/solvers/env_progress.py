@@ -284,10 +284,6 @@ class Flags:
     """Whether any is; ``some_running``: more than ``few``; ``many_running``: more than ``some``."""
     some_running: wp.array(dtype=wp.int32)
     many_running: wp.array(dtype=wp.int32)
-    aiming: wp.array(dtype=wp.int32)
-    """Whether any environment wants a new direction."""
-    accepted: wp.array(dtype=wp.int32)
-    """Whether any trial was accepted in this round."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     following: wp.array(dtype=wp.int32)
@@ -340,8 +336,6 @@ def lower_flags(p: Progress):
     p.flags.running[0] = 0
     p.flags.some_running[0] = 0
     p.flags.many_running[0] = 0
-    p.flags.aiming[0] = 0
-    p.flags.accepted[0] = 0
     p.flags.freezing[0] = 0
     p.flags.following[0] = 0
     p.flags.retreating[0] = 0

@@ -164,7 +164,6 @@ def judge_trial(env: int, collisions: ListRoom, p: Progress):
         stop(env, _CONTACT_OVERFLOW, p)
     elif good:
         accept(env, p)
-        p.flags.accepted[0] = 1
     else:
         p.search.alpha[env] = wp.float64(0.5) * p.search.alpha[env]
         p.search.cuts[env] += 1

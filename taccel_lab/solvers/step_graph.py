@@ -66,22 +66,16 @@ def _listed(run: StepLaunches, places: EnvList | None) -> StepLaunches:
 
 
 def _iterate(run: StepLaunches) -> None:
-    """One round: environments that want a direction get one, and each line search has a trial."""
-    flags = run.p.flags
-    wp.capture_if(flags.aiming, on_true=lambda: _direct(run))
-    try_fraction(run)
-    wp.capture_if(
-        flags.accepted, on_true=lambda: measure_and_judge(run, run.active, take_trial=True)
-    )
-
-
-def _direct(run: StepLaunches) -> None:
-    """Find directions, how far they are free, and open line searches along them."""
+    """One round: environments that want a direction get one, each line search has a trial, and what
+    was accepted is judged. A graph's branch around a part that nobody wants would cost more than
+    launches that find nobody."""
     assemble_and_solve(run, beside=find_turning_points(run))
     bend_direction(run)
     find_pairs(run, run.stepping, run.s.target_poses, run.p.clearance.reach)
     limit_step(run, run.stepping, beside=energies_at_start(run))
     open_search(run)
+    try_fraction(run)
+    measure_and_judge(run, run.active, take_trial=True)
 
 
 @contextmanager
