@@ -103,7 +103,7 @@ class Arrow:
         rows = RowPlan(order, places, np.zeros(0, dtype=np.int64), np.array([0, n]))
         self._values = scalars(problem.values)
         self._slices = row_slices(problem, rows)
-        self._extra = ExtraRowLists(problem, rows, lanes)
+        self._extra = ExtraRowLists(problem, rows, lanes, in_slices=False)
         lanes = lanes or _lanes(device, problem.env_count, placement)
         self._team = Team(team(device, problem.env_count, 3 * n, lanes).lanes)
         self._allocate()

@@ -39,8 +39,10 @@ CROWD = 64
 """Blocks of one column above which they are added up by all lanes, with atomics, instead of by one
 lane a component: a column of a body in contact with another has thousands."""
 _LANES = 256
-_ENTRY_BYTES = 8 + 16 + 8 + 210
-"""Memory of a block here, at most: in two orders, two entries, their segments, their slices."""
+_ENTRY_BYTES = 8 + 16 + 8
+"""Memory of a block here, at most: in two orders, two entries, their segments."""
+_SLICE_BYTES = 210
+"""Likewise in slices."""
 
 
 @wp.func
@@ -230,18 +232,25 @@ class ExtraRowLists:
     """Keeps ``rows`` up to date with the extra blocks of a problem."""
 
     def __init__(
-        self, problem: LinearProblem, plan: RowPlan | None = None, lanes: int | None = None
+        self,
+        problem: LinearProblem,
+        plan: RowPlan | None = None,
+        lanes: int | None = None,
+        in_slices: bool = True,
     ) -> None:
         """``plan``: places of the rows, the rows themselves when left out. ``lanes``: of a thread
-        block, for tests."""
+        block, for tests. ``in_slices``: whether blocks are laid out in slices, too; products that
+        are rare do without."""
         self._problem = problem
+        self._in_slices = in_slices
         size = team(problem.device, problem.env_count, 1, lanes or _LANES)
         self._team = Team(size.lanes)
         order = np.arange(problem.pattern.free_count) if plan is None else plan.places
         self._row_places = wp.array(order.astype(np.int32), dtype=wp.int32, device=problem.device)
         self._sizes = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
         self._ends = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
-        problem.extra.entry_bytes += _ENTRY_BYTES + 8 * problem.in_any_order
+        entry_bytes = _ENTRY_BYTES + _SLICE_BYTES * in_slices + 8 * problem.in_any_order
+        problem.extra.entry_bytes += entry_bytes
         self._allocate()
 
     def _allocate(self) -> None:
@@ -259,7 +268,7 @@ class ExtraRowLists:
         # Room for four blocks a row, as a body that touches all of them needs; and for filling up.
         packed = np.minimum(entries, 4 * n)
         longest = np.minimum(entries, SEGMENT_LENGTH)
-        packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * longest)
+        packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * longest) * self._in_slices
         starts = np.zeros((problem.env_count + 1, 3), dtype=np.int64)
         starts[1:] = np.cumsum(np.stack([extra.rooms, segments, packed], axis=1), axis=0)
         blocks, segment_count, packed_count = map(int, starts[-1])
