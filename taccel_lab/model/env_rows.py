@@ -56,10 +56,12 @@ def _zero_rows_kernel(mask: Envs, lanes: int, values: wp.array2d(dtype=Any)):
             values[env, i] = values.dtype(0)
 
 
+# The kernels of each word: to find that of an array at each launch takes the host longer than that.
+_COPY_ROWS, _ZERO_ROWS = {}, {}
 for _word in (wp.int32, wp.float64):
     _rows = wp.array2d(dtype=_word)
-    wp.overload(_copy_rows_kernel, {"source": _rows, "result": _rows})
-    wp.overload(_zero_rows_kernel, {"values": _rows})
+    _COPY_ROWS[_word] = wp.overload(_copy_rows_kernel, {"source": _rows, "result": _rows})
+    _ZERO_ROWS[_word] = wp.overload(_zero_rows_kernel, {"values": _rows})
 
 
 def _as_rows(array: wp.array) -> wp.array:
@@ -81,7 +83,8 @@ def copy_rows(mask: EnvMask | None, source: wp.array, result: wp.array) -> None:
         source = source.to(result.device)
         into = _as_rows(result)
         lanes = lane_count(result.device, place_count(mask), into.shape[1])
-        launch(_copy_rows_kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
+        kernel = _COPY_ROWS[into.dtype]
+        launch(kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
 
 
 def zero_rows(mask: EnvMask, values: wp.array) -> None:
@@ -89,8 +92,7 @@ def zero_rows(mask: EnvMask, values: wp.array) -> None:
     if values.size:
         rows = _as_rows(values)
         lanes = lane_count(values.device, place_count(mask), rows.shape[1])
-        dim, inputs = (len(rows), lanes), [mask, lanes, rows]
-        launch(_zero_rows_kernel, dim, *inputs)
+        launch(_ZERO_ROWS[rows.dtype], (len(rows), lanes), mask, lanes, rows)
 
 
 @wp.kernel

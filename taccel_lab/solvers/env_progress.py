@@ -9,9 +9,11 @@ import warp as wp
 
 from taccel_lab.model import Model
 from taccel_lab.model.env_lists import EnvList
-from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.model.launches import launch
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.step_report import ReportBlock
+
+wp.set_module_options({"enable_backward": False})
 
 FEW, SOME = 64, 512
 """Environments that have a list, and launches of their own size, once no more are left of a batch
@@ -343,6 +345,18 @@ def lower_flags(p: Progress):
     p.flags.reopened[0] = 0
 
 
+@wp.kernel
+def _drop_kernel(mask: wp.array(dtype=wp.int32), p: Progress):
+    env = wp.tid()
+    if mask[env] != 0:
+        p.roster.underway[env] = 0
+        p.phases.phase[env] = 0
+        p.phases.active[env] = 0
+        p.phases.stepping[env] = 0
+        p.phases.searching[env] = 0
+        p.phases.inner[env] = 0
+
+
 class EnvProgress:
     """The parts, on the device, with what the host knows of them."""
 
@@ -391,10 +405,7 @@ class EnvProgress:
 
     def drop(self, who: np.ndarray, mask: wp.array) -> None:
         """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""
-        phases = self.phases
-        masks = (phases.active, phases.stepping, phases.searching, phases.inner)
-        for mine in (self.roster.underway, phases.phase, *masks):
-            zero_rows(mask, mine)
+        launch(_drop_kernel, len(mask), mask, self.struct)
         self.underway &= ~who
         self.again &= ~who
 

@@ -181,7 +181,10 @@ def test_every_block_gives_forward_and_back_once() -> None:
 @pytest.mark.thorough
 def test_the_smallest_memory_that_holds_a_factor_is_taken() -> None:
     """For every chip; where all of it is too long, its lists stay in global memory first."""
-    sizes, touching = (25, 35, 50, 65, 80, 120), [contact_system(1, bodies=n)[0] for n in (1, 2)]
+    sizes, touching = (
+        (25, 35, 50, 65, 68, 80, 120),
+        [contact_system(1, bodies=n)[0] for n in (1, 2)],
+    )
     cases = [(delaunay_pattern(np.random.default_rng(1), n, 10), []) for n in sizes]
     taken = set()
     for pattern, clusters in [*cases, *((system.pattern, system.clusters) for system in touching)]:
@@ -212,6 +215,21 @@ def test_a_gel_and_two_bodies_on_each_chip(chip: str, kib: int, expected: str) -
     case = contact_system(1, bodies=2)[0]
     place = plan_arrow(case.pattern, case.clusters, 1024 * kib)[1].placement(1024 * kib)
     assert str(place) == expected, chip
+
+
+def test_two_blocks_share_a_multiprocessor_if_their_numbers_fit() -> None:
+    limit = 1024 * 227
+    texts = []
+    for count in (1, 2):
+        case = contact_system(1, bodies=count)[0]
+        program = plan_arrow(case.pattern, case.clusters, limit)[1]
+        places = program.placement(limit), program.placement(limit, beside=True)
+        assert 2 * (places[1].shared_bytes + 1024) <= limit + 1024 or places[0] == places[1]
+        texts.append([str(place) for place in places])
+    small, large = texts
+    assert small[0] == "163 KiB of shared memory"
+    assert small[1] == "99 KiB of shared memory, its lists in global memory"
+    assert large == 2 * ["227 KiB of shared memory"]
 
 
 def test_more_rows_than_it_is_for_are_refused() -> None:

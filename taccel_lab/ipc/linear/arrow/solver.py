@@ -81,7 +81,8 @@ class Arrow:
         if limit_bytes is None:
             limit_bytes = int(device.max_shared_memory_per_block)
         plan, program = plan_arrow(problem.pattern, clusters, limit_bytes)
-        self._placement = placement = program.placement(limit_bytes)
+        many = device.is_cuda and problem.env_count > device.sm_count
+        self._placement = placement = program.placement(limit_bytes, beside=many)
         self._kernel = solve_kernel(placement.room, placement.words_inside)
         order = np.concatenate([plan.order, plan.border])
         places = np.empty(n, dtype=np.int64)
