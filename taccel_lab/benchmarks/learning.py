@@ -194,7 +194,7 @@ class Learning(Suite):
     """together: a step ends when all environments have finished. own: each begins its next step
     when its last one is over, and a call does --iterations of them. A row each."""
     iterations: int = 4
-    """Newton iterations of a call, of environments that go at their own pace."""
+    """Rounds of a call, of environments that go at their own pace."""
     observe: tuple[str, ...] = ()
     """What torch reads of each finished step, on the device: rgb, images of 64 x 64 pixels of each
     gel; wrench, force and torque on each gel, in place of the forces that the host reads."""

@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.device.sums import block_total
 from taccel_lab.model.env_rows import chosen_env, chosen_envs
-from taccel_lab.model.launches import launch
+from taccel_lab.model.launches import WARP_THREADS, launch_blocks
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.contact_wrenches import vec6d
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 
 @wp.kernel
@@ -33,8 +34,8 @@ def _soft_wrench_kernel(
     wrenches: wp.array2d(dtype=vec6d),
 ):
     """Sums wrenches of the gradients of the energies of contact and friction, which are minus the
-    forces."""
-    row, body = wp.tid()
+    forces. One thread block a body."""
+    row, body, lane = wp.tid()
     env = chosen_env(envs, row)
     mount = mounts[body]
     origin = wp.vec3d()
@@ -42,10 +43,14 @@ def _soft_wrench_kernel(
         origin = wp.transform_get_translation(poses[env, mount])
     force = wp.vec3d()
     torque = wp.vec3d()
-    for node in range(starts[body], starts[body + 1]):
+    for node in range(starts[body] + lane, starts[body + 1], wp.block_dim()):
         slope = contact[env, node] + friction[env, node]
         force -= slope
         torque -= wp.cross(positions[env, node] - origin, slope)
+    force = wp.vec3d(block_total(force[0]), block_total(force[1]), block_total(force[2]))
+    torque = wp.vec3d(block_total(torque[0]), block_total(torque[1]), block_total(torque[2]))
+    if lane != 0:
+        return
     if mount >= 0:
         turn = wp.transform_get_rotation(poses[env, mount])
         force = wp.quat_rotate_inv(turn, force)
@@ -85,7 +90,6 @@ class SoftWrenchReader:
         poses = self._frames.read(state) if self._on_affine else state.poses
         wrenches = wp.empty((count, len(self._mounts)), dtype=vec6d, device=model.device)
         inputs = [solver.contact_gradient, solver.friction_gradient, state.positions, poses]
-        launch(
-            _soft_wrench_kernel, wrenches.shape, *inputs, self._starts, self._mounts, envs, wrenches
-        )
+        inputs += [self._starts, self._mounts, envs, wrenches]
+        launch_blocks(_soft_wrench_kernel, wrenches.shape, *inputs)
         return wrenches

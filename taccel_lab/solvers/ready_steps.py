@@ -3,7 +3,7 @@
 
 A batch that steps together takes as long as its slowest environment, and in a learning loop some
 environment is always at a first contact: of 1,024 pegs the mean takes 5 Newton iterations and the
-slowest 40. Here a call does a few iterations of whatever step each environment is in.
+slowest 40. Here a call does a few rounds of whatever step each environment is in.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class ReadySteps:
     """
 
     def __init__(self, solver: SolverIPC, state: State, iterations: int = 4) -> None:
-        """``iterations``: Newton iterations a call, at most."""
+        """``iterations``: rounds a call, at most: each a Newton iteration, or one more trial of a
+        line search."""
         require_range("iterations", iterations, 1, math.inf)
         self.solver, self.state, self.iterations = solver, state, iterations
 
