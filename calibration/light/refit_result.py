@@ -154,10 +154,10 @@ def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
     tables = [
         Table(
             "What changed",
-            ("channel", "response", "sigma", "gain", "sigma", "offset", "to the right", "down"),
+            ("channel", "response", "±", "gain", "±", "offset", "to the right", "down"),
             list(rows),
             "Response: factor of the colour change; gain: of the background. Offset and gradient "
-            "(middle to border) in levels of 255. Sigma by leaving one frame out.",
+            "(middle to border) in levels of 255. ±: standard deviation, by leaving one frame out.",
         ),
         _errors_of(
             "Frames left out of the fit",
