@@ -80,7 +80,7 @@ def _material(left: Residuals) -> Iterator[Score]:
     if "indentation_held_out_worst_relative" in left:
         yield Score(
             f"{100 * left['indentation_held_out_worst_relative']:.2g}",
-            "% of the force [N]",
+            "% of the force",
             "worst error of forces",
             "each measured point, predicted from the others",
         )

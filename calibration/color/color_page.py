@@ -145,8 +145,8 @@ def _press_table(result: ColorCalibration) -> Table:
         ("press", "", "u [px]", "v [px]", "radius [px]", "L1 disc", "PSNR crop [dB]", "SSIM crop",
          "L1 crop"),
         sorted(rows, key=lambda row: -row[5]),
-        "Fitted presses tell which capture is off; only held-out ones are scores. L1: mean absolute "
-        "error in levels of 255, in the contact's disc or in the crop of 1.6 radii.",
+        "Fitted presses tell which capture is off; only held-out ones are scores. L1: mean "
+        "absolute error in levels of 255, in the contact's disc or in the crop of 1.6 radii.",
         folded=True,
     )  # fmt: skip
 
