@@ -287,13 +287,15 @@ def _require_zarr() -> None:
 
 def _describe(plan: DatasetPlan, shard: Shard) -> None:
     from taccel_lab.cli.console import say
+    from taccel_lab.printable import counted
 
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(part.steps for part in parts)
     grid = plan.sensors[0].grid
     say(
-        f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
-        f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
-        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px"
+        f"{plan.spec.dataset.name}: {counted(touches, 'touch', 'touches')}, "
+        f"{counted(steps, 'step')} in {counted(len(parts), 'part')}, shard {shard.number} of "
+        f"{shard.count}; {counted(len(plan.sensors), 'sensor')}, "
+        f"{counted(len(plan.indenters), 'object')}, images of {grid.width_px}x{grid.height_px} px"
     )
