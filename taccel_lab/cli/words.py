@@ -208,7 +208,7 @@ def values(*, for_completion: bool = False) -> ConstructorRegistry:
             metavar=f"[{name} [{name} ...]]" if several else name,
             instance_from_str=read,
             is_instance=lambda value: set(value if several else (value,)) <= set(known),
-            str_from_instance=lambda value: list(value) if several else [value],
+            str_from_instance=lambda value: [str(one) for one in (value if several else (value,))],
             # tyro's own refusal of a choice names no nearest one.
             choices=known if for_completion else None,
         )
