@@ -146,7 +146,7 @@ def remark_table(*packages: ModuleType) -> str:
     return "\n".join(lines) + "\n"
 
 
-TOO_FEW = warning("too_few", "{count} {what}: {wanted}", graver=Severity.ERROR)
+TOO_FEW = warning("too_few", "{found}: {wanted}", graver=Severity.ERROR)
 NOTHING_HELD_OUT = warning(
     "nothing_held_out",
     "no press was held out, so that nothing tells how well other presses do; use --holdout-every 4",

@@ -60,12 +60,19 @@ def _normals(left: Residuals) -> Iterator[Score]:
 
 
 def _depth(left: Residuals) -> Iterator[Score]:
+    if "absolute_depth_mm" in left:
+        yield Score(
+            f"{left['absolute_depth_mm']:.2f}",
+            "mm",
+            "expected error of depths read from photos",
+            "pixels left out of the fit, and where depths are counted from",
+        )
     if "left_out_depth_mm" in left:
         yield Score(
             f"{left['left_out_depth_mm']:.3f}",
             "mm",
-            "mean error of depths read from photos",
-            "pixels left out of the fit, against the ball",
+            "mean error of the shape in one photo",
+            "pixels left out of the fit, against the ball: one offset of all depths aside",
         )
 
 
@@ -73,7 +80,7 @@ def _material(left: Residuals) -> Iterator[Score]:
     if "indentation_held_out_worst_relative" in left:
         yield Score(
             f"{100 * left['indentation_held_out_worst_relative']:.2g}",
-            "% of the force [N]",
+            "% of the force",
             "worst error of forces",
             "each measured point, predicted from the others",
         )

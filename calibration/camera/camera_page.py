@@ -16,6 +16,7 @@ from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.robust_fit import rms
+from taccel_lab.printable import counted
 from taccel_lab.report.lead import Picture, Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
@@ -78,11 +79,11 @@ def _summary(result: CameraCalibration) -> str:
     parts = []
     if result.intrinsics is not None:
         found = result.intrinsics
+        outliers = f", {counted(len(found.outliers), 'outlier')} included" * bool(found.outliers)
         parts.append(
             f"A {found.lens.name} lens was chosen from {len(found.views)} views of a board; views "
-            f"that the fit did not see are {found.chosen.heldout_px:.3f} px off (root mean square "
-            f"over all, {len(found.outliers)} outliers too; "
-            f"{found.chosen.heldout_robust_px:.3f} px robust)."
+            f"that the fit did not see are {found.chosen.heldout_px:.3f} px off (root mean square"
+            f"{outliers}; by the median {found.chosen.heldout_robust_px:.3f} px)."
         )
     if result.on_gel is not None:
         frame = result.on_gel.frame
@@ -168,6 +169,12 @@ def _plain_number(value: float, _position: int) -> str:
     return f"{value:.3g}"
 
 
+def _some_numbers(value: float, _position: int) -> str:
+    """2 and 5 of each decade: the names of all nine steps would lie on each other."""
+    leading = f"{value:.0e}"[0]
+    return f"{value:.3g}" if leading in "25" else ""
+
+
 def _arrow_scale(residuals: np.ndarray, size_px: tuple[int, int]) -> float:
     """Enlargement that makes arrows legible."""
     return round_enlargement(0.03 * max(size_px) / max(rms(residuals), 1e-9))
@@ -196,7 +203,7 @@ def _views(found: Intrinsics) -> Figure:
     right.set_ylabel("held-out error of a view [px]")
     right.set_yscale("log")
     right.yaxis.set_major_formatter(_plain_number)
-    right.yaxis.set_minor_formatter(_plain_number)
+    right.yaxis.set_minor_formatter(_some_numbers)
     right.grid(True, axis="y")
     right.set_title(f"chosen: {found.lens.name}")
     return figure

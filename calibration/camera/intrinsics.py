@@ -36,6 +36,7 @@ from taccel_lab.calibration.camera.lens import (
 from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
+from taccel_lab.printable import counted
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 
@@ -273,7 +274,8 @@ def _remarks(
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
     if len(views) < 10:
-        said.append(TOO_FEW(count=len(views), what="views of the board", wanted=remarks.MORE_VIEWS))
+        found = f"{counted(len(views), 'view')} of the board"
+        said.append(TOO_FEW(found=found, wanted=remarks.MORE_VIEWS))
     if coverage < MIN_COVERAGE:
         said.append(remarks.LENS_COVERAGE(share=coverage))
     if tilt_deg < MIN_TILT_DEG:

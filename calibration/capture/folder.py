@@ -33,6 +33,7 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.printable import counted
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,9 @@ class CaptureFolder:
         of_others = {press.name for press in self.presses} - {press.name for press in presses}
         provenance = dict(self.provenance)
         if len(presses) < len(self.presses):
-            provenance["left_out"] = f"{len(self.presses) - len(presses)} presses of other balls"
+            provenance["left_out"] = (
+                f"{counted(len(self.presses) - len(presses), 'press', 'presses')} of other balls"
+            )
         image = background.image()
         mask = np.ones(image.shape[:2], dtype=bool) if self.mask is None else self.mask
         return CaptureSet(
@@ -258,3 +261,14 @@ class CaptureFolder:
             provenance=provenance,
             heldout=None if stated is None else tuple(n for n in stated if n not in of_others),
         )
+
+
+def contents_in_words(contents: Mapping[str, int]) -> str:
+    """What ``CaptureFolder.contents`` counts, such as ``1 board, 3 edges``; empty for none."""
+    parts = []
+    for key, count in contents.items():
+        many = key.replace("_", " ")
+        one = many.removesuffix("es") if many.endswith("presses") else many.removesuffix("s")
+        if count:
+            parts.append(counted(count, one, many))
+    return ", ".join(parts)

@@ -12,12 +12,15 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.contacts_file import CONTACTS_NAME, override_text
 from taccel_lab.calibration.capture.coverage import coverage_map
+from taccel_lab.calibration.capture.folder import contents_in_words
+from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.check.light import BackgroundCheck
 from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.report.lead import Picture
+from taccel_lab.printable import counted
+from taccel_lab.report.lead import Link, Picture, Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import CHANNELS, GREEN, INK, ORANGE, new_figure
 
@@ -30,7 +33,7 @@ SHEET_COLUMNS, SHEET_FRAMES = 4, 60
 
 def check_page(check: CaptureCheck) -> Page:
     """Describe the check for ``taccel_lab.report.page.write_page``."""
-    contents = [f"{n} {name.replace('_', ' ')}" for name, n in check.folder.contents().items() if n]
+    contents = contents_in_words(check.folder.contents()) or "nothing"
     state = (
         "Nothing stops what these captures are there for."
         if check.usable
@@ -38,13 +41,37 @@ def check_page(check: CaptureCheck) -> Page:
     )
     return Page(
         title=f"Captures of a {check.folder.sensor}",
-        summary=f"{check.folder.source}: {', '.join(contents) or 'nothing'}. {state}",
+        summary=f"{check.folder.source}: {contents}. {state}",
         remarks=check.findings,
         tables=[_blocks(check), *_presses(check)],
         pictures=_pictures(check),
         figures=check.figures(),
         files={CONTACTS_NAME: lambda path: _write_contacts(check, path)} if check.frames else {},
+        scores=_scores(check),
+        links=[Link(f"{CONTACTS_NAME}: circles to correct", CONTACTS_NAME)] if check.frames else (),
     )
+
+
+def _scores(check: CaptureCheck) -> list[Score]:
+    """What can be fitted, how many contacts were found, and how much of the gel they touch."""
+    run = [b.command for b in check.blocks if b.readiness in (Readiness.READY, Readiness.WEAK)]
+    scores = [
+        Score(
+            f"{len(run)} of {len(check.blocks)}",
+            "",
+            "blocks of a profile can be calibrated",
+            ", ".join(run) or "the table says what each one needs",
+        )
+    ]
+    if check.grid is not None and check.frames:
+        found = found_circles(check.frames)
+        touched = (coverage_map(found, check.grid) > 0).mean()
+        presses = f"{counted(len(check.frames), 'ball press', 'ball presses')}, without any label"
+        scores += [
+            Score(f"{len(found)}", "", "contacts found in the images", f"of {presses}"),
+            Score(f"{100 * touched:.0f}", "%", "of the image touched", "by all contacts together"),
+        ]
+    return scores
 
 
 def _write_contacts(check: CaptureCheck, path: Path) -> None:
@@ -122,7 +149,7 @@ def _presses(check: CaptureCheck) -> list[Table]:
         "Circles as found in the image; “off”: distance of the given circle's centre from it, and "
         "found less given radius. Light shift: untouched gel against the background."
     )
-    return [Table("Presses, worst first", columns, rows, caption)]
+    return [Table("Presses, worst first", columns, rows, caption, folded=True)]
 
 
 def _pictures(check: CaptureCheck) -> list[Picture]:
@@ -143,7 +170,7 @@ def _pictures(check: CaptureCheck) -> list[Picture]:
 
 @picture(
     "coverage",
-    "Where balls were: the colour model holds there and nowhere else. Green: contact found; "
+    "Where balls were: what is fitted to them holds there and nowhere else. Green: contact found; "
     "orange: only the given circle.",
 )
 def _coverage(frames: Sequence[FrameFigures], background: np.ndarray, grid: PixelGrid) -> Figure:
@@ -157,7 +184,7 @@ def _coverage(frames: Sequence[FrameFigures], background: np.ndarray, grid: Pixe
         if frame.circle is not None:
             color = GREEN if frame.contact is not None else ORANGE
             _circle(axes[0], frame.circle, grid, color, "-", 1.0)
-    axes[0].set_title(f"{len(frames)} presses")
+    axes[0].set_title(counted(len(frames), "press", "presses"))
     count = coverage_map(found_circles(frames), grid)
     top = max(1, int(count.max()))
     drawn = axes[1].imshow(count, cmap="viridis", vmin=0, vmax=top)
@@ -193,7 +220,7 @@ def _light(frames: Sequence[FrameFigures]) -> Figure:
 @picture(
     "frames",
     "Presses, worst first. Orange: the contact as found; white, dashed: as given. To correct one, "
-    f"edit {CONTACTS_NAME} beside this page and put it into the capture folder.",
+    f"edit {CONTACTS_NAME} (the link above) and put it into the capture folder.",
 )
 def _frames(
     frames: Sequence[FrameFigures], remarks: dict[str, list[str]], grid: PixelGrid

@@ -225,8 +225,7 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
     if len(found.views) < GOOD_VIEWS:
         findings.append(
             TOO_FEW(
-                count=len(found.views),
-                what=f"views of {what}",
+                found=f"{counted(len(found.views), 'view')} of {what}",
                 wanted=camera.MORE_VIEWS,
                 blocks=use,
             )

@@ -17,6 +17,7 @@ from taccel_lab.calibration.circles.usable import too_many_lost
 from taccel_lab.calibration.remarks import LABELS_OFF, TOO_FEW, name_some
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
@@ -266,8 +267,8 @@ def _check_count(frames: Sequence[FrameFigures]) -> list[Remark]:
     if len(frames) >= FEW_PRESSES:
         return []
     wanted = "30 to 50 leave enough to hold some out and still cover the gel"
-    count = len(frames)
-    return [TOO_FEW(count=count, what="presses", wanted=wanted, blocks=remarks.BY_COLOR)]
+    found = counted(len(frames), "press", "presses")
+    return [TOO_FEW(found=found, wanted=wanted, blocks=remarks.BY_COLOR)]
 
 
 def _check_depths(frames: Sequence[FrameFigures]) -> list[Remark]:

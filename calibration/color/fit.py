@@ -207,7 +207,8 @@ def color_remarks(result: ColorCalibration) -> list[Remark]:
         wanted = (
             "the model holds at their places and depths at best. Give 30 to 50, all over the gel"
         )
-        found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=True))
+        fitted = f"{count} press{'es' * (count != 1)} fitted"
+        found.append(TOO_FEW(found=fitted, wanted=wanted, grave=True))
     failures = {item.name: item.reason for item in in_figures(result.failures)}
     return [
         *found,

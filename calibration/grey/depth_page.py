@@ -9,13 +9,20 @@ import numpy as np
 
 from taccel_lab.calibration.grey.result import DepthCalibration
 from taccel_lab.calibration.scores import block_scores
-from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.printable import counted
+from taccel_lab.report.page import Page, Table, picture, sentence
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN_PIXELS = 3000
+ZERO_WORDS = {
+    "travel": "the travel that each press states (depth_mm)",
+    "untouched": "where the grey is that of the untouched gel",
+    "rim": "the rim of the contact",
+}
+"""What depths count from, by ``DepthOptions.zero``."""
 
 
 def depth_page(result: DepthCalibration) -> Page:
@@ -33,14 +40,14 @@ def depth_page(result: DepthCalibration) -> Page:
             "circle": lambda p: "given" if p.given else "found",
             "depth [mm]": "depth_mm",
         },
-        f"Depth zero: {result.zero}. Left-out pixels (a {result.left_out} at a time) are off by "
-        f"{result.left_out_mm.mean():.4f} mm.",
+        f"Depths count from {ZERO_WORDS[result.zero]}. Left-out pixels (a {result.left_out} at a "
+        f"time) are off by {result.left_out_mm.mean():.4f} mm.",
     )
     return Page(
         "Depth of a grey sensor",
         f"Depth from the drop of the {result.response.channel} level, fitted to "
-        f"{len(result.presses)} ball press{'es' if len(result.presses) > 1 else ''} up to "
-        f"{result.response.depth_mm[-1]:.2f} mm deep: {result.headline()}. Zero: {result.zero}.",
+        f"{counted(len(result.presses), 'ball press', 'ball presses')} up to "
+        f"{result.response.depth_mm[-1]:.2f} mm deep. {sentence(result.headline())}",
         result.remarks,
         [presses],
         [_depths(result), _curve(result)],

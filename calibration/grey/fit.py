@@ -60,6 +60,7 @@ from taccel_lab.calibration.remarks import (
     warning,
 )
 from taccel_lab.errors import InputError
+from taccel_lab.printable import counted
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma
 from taccel_lab.progress import Progress, silent
@@ -360,7 +361,7 @@ def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:
         np.median([c.radius_px for c in circles])
     ):
         wanted = f"all lie within {reach:.0f} px; press in the middle and near the borders"
-        return [TOO_FEW(count=len(circles), what="presses at one spot", wanted=wanted)]
+        return [TOO_FEW(found=f"{len(circles)} presses at one spot", wanted=wanted)]
     return []
 
 
@@ -380,7 +381,7 @@ def curve_remarks(result: DepthCalibration, drops: Sequence[np.ndarray]) -> list
     found: list[Remark] = []
     if len(result.presses) < 3:
         wanted = "give three or more, one in the middle and others near the borders"
-        found.append(TOO_FEW(count=len(result.presses), what="presses", wanted=wanted))
+        found.append(TOO_FEW(found=counted(len(result.presses), "press", "presses"), wanted=wanted))
     sigma, zero = result.offset_sigma_mm, result.zero_sigma_mm
     depth = float(np.concatenate([part.depth_mm for part in result.parts]).mean())
     if zero > POOR_CURVE * depth and result.zero in ("untouched", "rim"):

@@ -77,9 +77,9 @@ class DepthCalibration(BlockResult):
     def headline(self) -> str:
         """The error in one sentence, the absolute one first."""
         return (
-            f"absolute depths are off by {self.absolute_mm:.2f} mm, as their zero is known to "
-            f"{self.zero_sigma_mm:.2f} mm; with the zero taken off by "
-            f"{self.left_out_mm.mean():.3f} mm on pixels of a left-out {self.left_out}"
+            f"absolute depths are off by {self.absolute_mm:.2f} mm, as their zero is "
+            f"known to {self.zero_sigma_mm:.2f} mm; apart from that common offset pixels of a "
+            f"left-out {self.left_out} are off by {self.left_out_mm.mean():.3f} mm"
         )
 
     def figures(self) -> dict[str, Any]:

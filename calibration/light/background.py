@@ -227,7 +227,7 @@ def _remarks(
         found.append(remarks.NO_UNTOUCHED_IMAGE(count=len(sources)))
     if len(sources) == 1:
         wanted = "neither noise nor drift can be told; give more as untouched"
-        found.append(TOO_FEW(count=1, what="frame", wanted=wanted))
+        found.append(TOO_FEW(found="1 frame", wanted=wanted))
     if len(drifts) > 1:
         found += drift_remarks(drifts, reference)
     clipped = float(((reference <= 0.5) | (reference >= 254.5)).any(axis=-1).mean())

@@ -19,9 +19,10 @@ from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.printable import counted
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
 from taccel_lab.report.lead import Score
-from taccel_lab.report.page import Page, Table, picture
+from taccel_lab.report.page import Page, Table, picture, sentence
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.report.style import CHANNELS, new_figure
 
@@ -221,24 +222,26 @@ def background_page(result: BackgroundCalibration) -> Page:
         for f in sorted(result.frames, key=lambda f: -f.plain_l1)[:SHOWN]
     ]
     columns = (
-        "frame", "kind", "untouched %", "L1 before", "L1 after",
+        "frame", "kind", "untouched %", "error before", "error after",
         "gain R", "gain G", "gain B", "offset R", "offset G", "offset B",
     )  # fmt: skip
     return Page(
-        "Background",
-        f"{len(result.frames)} frames. Mean error of untouched gel: {figures['plain_l1']:.2f} "
-        f"levels with one background image, {figures['heldout_l1']:.2f} with the background "
-        "made of the other frames in the frame's light. "
-        f"Noise of a pixel between frames: {noise}. Specks in the background: "
-        f"{speck_count(result.dust)}.",
+        "Image of the untouched sensor",
+        f"The background, made of {counted(len(result.frames), 'frame')}. Where nothing touches "
+        f"the gel, a frame differs from one background image by {figures['plain_l1']:.2f} levels "
+        f"on average, and from the background made of the other frames, brought to its light, by "
+        f"{figures['heldout_l1']:.2f}. Noise of a pixel between frames: {noise}. Specks in the "
+        f"background: {speck_count(result.dust)}.",
         result.remarks,
         [
             Table(
                 "Light of each frame",
                 columns,
                 rows,
-                f"The {len(rows)} of {len(result.frames)} frames that differ most. Levels of 255, "
-                "over the untouched part; gain and offset against the background.",
+                f"The {len(rows)} of {len(result.frames)} frames that differ most. Mean absolute "
+                "errors in levels of 255 over the untouched part, before and after the frame's "
+                "light is taken off; gain and offset against the background.",
+                folded=True,
             ),
             *_spread_tables(result),
         ],
@@ -249,7 +252,7 @@ def background_page(result: BackgroundCalibration) -> Page:
             Score(
                 f"{figures['heldout_l1']:.2f}",
                 "levels of 255",
-                "mean error of untouched gel",
+                "mean error where nothing touches",
                 f"{len(result.frames)} frames, each by a background made of the others; one image "
                 f"alone: {figures['plain_l1']:.2f}",
             )
@@ -264,8 +267,9 @@ def _spread_tables(result: BackgroundCalibration) -> list[Table]:
     values = block.model_dump(exclude={"provenance"}, exclude_none=True)
     rows = [(k, *v) if isinstance(v, tuple) else (k, v, None, None) for k, v in values.items()]
     columns = ("quantity", "red or value", "green", "blue")
-    caption = "; ".join((block.provenance.method.capitalize(), *block.provenance.remarks))
-    return [Table("Spread, from which sensors are drawn", columns, rows, caption=caption)]
+    caption = sentence("; ".join((block.provenance.method, *block.provenance.remarks)))
+    title = "How much light differs between frames: sensors to simulate are drawn from it"
+    return [Table(title, columns, rows, caption, folded=True)]
 
 
 def _write_mask(path: Path, mask: np.ndarray) -> None:
@@ -275,11 +279,14 @@ def _write_mask(path: Path, mask: np.ndarray) -> None:
 
 @picture(
     "background",
-    "Left the background, right the noise of each pixel between frames; specks in red.",
+    "Left the background, right the noise of each pixel between frames, white where too few frames "
+    "leave it untouched; specks in red.",
 )
 def _images(result: BackgroundCalibration) -> Figure:
     height, width = result.image.shape[:2]
-    figure, axes = new_figure(10.5, 0.6 + 4.7 * height / width, 1, 2)
+    # Tall images in panels as wide as others would be shrunk with their words.
+    wide = min(10.5, 1.6 + 9.0 * width / height)
+    figure, axes = new_figure(wide, 0.6 + 0.45 * wide * height / width, 1, 2)
     shown = result.image / 255
     axes[0].imshow(np.clip(shown, 0, 1))
     axes[0].contour(result.dust | result.new_dust, levels=[0.5], colors="red", linewidths=0.8)

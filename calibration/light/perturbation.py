@@ -18,6 +18,7 @@ from taccel_lab.calibration.frame_light import LightDrift, drift_spread, fit_lig
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.calibration.result import calibrated
 from taccel_lab.errors import InputError
+from taccel_lab.printable import counted
 from taccel_lab.profile import PerturbationBlock, SensorProfile
 from taccel_lab.report.remark import Remark
 
@@ -148,12 +149,11 @@ def perturbation_block(
 def _remarks(frame_count: int, unit_count: int) -> list[Remark]:
     return [
         TOO_FEW(
-            count=count,
-            what=what,
+            found=counted(count, what),
             wanted=f"each standard deviation is itself uncertain by {relative_error(count):.0%}; "
             f"{FEW} or more would halve that",
         )
-        for what, count in (("frames", frame_count), ("units", unit_count))
+        for what, count in (("frame", frame_count), ("unit", unit_count))
         if 0 < count < FEW
     ]
 

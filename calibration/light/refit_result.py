@@ -5,7 +5,7 @@ page."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from taccel_lab.calibration.light.light_change import LightChangeFit
 from taccel_lab.calibration.result import BlockResult, calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
+from taccel_lab.printable import counted
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
 from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
@@ -154,15 +155,16 @@ def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
     tables = [
         Table(
             "What changed",
-            ("channel", "response", "sigma", "gain", "sigma", "offset", "to the right", "down"),
+            ("channel", "response", "±", "gain", "±", "offset", "to the right", "down"),
             list(rows),
             "Response: factor of the colour change; gain: of the background. Offset and gradient "
-            "(middle to border) in levels of 255. Sigma by leaving one frame out.",
+            "(middle to border) in levels of 255. ±: standard deviation, by leaving one frame out.",
         ),
         _errors_of(
             "Frames left out of the fit",
             result.errors,
-            "Mean absolute error [levels of 255], worst first.",
+            "Mean absolute error [levels of 255] of contact discs of presses and whole untouched "
+            "frames, and of whole frames; worst first.",
         ),
     ]
     if result.heldout:
@@ -192,9 +194,22 @@ def refit_page(result: RefitCalibration, old: SensorProfile) -> Page:
                 "mean error after the refit",
                 f"{len(result.errors)} new frames, each left out of the fit in turn; before: "
                 f"{result.mean('before'):.2f}",
-            )
+            ),
+            *_heldout_scores(result.heldout),
         ],
     )
+
+
+def _heldout_scores(errors: Sequence[FrameError]) -> list[Score]:
+    """The error of presses that the refit did not see, where there are any."""
+    if not errors:
+        return []
+    before, after = (np.mean([getattr(e, name) for e in errors]) for name in ("before", "after"))
+    on = f"{counted(len(errors), 'press', 'presses')} without any part in the refit"
+    return [
+        Score(f"{after:.2f}", "levels of 255", "mean error of held-out presses",
+              f"{on}; before: {before:.2f}")
+    ]  # fmt: skip
 
 
 def _errors_of(title: str, errors: Sequence[FrameError], caption: str) -> Table:
@@ -207,7 +222,8 @@ def _errors_of(title: str, errors: Sequence[FrameError], caption: str) -> Table:
         "whole before": "whole_before",
         "whole after": "whole_after",
     }
-    return Table.of(title, sorted(errors, key=lambda e: -e.after), columns, caption)
+    table = Table.of(title, sorted(errors, key=lambda e: -e.after), columns, caption)
+    return replace(table, folded=True)
 
 
 @picture("errors", "Error of each left-out frame.")
@@ -222,7 +238,10 @@ def _errors(result: RefitCalibration) -> Figure:
     return figure
 
 
-@picture("backgrounds", "Background before and after, and their difference.")
+@picture(
+    "backgrounds",
+    "The untouched sensor before and after, and twice the difference: grey is none.",
+)
 def _backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
     before = np.asarray(old.background_rgb, dtype=np.float64)
     height, width = before.shape[:2]
@@ -231,7 +250,7 @@ def _backgrounds(result: RefitCalibration, old: SensorProfile) -> Figure:
     for axis, image, title in zip(
         axes,
         (before, result.background, difference),
-        ("before", "after", "128 + 2 x (after - before)"),
+        ("before", "after", "difference x 2"),
         strict=True,
     ):
         axis.imshow(np.clip(image / 255, 0, 1))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
+from taccel_lab.printable import counted
 from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, new_figure
@@ -27,6 +28,40 @@ _KINDS = (
     (None, "dot", GREEN),
 )
 """Flag, words and colour, the first that applies."""
+_OF_DOTS = {
+    "dots": "dots found",
+    "dark": "darker than the gel",
+    "cut": "cut by the border",
+    "merged": "two that touched, split",
+    "odd": "unlike the rest",
+    "lattice": "kind of grid",
+    "rows": "rows",
+    "columns": "columns",
+    "stagger": "shift of every second row, in pitches",
+}
+_LEFT = {
+    "grid_rms_mm": "off a regular grid [mm rms]",
+    "grid_rms_px": "off a regular grid [px rms]",
+    "dot_sigma_px": "uncertainty of a dot's place [px]",
+    "rest_jitter_px": "jitter of a dot at rest [px]",
+    "return_error_px": "off its place when the gel is back at rest [px]",
+}
+_OF_A_VIDEO = {
+    "frames": "frames",
+    "markers": "dots followed",
+    "quiet_frames": "frames at rest, from which they are followed",
+    "quiet_first": "first of these frames",
+    "jitter_px": "jitter of a dot over them [px]",
+    "largest_px": "largest distance from rest [px]",
+    "step_in_pitches": "largest step between two frames, in pitches",
+    "common_step_in_pitches": "largest median step, in pitches",
+    "unseen_frames": "frames with fewer than half of the dots",
+    "seen_share": "share of dots and frames that is seen",
+    "lost_share": "share that was lost",
+    "return_frame": "frame in which the gel is back at rest",
+    "return_median_px": "median distance from rest in it [px]",
+}
+"""Figures by their names in ``report.json``: what the page calls them."""
 _MANY = 120
 """Dots above which only the outermost carry their numbers."""
 
@@ -35,29 +70,35 @@ def markers_page(result: MarkerCalibration) -> Page:
     """Verdict, estimates with their uncertainty, and pictures of dots, residuals and tracks."""
     figures = result.figures()
     estimates = [
-        [name, estimate.value, estimate.sigma, *estimate.interval95, estimate.unit]
+        [
+            name.rpartition("_")[0].replace("_", " "),
+            estimate.value,
+            estimate.sigma,
+            *estimate.interval95,
+            estimate.unit,
+        ]
         for name, estimate in result.estimates().items()
     ]
     tables = [
-        Table("Dots", ["what", "value"], _counts(figures)),
         Table(
             "Layout on the gel",
-            ["quantity", "value", "sigma", "95 % from", "to", "unit"],
+            ["quantity", "value", "standard deviation", "95 % from", "to", "unit"],
             estimates,
             f"Millimetres from {result.view.description}. The offset is that of the grid's middle "
             "from the gel frame's origin.",
         ),
+        Table("Dots in the picture at rest", ["what", "value"], _counts(figures), folded=True),
     ]
     pictures = [_dots(result), _residuals(result)]
     for number, video in enumerate(result.videos):
-        rows = [[key, value] for key, value in asdict(video.figures).items() if key != "name"]
-        tables.append(Table(f"Motion in {video.name}", ["what", "value"], rows))
+        rows = [[words, getattr(video.figures, key)] for key, words in _OF_A_VIDEO.items()]
+        tables.append(Table(f"Motion in {video.name}", ["what", "value"], rows, folded=True))
         for one in (_tracks(result, video), _motion(video)):
             pictures.append(replace(one, name=f"video{number}_{one.name}"))
     scores = (
         Score(
-            f"{1e3 * result.layout_mm.residual_rms:.0f}",
-            "um rms",
+            f"{result.layout_mm.residual_rms:.3f}",
+            "mm rms",
             "distance of the dots from a regular grid",
             f"{figures['dots']} dots at rest",
         ),
@@ -72,7 +113,9 @@ def markers_page(result: MarkerCalibration) -> Page:
         ),
     )
     summary = _summary(result, figures)
-    return Page("Markers", summary, result.remarks, tables, pictures, figures, scores=scores)
+    return Page(
+        "Markers on the gel", summary, result.remarks, tables, pictures, figures, scores=scores
+    )
 
 
 def _summary(result: MarkerCalibration, figures: dict[str, Any]) -> str:
@@ -81,23 +124,28 @@ def _summary(result: MarkerCalibration, figures: dict[str, Any]) -> str:
         f"{figures['dots']} dots form a {figures['lattice']} grid of {figures['rows']} x "
         f"{figures['columns']}, pitch {estimates['pitch_x_mm']} along the rows and "
         f"{estimates['pitch_y_mm']} across, "
-        f"rms {1e3 * result.layout_mm.residual_rms:.0f} µm off a regular grid."
+        f"{result.layout_mm.residual_rms:.3f} mm (root mean square) off a regular grid."
     )
     for video in result.videos:
         text += (
-            f" {video.name}: {100 * video.figures.seen_share:.0f} % seen over "
-            f"{video.figures.frames} frames, up to {video.figures.largest_px:.1f} px from rest."
+            f" In {video.name} {100 * video.figures.seen_share:.0f} % of the dots were followed "
+            f"over {counted(video.figures.frames, 'frame')}, up to "
+            f"{video.figures.largest_px:.1f} px from rest."
         )
     return text
 
 
 def _counts(figures: dict[str, Any]) -> list[list[Any]]:
-    keys = ("dots", "dark", "cut", "merged", "odd", "lattice", "rows", "columns", "stagger")
-    rows = [[key, figures[key]] for key in keys]
-    rows.append(["missing", ", ".join(f"{r},{c}" for r, c in figures["missing"]) or "none"])
-    rows.append(["skew [deg]", figures["skew_deg"]])
+    rows = [[words, figures[key]] for key, words in _OF_DOTS.items()]
+    rows.append(
+        [
+            "missing dots (row, column)",
+            ", ".join(f"{r},{c}" for r, c in figures["missing"]) or "none",
+        ]
+    )
+    rows.append(["skew of the grid [deg]", figures["skew_deg"]])
     rows += [[f"pitch {axis} [px]", px] for axis, px in zip("xy", figures["pitch_px"], strict=True)]
-    rows += [[key, value] for key, value in figures["residuals"].items()]
+    rows += [[_LEFT[key], value] for key, value in figures["residuals"].items()]
     return rows
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,8 @@ from taccel_lab.calibration.material.likelihood import hull
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.calibration.scores import block_scores
-from taccel_lab.report.lead import Picture
+from taccel_lab.printable import counted
+from taccel_lab.report.lead import Picture, Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, LIGHT, ORANGE, PURPLE, new_figure
 
@@ -38,9 +39,12 @@ _TITLES = {
 def material_page(result: MaterialCalibration) -> Page:
     """Verdict, estimates with intervals, fits, residuals and profiles."""
     found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
+    fit = result.stiffness.fit
+    points = counted(sum(len(item.depth_mm) for item in fit.points), "measured force")
     return Page(
         "Material of the gel",
-        f"From {len(result.inputs)} inputs of {result.source}: {found}.",
+        f"Fitted to {points} of {counted(len(fit.points), 'record')}: {found}. The records are "
+        f"from {result.source}.",
         result.remarks,
         _tables(result),
         [
@@ -48,8 +52,17 @@ def material_page(result: MaterialCalibration) -> Page:
             _profiles(result.stiffness, open_held=bool(result.held())),
         ],
         result.figures(),
-        scores=block_scores("material", result.stiffness.residuals()),
+        scores=[*_scores(result), *block_scores("material", result.stiffness.residuals())],
     )
+
+
+def _scores(result: MaterialCalibration) -> Iterator[Score]:
+    """Young's modulus, where it was fitted."""
+    young = result.estimates.get("young_modulus_pa")
+    if young is not None:
+        low, high = (f"{end / 1e3:.0f}" for end in young.interval95)
+        interval = f"95 %: {low} to {high} kPa, over all that the records leave open"
+        yield Score(f"{young.value / 1e3:.0f}", "kPa", "Young's modulus of the gel", interval)
 
 
 def _tables(result: MaterialCalibration) -> list[Table]:
@@ -64,7 +77,7 @@ def _tables(result: MaterialCalibration) -> list[Table]:
     tables = [
         Table(
             "Parameters",
-            ["parameter", "value", "sigma", "95 % from", "to"],
+            ["parameter", "value", "standard deviation", "95 % from", "to"],
             rows,
             f"Law: {result.model}. Held parameters are not calibrated; others keep the values of "
             "the profile before.",

@@ -16,6 +16,7 @@ from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW, info, warning
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_young_modulus_pa
+from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark
 
 PLAUSIBLE_PA = (1e4, 1e7)
@@ -201,8 +202,8 @@ def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) ->
     inside = sum(a.interval_n[0] <= a.force_n <= a.interval_n[1] for a in predicted)
     return [
         TOO_FEW(
-            count=count,
-            what=f"points and {len(fit.solution.names)} fitted numbers",
+            found=f"{counted(count, 'point')} and "
+            f"{counted(len(fit.solution.names), 'fitted number')}",
             wanted=f"predicted from the others they are off by {np.sqrt(np.mean(miss**2)):.1%} "
             f"(root mean square; {np.abs(miss).max():.1%} at most; {inside} of {len(predicted)} in "
             "the 95 % interval stated for them). Record eight depths or more",

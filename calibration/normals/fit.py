@@ -295,7 +295,8 @@ def remarks_of(
         count = len(training)
         wanted = "give 30 to 50, spread over the image"
         grave = count < LEAST_PRESSES
-        found.append(TOO_FEW(count=count, what="presses fitted", wanted=wanted, grave=grave))
+        fitted = f"{count} press{'es' * (count != 1)} fitted"
+        found.append(TOO_FEW(found=fitted, wanted=wanted, grave=grave))
     if not result.has_scores:
         found.append(NOTHING_HELD_OUT())
     else:

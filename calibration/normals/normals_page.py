@@ -145,6 +145,7 @@ def _left_out(result: NormalCalibration) -> Table:
         [[name, errors[name]] for name in order],
         "Mean angle inside the contact by a network that never saw the press: a wrong circle "
         "stands out here.",
+        folded=True,
     )
 
 

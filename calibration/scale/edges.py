@@ -19,6 +19,7 @@ from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.errors import InputError
+from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark
 
 SQUARE_SIGMA = 0.03
@@ -163,9 +164,10 @@ def _remarks(chosen: Sequence[MeasuredEdge]) -> list[Remark]:
     lacking = [axis for axis, share in along.items() if share.max(initial=0.0) < 0.5]
     if len(chosen) >= 4 and not lacking:
         return []
+    count = counted(len(chosen), "press", "presses")
     words = f", none along {' or '.join(lacking)}" if lacking else ""
     wanted = (
         "8 or more, along x and along y, tell both scales; without, pixels are taken to be square "
         f"within {SQUARE_SIGMA:.0%}"
     )
-    return [TOO_FEW(count=len(chosen), what=f"presses of the edge{words}", wanted=wanted)]
+    return [TOO_FEW(found=f"{count} of the edge{words}", wanted=wanted)]

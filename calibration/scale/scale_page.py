@@ -72,7 +72,13 @@ def _tables(result: ScaleCalibration) -> list[Table]:
     for axis, combined in result.axes.items():
         mean = combined.estimate
         rows.append(("mean", axis, mean.value, mean.sigma, *mean.interval95))
-    tables = [Table("Scale [mm/px]", ("method", "axis", "value", "sigma", "from", "to"), rows)]
+    tables = [
+        Table(
+            "Scale [mm/px]",
+            ("captures", "axis", "value", "standard deviation", "95 % from", "to"),
+            rows,
+        )
+    ]
     pairs = [
         (axis, name.replace("*", " - "), z)
         for axis, found in result.axes.items()
@@ -131,8 +137,8 @@ def _estimates(result: ScaleCalibration) -> Figure:
 
 @picture(
     "edges",
-    "Edges and ends as found, with what the scale makes each longer than it is; grey ones touched "
-    "with a part of their length only.",
+    "Edges and ends as found, with how much too long the fitted scale makes each; grey ones "
+    "touched with a part of their length only.",
 )
 def _edges(edges: Sequence[Mapping[str, Any]], folder: CaptureFolder) -> Figure:
     """Edges of the evidence in their images, with what each lacks in length."""

@@ -29,8 +29,8 @@ COLUMNS = 6
 """Columns of a table of many rows, which goes on in another."""
 
 
-def benchmark_page(document: dict[str, Any]) -> Page:
-    """The page of a result file (``read_result``)."""
+def benchmark_page(document: dict[str, Any], shown: Sequence[str] = ()) -> Page:
+    """The page of a result file (``read_result``); ``shown``: see ``Suite``, they come first."""
     rows = [dict(flat(row)) for row in document["rows"]]
     state = "all rows" if document["complete"] else "not complete"
     seconds = format_number(document["seconds"])
@@ -39,13 +39,13 @@ def benchmark_page(document: dict[str, Any]) -> Page:
     return Page(
         title=f"Benchmark {document['suite']}",
         summary=f"{sentence(document['what'])} Measured in {seconds} s, {state}.",
-        headline=_headline(rows),
+        headline=_headline(document["rows"]),
         tables=[
             *(
                 [Table("Figures of the whole", ("figure", "value"), list(beside.items()))]
                 * bool(beside)
             ),
-            *_tables(rows),
+            *_tables(rows, shown),
             Table("Settings", ("setting", "value"), list(flat(document["settings"])), folded=True),
             Table("Machine", ("figure", "value"), list(flat(document["run"])), folded=True),
         ],
@@ -58,8 +58,9 @@ def _headline(rows: Sequence[Mapping[str, Any]]) -> str:
     return f"{sum(map(bool, met))} of {len(met)} goals met" if met else f"{len(rows)} rows"
 
 
-def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:
-    """Rows side by side where they are few, otherwise as many columns at a time as a page takes."""
+def _tables(rows: list[dict[str, Any]], shown: Sequence[str]) -> Iterator[Table]:
+    """Rows side by side where they are few, otherwise as many columns at a time as a page takes:
+    what rows are about, the figures ``shown``, the others, and apart what all rows have alike."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
         return
@@ -68,13 +69,23 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:
         columns = ["figure", *(str(row.get(first, number)) for number, row in enumerate(rows, 1))]
         yield Table("Rows", columns, [[n, *(row.get(n) for row in rows)] for n in others])
         return
-    first, others = names[0], names[1:]
-    for start in range(0, len(others), COLUMNS):
-        part = [first, *others[start : start + COLUMNS]]
-        cells = [[row.get(name) for name in part] for row in rows]
-        yield Table(
-            "Rows" if start == 0 else "Rows, further figures", part, cells, folded=start > 0
-        )
+    alike = [n for n in names[1:] if all(row.get(n) == rows[0].get(n) for row in rows)]
+    first, *others = (name for name in names if name not in alike)
+
+    def rank(name: str) -> int:
+        if any(isinstance(row.get(name), str) for row in rows):
+            return 0
+        return 1 if name in shown else 2
+
+    others.sort(key=rank)
+    for start in range(0, max(1, len(others)), COLUMNS):
+        part = others[start : start + COLUMNS]
+        cells = [[row.get(name) for name in (first, *part)] for row in rows]
+        title = f"Rows: {part[0]} to {part[-1]}" if start else "Rows"
+        yield Table(title, (first, *part), cells, folded=start > 0)
+    if alike:
+        cells = [[name, rows[0].get(name)] for name in alike]
+        yield Table("The same in all rows", ("figure", "value"), cells, folded=True)
 
 
 def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
@@ -85,7 +96,7 @@ def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
         elif isinstance(value, bool):
             yield before + name, "yes" if value else "no"
         elif isinstance(value, (list, tuple)):
-            yield before + name, ", ".join(map(str, value))
+            yield before + name, ", ".join(map(format_number, value))
         else:
             yield before + name, value
 
@@ -178,7 +189,7 @@ class ResultFile:
         self._document["complete"] = not self.deadline.stopped
         self.write()
         page = self.path.with_suffix(".html")
-        write_page_file(benchmark_page(self._document), page)
+        write_page_file(benchmark_page(self._document, self._shown), page)
         note(f"wrote {self.path} and {page}")
 
 
@@ -274,9 +285,9 @@ class Suite:
         """Measure all rows and write the result file; InputError for options that cannot be."""
         import warp as wp
 
-        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.model.launches import require_device
 
-        start_warp()
+        require_device(self.device)
         wp.config.log_level = wp.LOG_WARNING
         settings = self.settings()
         result = ResultFile(

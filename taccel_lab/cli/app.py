@@ -201,7 +201,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
         description=DESCRIPTION,
         args=words,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
-        registry=values(),
+        registry=values(for_completion=any(word.startswith("--tyro-") for word in words)),
     )
 
 

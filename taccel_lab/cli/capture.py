@@ -161,6 +161,7 @@ class CaptureImport(ImportOptions):
     """Print what was written as JSON."""
 
     def run(self) -> None:
+        from taccel_lab.calibration.capture.folder import contents_in_words
         from taccel_lab.calibration.capture.importers import (
             AUTO,
             detect_layout,
@@ -189,8 +190,8 @@ class CaptureImport(ImportOptions):
                     **origin,
                 }
             )
-            words = f"wrote {folder.path}: {_in_words(folder.contents)}"
-            console.print(words)
+            contents = contents_in_words(folder.contents) or "nothing that calibrates"
+            console.print(f"wrote {folder.path}: {contents}")
             said = [
                 *(f"{key}: {text}" for key, text in origin.items()),
                 *(f"assumed {name}: {text}" for name, text in folder.assumed.items()),
@@ -204,18 +205,6 @@ class CaptureImport(ImportOptions):
             )
         if self.json:
             print_json({"layout": layout, "folders": found})
-
-
-def _in_words(contents: dict[str, int]) -> str:
-    from taccel_lab.printable import counted
-
-    parts = []
-    for key, count in contents.items():
-        many = key.replace("_", " ")
-        one = many.removesuffix("es") if many.endswith("presses") else many.removesuffix("s")
-        if count:
-            parts.append(counted(count, one, many))
-    return ", ".join(parts) or "nothing that calibrates"
 
 
 @dataclass(frozen=True)

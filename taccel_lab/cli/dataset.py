@@ -56,12 +56,13 @@ class DatasetMake:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, working
-        from taccel_lab.datasets.folder import ABOUT
+        from taccel_lab.datasets.folder import ABOUT, DatasetFolder
         from taccel_lab.datasets.plan import DatasetPlan
         from taccel_lab.datasets.spec import load_spec
         from taccel_lab.files.inner_path import file_or_example, real_path
         from taccel_lab.files.shard import Shard
         from taccel_lab.model.launches import require_device
+        from taccel_lab.printable import counted
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.progress import stage_progress
 
@@ -88,8 +89,15 @@ class DatasetMake:
         root = self.out or Path("out") / file.stem
 
         def what() -> str:
-            kept = f"what is finished stays in {root}; go on with: {self._again(root)}"
-            return kept if self.write and (root / ABOUT).is_file() else ""
+            if not (self.write and (root / ABOUT).is_file()):
+                return ""
+            there = {path.name for path in DatasetFolder(root).part_folders()}
+            parts = plan.shard(shard.number, shard.count)
+            count = sum(part.name in there for part in parts)
+            return (
+                f"{count} of {counted(len(parts), 'part')} finished and kept in {root}, others are "
+                f"made anew; go on with: {self._again(root)}"
+            )
 
         with keeping(what):
             outcome = self._make(plan, file, root if self.write else None, shard)
@@ -279,13 +287,15 @@ def _require_zarr() -> None:
 
 def _describe(plan: DatasetPlan, shard: Shard) -> None:
     from taccel_lab.cli.console import say
+    from taccel_lab.printable import counted
 
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(part.steps for part in parts)
     grid = plan.sensors[0].grid
     say(
-        f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
-        f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
-        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px"
+        f"{plan.spec.dataset.name}: {counted(touches, 'touch', 'touches')}, "
+        f"{counted(steps, 'step')} in {counted(len(parts), 'part')}, shard {shard.number} of "
+        f"{shard.count}; {counted(len(plan.sensors), 'sensor')}, "
+        f"{counted(len(plan.indenters), 'object')}, images of {grid.width_px}x{grid.height_px} px"
     )

@@ -17,6 +17,17 @@ if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
 
 
+def _profile_or_design(place: Path) -> SensorProfile:
+    """The profile in a folder; where there is none, the catalogue's sensor of that name."""
+    from taccel_lab.profile import load_profile
+    from taccel_lab.sensors.profile import stock_sensor
+    from taccel_lab.sensors.registry import catalogue_family
+
+    if not place.exists() and catalogue_family(str(place)) is not None:
+        return stock_sensor(str(place))
+    return load_profile(place)
+
+
 @dataclass(frozen=True)
 class ProfileShow:
     """Show what a sensor profile holds and where each block comes from, one line per block."""
@@ -83,7 +94,7 @@ class ProfileReport:
     """Write a page about a sensor profile: each block with its evidence, verdict and pictures."""
 
     profile: Positional[Path]
-    """Profile folder."""
+    """Profile folder, or a sensor of the catalogue."""
     out: Path
     """Folder to write: report.html, report.json and the pictures."""
     json: bool = False
@@ -95,11 +106,10 @@ class ProfileReport:
         from taccel_lab.calibration.profile_page import profile_page
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.files.output_folder import require_replaceable
-        from taccel_lab.profile import load_profile
         from taccel_lab.report.page import write_page
 
         require_replaceable(self.out)
-        page = profile_page(load_profile(self.profile))
+        page = profile_page(_profile_or_design(self.profile))
         console = notes()
         with working(console, "drawing the pictures"):
             write_page(page, self.out)
@@ -240,7 +250,7 @@ class Export:
     """
 
     profile: Positional[Path]
-    """Profile folder."""
+    """Profile folder, or a sensor of the catalogue."""
     to: Literal[
         "taccel",
         "tacto",
@@ -274,10 +284,9 @@ class Export:
         from taccel_lab.cli.console import notes, print_json, print_table, results, working
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)
-        profile = load_profile(self.profile)
+        profile = _profile_or_design(self.profile)
 
         from taccel_lab.exporters.export import export_profile
 

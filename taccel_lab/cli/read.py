@@ -113,6 +113,11 @@ def require_images(paths: Sequence[Path]) -> None:
     if not paths:
         raise InputError("no image was given; name at least one PNG or JPEG")
     for path in paths:
+        if path.is_dir():
+            raise InputError(
+                f"{path} is a folder; name its images, as {path}/*.png does, or take taccel-lab "
+                "read, which reads a folder frame by frame"
+            )
         if not path.is_file():
             raise InputError(f"{path} does not exist or is no file; an image is needed")
     stems = [path.stem for path in paths]

@@ -18,6 +18,8 @@ SHOWN = 40
 """Most designs of the table at the end."""
 _MOST_METRICS = 4
 """Most metrics of that table, the first ones that the study names."""
+_NOTE, _BETWEEN = 20, 2
+"""Characters that a note needs, and those between two columns."""
 
 
 class StudyProgress:
@@ -120,14 +122,29 @@ def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
     goal = values["goal_metric"]
     if goal is not None:
         metrics = [goal, *(name for name in metrics if name != goal)][:_MOST_METRICS]
+    ordered = _ordered(outcome, goal)
+    names = [values["names"][row.id] for row in ordered[:SHOWN]]
+    metrics = _fitting(metrics, console.width - max(map(len, names)))
     units = {name: outcome.study.metrics[name].unit for name in metrics}
     columns = [name if units[name] == "1" else f"{name}\n[{units[name]}]" for name in metrics]
-    ordered = _ordered(outcome, goal)
-    rows = [(values["names"][row.id], *_cells(outcome, row, metrics)) for row in ordered[:SHOWN]]
+    rows = [
+        (name, *_cells(outcome, row, metrics)) for name, row in zip(names, ordered, strict=False)
+    ]
     by = f"all designs: {values['goal']}" if goal else "all designs"
     print_table(("design", *columns, "note"), rows, by)
     if len(ordered) > SHOWN:
         console.print(f"and {len(ordered) - SHOWN} more in {CSV_NAME}")
+
+
+def _fitting(metrics: list[str], room: int) -> list[str]:
+    """The first metrics whose names fit into so many characters beside a note, at least one: names
+    that a table breaks between any two letters say nothing."""
+    room -= _NOTE
+    kept = 0
+    for name in metrics:
+        room -= len(name) + _BETWEEN
+        kept += room >= 0
+    return metrics[: max(1, kept)]
 
 
 def _ordered(outcome: StudyOutcome, goal: str | None) -> list[DesignRow]:

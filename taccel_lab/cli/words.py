@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import nearest, unknown
@@ -145,9 +145,17 @@ def _hint(word: str, kind: type) -> str:
     return f"; write it without a unit: {united[1]}" if united else ""
 
 
-def values() -> ConstructorRegistry:
+def parse_choice(word: str, known: Sequence[str]) -> str:
+    """``word`` where it is one of ``known``. Raises ValueError that says which may be meant."""
+    if word not in known:
+        raise ValueError(f"{word!r} is not allowed{unknown(word, known, they_are='allowed')}")
+    return word
+
+
+def values(*, for_completion: bool = False) -> ConstructorRegistry:
     """What lets tyro read options: numbers and tuples of them by ``parse_number``, paths by
-    ``parse_path``, and one that may be left out as if it had to be given, as nobody writes None."""
+    ``parse_path``, choices by ``parse_choice``, and one that may be left out as if it had to be
+    given, as nobody writes None. ``for_completion``: a shell is to be told the choices."""
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
     registry = ConstructorRegistry()
@@ -180,6 +188,29 @@ def values() -> ConstructorRegistry:
             instance_from_str=lambda words: parse_path(words[0]),
             is_instance=lambda value: isinstance(value, Path),
             str_from_instance=lambda value: [str(value)],
+        )
+
+    @registry.primitive_rule
+    def choice(about: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+        several = about.type_origin is tuple and get_args(about.type)[1:] == (Ellipsis,)
+        one = get_args(about.type)[0] if several else about.type
+        known = get_args(one)
+        if get_origin(one) is not Literal or not all(isinstance(word, str) for word in known):
+            return None
+        name = "{" + ",".join(known) + "}"
+
+        def read(words: list[str]) -> tuple[str, ...] | str:
+            found = tuple(parse_choice(word, known) for word in words)
+            return found if several else found[0]
+
+        return PrimitiveConstructorSpec(
+            nargs="*" if several else 1,
+            metavar=f"[{name} [{name} ...]]" if several else name,
+            instance_from_str=read,
+            is_instance=lambda value: set(value if several else (value,)) <= set(known),
+            str_from_instance=lambda value: [str(one) for one in (value if several else (value,))],
+            # tyro's own refusal of a choice names no nearest one.
+            choices=known if for_completion else None,
         )
 
     @registry.primitive_rule

@@ -246,7 +246,7 @@ def draw_contact_forces(
                 scale_units="xy", scale=size / (0.2 * reach),
             )  # fmt: skip
             key = axes.quiverkey(
-                arrows, 0.14, 0.05, size, f"tangential, {size * 1e3:.2g} mN", labelpos="E",
+                arrows, 0.14, 0.05, size, f"tangential, {size * 1e3:.3g} mN", labelpos="E",
                 coordinates="axes",
             )  # fmt: skip
             key.text.set_backgroundcolor("#ffffffcc")

@@ -17,7 +17,13 @@ from taccel_lab.benchmarks.compare import IDENTITY, compare, identity
 from taccel_lab.benchmarks.measure import LaunchCounter, MemoryMeter
 from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios, read_peers
-from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
+from taccel_lab.benchmarks.results import (
+    REQUIRED,
+    Deadline,
+    ResultFile,
+    benchmark_page,
+    read_result,
+)
 from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.cli.bench import COMMANDS, options_of, parse_bench
 from taccel_lab.errors import InputError
@@ -51,6 +57,19 @@ def test_speed_rows(speed_result: Path) -> None:
     assert document["run"]["packages"]["warp-lang"] == wp.__version__
 
 
+def test_a_page_counts_the_goals_that_were_met_and_shows_what_differs_first() -> None:
+    rows = [
+        {"set": f"ball {n}", "place": n, "device": "cpu", "met": n > 2, "error": {"mean": 0.1 * n}}
+        for n in range(7)
+    ]
+    document = {"suite": "s", "what": "w", "run": {}, "settings": {}, "complete": True}
+    page = benchmark_page(document | {"rows": rows, "seconds": 1.0}, ("error: mean",))
+    assert page.headline == "4 of 7 goals met"
+    tables = {table.title: table for table in page.tables}
+    assert list(tables["Rows"].columns) == ["set", "met", "error: mean", "place"]
+    assert tables["The same in all rows"].rows == [["device", "cpu"]]
+
+
 def test_a_budget_that_is_spent_starts_nothing_and_finished_rows_survive(tmp_path: Path) -> None:
     assert bench(["speed", "--envs", "1", "--budget-s", "0", "--out", str(tmp_path)]) == 0
     document = read_result(tmp_path / "speed.json")
@@ -69,6 +88,7 @@ def test_a_budget_that_is_spent_starts_nothing_and_finished_rows_survive(tmp_pat
     [
         ("speed --scene nonsense", "no scene 'nonsense'"),
         ("speed --envs 0", "at least 1"),
+        ("speed --device cup", "device 'cup' is not there; this machine has: cpu"),
         ("speed --set dhat_m", "form name=value"),
         ("compare no_such.json no_such.json", "does not exist"),
         ("learning --observe depth", "--observe must be rgb, wrench or both, got depth"),

@@ -22,6 +22,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.cli import app
+from taccel_lab.cli.design import Design
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.cli.words import common_words
 from taccel_lab.version import __version__
@@ -263,7 +264,8 @@ def test_an_option_that_is_not_there_is_named_whatever_else_is_missing(
         ("--at-mm 1 -inf", "--at-mm: '-inf' is not allowed, only finite numbers are"),
         ("--shear-mm 0.1 x", "--shear-mm: 'x' is not a number"),
         ("--texture=", "--texture: an empty name is not allowed; this folder is written ."),
-        ("--element None", "invalid choice 'None' for argument '--element'"),
+        ("--element None", "--element: 'None' is not allowed; allowed: linear, quadratic"),
+        ("--element Quad", "'Quad' is not allowed (did you mean quadratic?)"),
     ],
 )
 def test_a_value_that_is_not_allowed_is_told_in_words(
@@ -271,6 +273,37 @@ def test_a_value_that_is_not_allowed_is_told_in_words(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     assert told in cli(f"press digit --out x {words}", code=2).err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (
+            "export gelsight_mini --out x --to taxin",
+            "--to: 'taxin' is not allowed (did you mean taxim?)",
+        ),
+        (
+            "dataset export lerobo x --out x",
+            "FORMAT: 'lerobo' is not allowed (did you mean lerobot?)",
+        ),
+        (
+            "design digit --out x --parts pad moud",
+            "--parts: 'moud' is not allowed (did you mean mould?)",
+        ),
+    ],
+)
+def test_a_choice_that_is_not_there_names_the_nearest(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, words: str, meant: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    told = cli(words, code=2).err
+    assert meant in told and "; allowed: " in told
+
+
+def test_choices_of_several_words_are_read_and_completed(cli: Cli) -> None:
+    command = app.parse("design digit --out x --parts pad mould".split())
+    assert isinstance(command, Design) and command.parts == ("pad", "mould")
+    assert "isaac-lab" in cli("--tyro-print-completion bash").out
 
 
 def test_numbers_are_read() -> None:

@@ -9,12 +9,16 @@ import sys
 import textwrap
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from taccel_lab.cli import app
+from taccel_lab.datasets import runner
+from taccel_lab.datasets.part import PartData
 from taccel_lab.errors import InputError, SimulationError, keeping
 from taccel_lab.files.output_folder import atomic_directory
+from tests.cli.conftest import Cli
 from tests.cli.test_app import python
 
 
@@ -168,3 +172,26 @@ def test_the_load_of_the_cad_kernel_can_be_interrupted(number: int, code: int) -
         run.send_signal(number)
         said = run.stderr.read()
     assert (run.returncode, said.count("\n")) == (code, 1), said
+
+
+@pytest.mark.thorough
+def test_an_interrupted_data_set_says_what_is_kept_and_goes_on(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (room / "set.toml").read_text().replace("episodes = 1", "episodes = 3")
+    Path("three.toml").write_text(f"{text}episodes_per_part = 1\n")
+    simulate, begun = runner.simulate_parts, []
+
+    def stopped(*args: Any) -> list[PartData]:
+        begun.append(args)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return simulate(*args)
+
+    monkeypatch.setattr(runner, "simulate_parts", stopped)
+    words = "dataset three.toml --out out --processes 0"
+    told = cli(words, code=130).err
+    go_on = f"go on with: taccel-lab {words}\n"
+    assert f"1 of 3 parts finished and kept in out, others are made anew; {go_on}" in told
+    assert cli.json(words)["episodes"] == 2

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -248,3 +249,19 @@ def test_an_export_says_what_it_wrote_and_left_out(folder: Path, tmp_path: Path,
     assert "left out" in text and "housing" in text
     assert (tmp_path / "out" / "sensor.urdf").is_file()
     assert cli.json(*command)["files"] == ["meshes/gel.stl", "sensor.urdf"]
+
+
+def test_a_sensor_of_the_catalogue_stands_for_its_profile(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    """Where no folder has that name: a profile of one's own comes first."""
+    monkeypatch.chdir(tmp_path)
+    cli("export 9dtact --to urdf --out out")
+    cli("profile report 9dtact --out page")
+    assert "9dtact" in (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    folder.rename(tmp_path / "9dtact")
+    cli("export 9dtact --to urdf --out mine")
+    designed, own = (
+        json.loads((tmp_path / name / "export.json").read_text()) for name in ("out", "mine")
+    )
+    assert designed["sensor"] == "9dtact" != own["sensor"]

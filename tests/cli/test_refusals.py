@@ -75,6 +75,7 @@ REFUSALS = {
         "captures/p3.png --out out": "neither a normals nor a depth_response",
         "nothing.png --out out": "does not exist",
         "captures/p3.png captures/p3.png --out out": "named alike",
+        "captures --out out": "captures is a folder; name its images, as captures/*.png does",
     },
     "force": {
         "profile captures/p3.png": "no force block",

@@ -116,6 +116,19 @@ def test_the_terminal_ranks_all_designs_by_the_metric_that_is_named(study: Path,
     assert shown == [7, 6, 5, 4, 3]
 
 
+@pytest.mark.parametrize("width", [30, 60, 120])
+def test_no_name_of_the_table_is_broken(
+    width: int, study: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    """Metrics are left out where a terminal is narrow, to a single one."""
+    long = '"stiffness", "range", "blur", "lamps"'
+    study.write_text(study.read_text().replace('"stiffness", "range"', long))
+    monkeypatch.setenv("COLUMNS", str(width))
+    printed = cli("study", study, "--out", "out").out
+    words = printed[printed.index("all designs") :].split()
+    assert "stiffness" in words and ("lamps" in words) == (width == 120)
+
+
 @pytest.mark.thorough
 def test_interruption_says_how_to_go_on(
     study: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli

@@ -48,7 +48,7 @@ BAD_FILES = [
     ("study/metrics", ["blur", "blur"], "named twice: blur"),
     ("study/name", ..., "study.name: field required"),
     ("study/seed", -1, "study.seed", "found -1"),
-    ("sweep", ..., "sweep: field required"),
+    ("sweep", {}, "sweep.kind: field required"),
     ("sweep/kind", "gird", "'grid', 'random' or 'optimize'", "found 'gird'"),
     ("sweep/count", 3, "a grid has as many designs as its values make"),
     ("sweep/kind", "random", "needs count"),
@@ -117,6 +117,10 @@ def test_objective_and_constraints_are_measured_too() -> None:
     constraint = Constraint(metric="blur", min=1, max=2)
     assert [constraint.violation(value) for value in (0.25, 1, 1.5, 2, 4)] == [0.75, 0, 0, 0, 2]
     assert constraint.text() == "blur from 1 to 2"
+
+
+def test_without_a_word_on_the_sweep_it_is_a_grid() -> None:
+    assert spec_of(changed("sweep", ...)).sweep.kind == "grid"
 
 
 @pytest.mark.thorough(cases=("digit_curvature", "mini_thickness_hardness"))

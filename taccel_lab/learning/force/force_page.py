@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,15 @@ COLUMNS = (
     "", "images", "Fz error [N]", "of [N]", "median relative", "shear error [N]", "of [N]",
     "Tz error [N mm]", "Tx, Ty error [N mm]", "area error [mm2]", "patch error [N]", "inside 95 %",
 )  # fmt: skip
+BY = (
+    ("depth", "By depth past first touch"),
+    ("shear", "By force along the face over force along z"),
+    ("place", "By distance from the sensor's middle"),
+    ("motion", "By motion"),
+    ("object", "By object"),
+    ("unit", "By unit"),
+)
+"""Tables of ``ForceCalibration``, and their titles."""
 SHOWN = 6
 """Touches whose patches are drawn."""
 
@@ -46,18 +56,14 @@ def force_page(result: ForceCalibration) -> Page:
         remarks=result.remarks,
         tables=[
             _table("All", [result.overall, *([result.at_rest] if result.at_rest else [])]),
-            _table("By depth past first touch", result.tables["depth"]),
-            _table("By force along the face over force along z", result.tables["shear"]),
-            _table("By distance from the sensor's middle", result.tables["place"]),
-            _table("By motion", result.tables["motion"]),
-            _table("By object", result.tables["object"]),
-            _table("By unit", result.tables["unit"]),
+            *(replace(_table(words, result.tables[name]), folded=True) for name, words in BY),
             Table(
                 "Images that are not of this sensor",
                 ["what", "images", "found"],
                 [[one.name, one.images, f"{one.outside:.1%}"] for one in result.imposters],
                 f"Made of held-out images, of which {result.false_alarms:.2%} are called "
                 "outside as they are.",
+                folded=True,
             ),
         ],
         pictures=[_predicted(result), _errors(result), _patches(result), _loss(result)],
@@ -90,8 +96,9 @@ def _table(title: str, rows: Sequence[Errors]) -> Table:
     def cells(row: Errors) -> list[Any]:
         relative = "" if np.isnan(row.fz_relative) else f"{row.fz_relative:.1%}"
         return [
-            row.name, row.images, row.fz_n, row.fz_spread_n, relative, row.shear_n,
-            row.shear_spread_n, row.tz_nmm, row.tilt_nmm, row.area_mm2, row.patch_n,
+            row.name, row.images, f"{row.fz_n:.3g}", f"{row.fz_spread_n:.3g}", relative,
+            f"{row.shear_n:.3g}", f"{row.shear_spread_n:.3g}", f"{row.tz_nmm:.3g}",
+            f"{row.tilt_nmm:.3g}", f"{row.area_mm2:.3g}", f"{row.patch_n:.3g}",
             f"{row.inside95:.0%}",
         ]  # fmt: skip
 

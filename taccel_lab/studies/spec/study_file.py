@@ -304,7 +304,7 @@ class StudySpec(StrictModel):
     fixed: dict[PlainName, Value] = Field(default_factory=dict)
     """Parameters other than the family's defaults, the same in all designs."""
     tied: dict[PlainName, Tie] = Field(default_factory=dict)
-    sweep: Sweep
+    sweep: Sweep = Field(default_factory=lambda: Sweep(kind="grid"))
     objective: Objective | None = None
     objectives: list[Objective] = Field(default_factory=list)
     """Several of them for an optimiser; the first one ranks designs."""

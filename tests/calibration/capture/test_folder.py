@@ -106,7 +106,7 @@ def test_presses_of_several_balls(folder: Path) -> None:
     assert captures.ball_radii_mm() == {2.0: 2, 3.0: 1}
     of_two = captures.ball_presses((0.1, 0.1))
     assert [press.name for press in of_two.presses] == ["a", "c"]
-    assert of_two.ball_radius_mm == 2.0 and "1 presses" in of_two.provenance["left_out"]
+    assert of_two.ball_radius_mm == 2.0 and "1 press of other" in of_two.provenance["left_out"]
     of_three = captures.ball_presses((0.1, 0.1), radius_mm=3.0)
     assert [press.name for press in of_three.presses] == ["b"]
     with pytest.raises(InputError, match=r"no press of a ball of 5 mm; the balls are of 2, 3 mm"):
