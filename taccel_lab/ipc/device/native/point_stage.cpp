@@ -5,9 +5,43 @@
     __shared__ double numbers[WP_TILE_BLOCK_DIM / 32][32 * 85 + 8 * 33];
     return reinterpret_cast<wp::uint64>(numbers[threadIdx.x / 32]);
 #else
-    static double numbers[32 * 85 + 8 * 33];
+    static double numbers[32 * 85 + 8 * 33 + 12];
     return reinterpret_cast<wp::uint64>(numbers);
 #endif
+
+//: opens_element
+#if defined(__CUDA_ARCH__)
+    return true;
+#else
+    return lane % 4 == 0;
+#endif
+
+//: keep
+#if !defined(__CUDA_ARCH__)
+    double* const to = reinterpret_cast<double*>(stage) + 32 * 85 + 8 * 33;
+    for (int i = 0; i < 9; ++i)
+        to[i] = common.data[i / 3][i % 3];
+    for (int i = 0; i < 3; ++i)
+        to[9 + i] = volume_part[i];
+#endif
+
+//: kept_common
+    wp::mat_t<3, 3, wp::float64> common;
+#if !defined(__CUDA_ARCH__)
+    const double* const from = reinterpret_cast<const double*>(stage) + 32 * 85 + 8 * 33;
+    for (int i = 0; i < 9; ++i)
+        common.data[i / 3][i % 3] = from[i];
+#endif
+    return common;
+
+//: kept_volume_part
+    wp::vec_t<3, wp::float64> volume_part;
+#if !defined(__CUDA_ARCH__)
+    const double* const from = reinterpret_cast<const double*>(stage) + 32 * 85 + 8 * 33 + 9;
+    for (int i = 0; i < 3; ++i)
+        volume_part[i] = from[i];
+#endif
+    return volume_part;
 
 //: put_point
 @SIZES@
