@@ -47,17 +47,17 @@ def _copy_rows_kernel(
             result[env, i] = source[env % source.shape[0], i]
 
 
-# A single lane, known to be alone and to have numbers side by side, is compiled to vectors: a ninth
-# of the time.
+# What is known to be one lane, and to have its numbers side by side, is compiled to vectors: on the
+# CPU a row takes a ninth of the time.
 @wp.func_native("""
     const int count = values.shape[1];
     auto* const row = values.data + static_cast<size_t>(env) * count;
-    if (lanes == 1)
-        for (int i = 0; i < count; ++i)
-            row[i] = 0;
-    else
-        for (int i = lane; i < count; i += lanes)
-            row[i] = 0;
+#if !defined(__CUDA_ARCH__)
+    lane = 0;
+    lanes = 1;
+#endif
+    for (int i = lane; i < count; i += lanes)
+        row[i] = 0;
 """)
 def _zero_row(env: int, lane: int, lanes: int, values: wp.array2d(dtype=Any)) -> None:
     """Clear every ``lanes``-th number of a row from ``lane`` on."""
