@@ -19,10 +19,9 @@ from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.presses.force_interval import ForceInterval, force_causes
 from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
 from taccel_lab.presses.press_files import (
-    PREDICTED_PX,
     VIEWS,
     painted_images,
-    predicted_images,
+    predicted_image,
     write_press,
     write_seen,
 )
@@ -174,11 +173,11 @@ class Press(Summary):
         calibration the optical design predicts it, in another size; None without either."""
         if self._painted[0] is not None:
             return eight_bit(self._painted[0])
-        outcome = self.outcome
-        predicted = predicted_images(
-            self.plan.profile, outcome, outcome.positions_m[None], PREDICTED_PX
-        )
-        return None if predicted is None else predicted[0]
+        return predicted_image(self.plan.profile, self.outcome)
+
+    def _predicted(self) -> np.ndarray | None:
+        """``image`` before a calibration, for who writes it: the light is followed once."""
+        return self.image
 
     def seen_by(self, name: str) -> Press:
         """Return the press as one of the sensor's cameras shows it."""
@@ -268,12 +267,15 @@ class Press(Summary):
         step_s = [step.report.seconds for step in self.outcome.steps]
         write_json(folder / TIMES, {"seconds": self.seconds, "step_seconds": step_s})
         rgb, frames = self._painted
-        write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames, call)
+        picture = rgb, self._predicted
+        press = folder, self.outcome, plan.profile
+        write_press(*press, *picture, about, plan.indenter, frames, call)
         for name in self.outcome.views:
             seen = self.seen_by(name)
             inner = folder / VIEWS / name
             inner.mkdir(parents=True)
-            write_seen(inner, seen.outcome, seen.plan.profile, seen._painted[0], call)
+            picture = seen._painted[0], seen._predicted
+            write_seen(inner, seen.outcome, seen.plan.profile, *picture, call)
         if plan.photo is not None and self.like is not None:
             assert self.simulated_photo is not None
             figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])

@@ -5,7 +5,7 @@ calibrated colours, or as the optical design predicts."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,7 @@ def write_press(
     outcome: PressOutcome,
     profile: SensorProfile,
     rgb: np.ndarray | None,
+    predicted: Callable[[], np.ndarray | None],
     about: Mapping[str, Any],
     indenter: Indenter,
     frames: Sequence[np.ndarray] | None,
@@ -60,8 +61,9 @@ def write_press(
         folder: To write to; it exists.
         outcome: The press.
         profile: Of the sensor that was pressed.
-        rgb: Tactile image, levels; when None the picture that the optical model predicts is
-            written, if the sensor has one.
+        rgb: Tactile image, levels; None where the profile has no colours.
+        predicted: Returns what is written then: the picture that the optical model predicts, uint8,
+            [height_px, width_px, 3], if the sensor has one.
         about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
             curve of the force.
         indenter: Whose surface goes into ``states.npz``, which is written where the press kept its
@@ -72,7 +74,7 @@ def write_press(
     """
     # First, so that another process draws while this one follows the light.
     _draw_loads(folder, outcome, about["indenter"], call)
-    markers = write_seen(folder, outcome, profile, rgb, call)
+    markers = write_seen(folder, outcome, profile, rgb, predicted, call)
     write_mesh_vtu(
         folder / "gel.vtu",
         outcome.mesh,
@@ -113,6 +115,7 @@ def write_seen(
     outcome: PressOutcome,
     profile: SensorProfile,
     rgb: np.ndarray | None,
+    predicted: Callable[[], np.ndarray | None],
     call: Call,
 ) -> PressMarkers | None:
     """Write what a camera shows of a press: ``signals.npz``, its pictures and its dots, which are
@@ -141,9 +144,8 @@ def write_seen(
         call(save_drawing, folder / "image.png", draw_image, rgb, grid)
         call(write_image, folder / "image_raw.png", rgb)
     else:
-        predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
-        if predicted is not None:
-            seen = predicted[0]
+        seen = predicted()
+        if seen is not None:
             call(write_image, folder / "predicted.png", seen)
     if markers is not None:
         markers.write_csv(folder / MARKERS)
@@ -237,3 +239,9 @@ def predicted_images(
     markers = None if profile.markers is None else profile.markers.grid()
     model = OpticalModel.through(seen, design, outcome.mesh, markers=markers, designed=profile.mesh)
     return [model.render(places).rgb for places in places_m]
+
+
+def predicted_image(profile: SensorProfile, outcome: PressOutcome) -> np.ndarray | None:
+    """The picture of the end of a press, see ``predicted_images``."""
+    pictures = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
+    return None if pictures is None else pictures[0]

@@ -17,6 +17,7 @@ import pyvista
 
 from taccel_lab.errors import SimulationError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
+from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.profile import load_profile, save_profile
@@ -120,6 +121,24 @@ def test_press_on_a_sensor_of_the_catalogue(tmp_path: Path, cli: Cli) -> None:
     assert values["mesh"]["tet_count"] == mesh.tet_count
     for path in out.glob("*.png"):
         assert path.name in PREDICTED or cv2.imread(str(path)).std() > 5, path.name
+
+
+@pytest.mark.rasterised
+def test_light_is_followed_once_for_picture_and_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followed = []
+    light_of = OpticalModel.light_of
+
+    def counted(model: OpticalModel, face: Any) -> Any:
+        followed.append(face)
+        return light_of(model, face)
+
+    monkeypatch.setattr(OpticalModel, "light_of", counted)
+    assert press("gelsight", tmp_path / "out", f"--depth-mm 0.2 {QUICK}") == 0
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "image, predicted by the design" in page and (tmp_path / "out/predicted.png").is_file()
+    assert len(followed) == 2, "at rest, for the exposure, and pressed"
 
 
 @pytest.mark.thorough

@@ -167,8 +167,7 @@ def test_dots_in_both_images_give_their_places(stereo: SensorProfile, pressed: P
 
 @pytest.mark.thorough
 def test_cameras_are_saved(pressed: Press, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("presses.press_files", "api.press_result"):
-        monkeypatch.setattr(f"taccel_lab.{module}.PREDICTED_PX", 64)
+    monkeypatch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
     main, right = (pressed.seen_by(name) for name in ("main", "camera_2"))
     assert main.image is not None and right.image is not None
     assert main.image.shape == right.image.shape

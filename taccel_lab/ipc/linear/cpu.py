@@ -30,29 +30,7 @@ RELAXATION = 1.2
 _CHECK_EVERY = 8
 
 
-@wp.func_native(native("linear_cpu", "row_product"))
-def _row_product(
-    first: int,
-    end: int,
-    columns: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.mat33d),
-    x: wp.array(dtype=wp.vec3d),
-) -> wp.vec3d:
-    """Sum of values[k] x[columns[k]]."""
-    ...
-
-
-@wp.func_native(native("linear_cpu", "add_column"))
-def _add_column(
-    first: int,
-    end: int,
-    columns: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.mat33d),
-    x: wp.vec3d,
-    y: wp.array(dtype=wp.vec3d),
-) -> None:
-    """y[columns[k]] += values[k]^T x."""
-    ...
+_ROWS = native("linear_cpu", "rows")
 
 
 @wp.func
@@ -66,7 +44,7 @@ def _invert_diagonal(
         inverses[i] = scale * wp.inverse(values[row_starts[i + 1] - 1])
 
 
-@wp.func
+@wp.func_native(native("linear_cpu", "forward_sweep", ROWS=_ROWS))
 def _forward_sweep(
     row_starts: wp.array(dtype=wp.int32),
     columns: wp.array(dtype=wp.int32),
@@ -74,14 +52,12 @@ def _forward_sweep(
     inverses: wp.array(dtype=wp.mat33d),
     b: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
-):
+) -> None:
     """x = B^-1 b; may be the same array."""
-    for i in range(b.shape[0]):
-        first = row_starts[i]
-        x[i] = inverses[i] * (b[i] - _row_product(first, row_starts[i + 1] - 1, columns, values, x))
+    ...
 
 
-@wp.func
+@wp.func_native(native("linear_cpu", "backward_sweep", ROWS=_ROWS))
 def _backward_sweep(
     row_starts: wp.array(dtype=wp.int32),
     columns: wp.array(dtype=wp.int32),
@@ -90,16 +66,65 @@ def _backward_sweep(
     b: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     upper: wp.array(dtype=wp.vec3d),
-):
+) -> None:
     """x = B^-T b and upper = L^T x."""
-    n = b.shape[0]
-    for i in range(n):
-        upper[i] = wp.vec3d()
-    for m in range(n):
-        i = n - 1 - m
-        x_i = inverses[i] * (b[i] - upper[i])
-        x[i] = x_i
-        _add_column(row_starts[i], row_starts[i + 1] - 1, columns, values, x_i, upper)
+    ...
+
+
+@wp.func_native(native("linear_cpu", "product_sweep", ROWS=_ROWS))
+def _product_sweep(
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    inverses: wp.array(dtype=wp.mat33d),
+    keep: wp.float64,
+    turn: wp.float64,
+    p: wp.array(dtype=wp.vec3d),
+    t: wp.array(dtype=wp.vec3d),
+    e: wp.array(dtype=wp.vec3d),
+    u: wp.array(dtype=wp.vec3d),
+) -> wp.float64:
+    """u = B^-1 (keep p + turn u + e), where u = L^T t before; returns p . (t + u)."""
+    ...
+
+
+@wp.func_native(native("linear_cpu", "move", ROWS=_ROWS))
+def _move(
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    alpha: wp.float64,
+    t: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.vec3d),
+    r: wp.array(dtype=wp.vec3d),
+    u: wp.array(dtype=wp.vec3d),
+) -> wp.float64:
+    """x += alpha t, r -= alpha (t + u) and u = D r; returns r . u."""
+    ...
+
+
+@wp.func_native(native("linear_cpu", "residual_sq", ROWS=_ROWS))
+def _residual_sq(
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    diagonal_weight: wp.float64,
+    r: wp.array(dtype=wp.vec3d),
+) -> wp.float64:
+    """|B r|^2: the squared norm of the residual that r = B^-1 (b - A x) stands for."""
+    ...
+
+
+@wp.func_native(native("linear_cpu", "subtract_product", ROWS=_ROWS))
+def _subtract_product(
+    row_starts: wp.array(dtype=wp.int32),
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    x: wp.array(dtype=wp.vec3d),
+    r: wp.array(dtype=wp.vec3d),
+) -> None:
+    """r -= (L + D + L^T) x."""
+    ...
 
 
 @wp.func
@@ -127,55 +152,6 @@ def _sum_sq(x: wp.array(dtype=wp.vec3d)) -> wp.float64:
     for i in range(x.shape[0]):
         total += wp.dot(x[i], x[i])
     return total
-
-
-@wp.func
-def _residual_sq(
-    row_starts: wp.array(dtype=wp.int32),
-    columns: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.mat33d),
-    diagonal_weight: wp.float64,
-    r: wp.array(dtype=wp.vec3d),
-) -> wp.float64:
-    """|B r|^2: the squared norm of the residual that r = B^-1 (b - A x) stands for."""
-    total = wp.float64(0.0)
-    for i in range(r.shape[0]):
-        last = row_starts[i + 1] - 1
-        row = diagonal_weight * (values[last] * r[i])
-        row += _row_product(row_starts[i], last, columns, values, r)
-        total += wp.dot(row, row)
-    return total
-
-
-@wp.func
-def _true_residual_sq(
-    row_starts: wp.array(dtype=wp.int32),
-    columns: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.mat33d),
-    b: wp.array(dtype=wp.vec3d),
-    extra_count: int,
-    extra_codes: wp.array(dtype=wp.int32),
-    extra_places: wp.array(dtype=wp.vec2i),
-    extra_values: wp.array(dtype=wp.mat33d),
-    x: wp.array(dtype=wp.vec3d),
-    work: wp.array(dtype=wp.vec3d),
-    r: wp.array(dtype=wp.vec3d),
-) -> wp.float64:
-    """|b - A x|^2; the residual is left in r."""
-    for i in range(b.shape[0]):
-        work[i] = b[i]
-    if extra_count > 0:
-        for i in range(b.shape[0]):
-            work[i] = wp.vec3d()
-        _add_extra_product(extra_count, extra_codes, extra_places, extra_values, x, work)
-        for i in range(b.shape[0]):
-            work[i] = b[i] - work[i]
-    for i in range(b.shape[0]):
-        last = row_starts[i + 1] - 1
-        x_i = x[i]
-        r[i] = work[i] - values[last] * x_i - _row_product(row_starts[i], last, columns, values, x)
-        _add_column(row_starts[i], last, columns, values, -x_i, r)
-    return _sum_sq(r)
 
 
 @wp.kernel
@@ -232,6 +208,8 @@ def _solve_kernel(
     b_sq = _sum_sq(b)
     if b_sq == zero:
         return
+    for i in range(n):
+        e[i] = wp.vec3d()
     goal = tolerances[env] * tolerances[env] * b_sq
     weight = one / relaxation
     # B^T t = p gives p - (2/w - 1) D t = (w - 1) p + (2 - w) L^T t.
@@ -259,28 +237,13 @@ def _solve_kernel(
             for i in range(n):
                 e[i] = wp.vec3d()
             _add_extra_product(extra_count, extra_codes, extra_places, extra_values, t, e)
-        curvature = zero
-        for i in range(n):
-            total = keep * p[i] + turn * u[i]
-            if extra_count > 0:
-                total += e[i]
-            total -= _row_product(row_starts[i], row_starts[i + 1] - 1, columns, values, u)
-            u_i = inverses[i] * total
-            u[i] = u_i
-            curvature += wp.dot(p[i], t[i] + u_i)
+        curvature = _product_sweep(row_starts, columns, values, inverses, keep, turn, p, t, e, u)
         if not (curvature > zero and curvature < wp.float64(wp.inf)):
             breakdowns[env] = 1
             searching = int(0)
         else:
             alpha = rho / curvature
-            rho_new = zero
-            for i in range(n):
-                x[i] += alpha * t[i]
-                r_i = r[i] - alpha * (t[i] + u[i])
-                r[i] = r_i
-                z = values[row_starts[i + 1] - 1] * r_i
-                u[i] = z
-                rho_new += wp.dot(r_i, z)
+            rho_new = _move(row_starts, columns, values, alpha, t, x, r, u)
             beta = rho_new / rho
             rho = rho_new
             for i in range(n):
@@ -294,20 +257,13 @@ def _solve_kernel(
                     searching = int(0)
                 ratio = r_sq / rho
     iterations[env] = count
-    residual_sq = _true_residual_sq(
-        row_starts,
-        columns,
-        values,
-        b,
-        extra_count,
-        extra_codes,
-        extra_places,
-        extra_values,
-        x,
-        e,
-        r,
-    )
-    residuals[env] = wp.sqrt(residual_sq / b_sq)
+    for i in range(n):
+        e[i] = wp.vec3d()
+    _add_extra_product(extra_count, extra_codes, extra_places, extra_values, x, e)
+    for i in range(n):
+        r[i] = b[i] - e[i]
+    _subtract_product(row_starts, columns, values, x, r)
+    residuals[env] = wp.sqrt(_sum_sq(r) / b_sq)
 
 
 class SsorCG:

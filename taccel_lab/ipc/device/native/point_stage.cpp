@@ -5,9 +5,43 @@
     __shared__ double numbers[WP_TILE_BLOCK_DIM / 32][32 * 85 + 8 * 33];
     return reinterpret_cast<wp::uint64>(numbers[threadIdx.x / 32]);
 #else
-    static double numbers[32 * 85 + 8 * 33];
+    static double numbers[32 * 85 + 8 * 33 + 12];
     return reinterpret_cast<wp::uint64>(numbers);
 #endif
+
+//: opens_element
+#if defined(__CUDA_ARCH__)
+    return true;
+#else
+    return lane % 4 == 0;
+#endif
+
+//: keep
+#if !defined(__CUDA_ARCH__)
+    double* const to = reinterpret_cast<double*>(stage) + 32 * 85 + 8 * 33;
+    for (int i = 0; i < 9; ++i)
+        to[i] = common.data[i / 3][i % 3];
+    for (int i = 0; i < 3; ++i)
+        to[9 + i] = volume_part[i];
+#endif
+
+//: kept_common
+    wp::mat_t<3, 3, wp::float64> common;
+#if !defined(__CUDA_ARCH__)
+    const double* const from = reinterpret_cast<const double*>(stage) + 32 * 85 + 8 * 33;
+    for (int i = 0; i < 9; ++i)
+        common.data[i / 3][i % 3] = from[i];
+#endif
+    return common;
+
+//: kept_volume_part
+    wp::vec_t<3, wp::float64> volume_part;
+#if !defined(__CUDA_ARCH__)
+    const double* const from = reinterpret_cast<const double*>(stage) + 32 * 85 + 8 * 33 + 9;
+    for (int i = 0; i < 3; ++i)
+        volume_part[i] = from[i];
+#endif
+    return volume_part;
 
 //: put_point
 @SIZES@
@@ -75,33 +109,62 @@
 #else
     if (lane % 32 != 31)
         return;
+    // In registers: added up in memory, number by number, blocks took five times as long. Eight of
+    // the nine numbers of a block go together, and the ninth of all four points.
+    typedef double four __attribute__((vector_size(32), aligned(8)));
+    typedef double eight __attribute__((vector_size(64), aligned(8)));
     for (int element = 0; element < count; ++element) {
         const double* const e = staged + points + element * element_stride;
-        double* const sums = to + 9 * 55 * element;
-        int pair = 0;
-        for (int a = 0; a < 10; ++a)
-            for (int b = a; b < 10; ++b, ++pair)
-                for (int i = 0; i < 9; ++i)
-                    sums[9 * pair + i] = e[1] * e[2 + 3 * a + i / 3] * e[2 + 3 * b + i % 3];
+        const double* const point = staged + 4 * element * point_stride;
+        const auto of_points = [point](int at) {
+            return four{point[at], point[at + point_stride], point[at + 2 * point_stride],
+                        point[at + 3 * point_stride]};
+        };
+        four shapes[30];
+        for (int i = 0; i < 30; ++i)
+            shapes[i] = of_points(54 + i);
+        const four last_00 = of_points(8), last_01 = of_points(17), last_02 = of_points(26),
+                   last_11 = of_points(35), last_12 = of_points(44), last_22 = of_points(53);
+        eight k[4][9];
         for (int q = 0; q < 4; ++q) {
-            const double* const k = staged + (4 * element + q) * point_stride;
-            const double* const s = k + 54;
-            pair = 0;
-            for (int a = 0; a < 10; ++a) {
-                const double g0 = e[0] * s[3 * a];
-                const double g1 = e[0] * s[3 * a + 1];
-                const double g2 = e[0] * s[3 * a + 2];
-                double left[3][9];
-                for (int i = 0; i < 9; ++i) {
-                    const int turned = i % 3 * 3 + i / 3;
-                    left[0][i] = g0 * k[i] + g1 * k[9 + turned] + g2 * k[18 + turned];
-                    left[1][i] = g0 * k[9 + i] + g1 * k[27 + i] + g2 * k[36 + turned];
-                    left[2][i] = g0 * k[18 + i] + g1 * k[36 + i] + g2 * k[45 + i];
-                }
-                for (int b = a; b < 10; ++b, ++pair)
-                    for (int i = 0; i < 9; ++i)
-                        sums[9 * pair + i] += s[3 * b] * left[0][i] + s[3 * b + 1] * left[1][i]
-                            + s[3 * b + 2] * left[2][i];
+            const auto block = [from = point + q * point_stride](int at) {
+                return *reinterpret_cast<const eight*>(from + 9 * at);
+            };
+            const auto turned = [from = point + q * point_stride](int at) {
+                const double* const k = from + 9 * at;
+                return eight{k[0], k[3], k[6], k[1], k[4], k[7], k[2], k[5]};
+            };
+            const eight all[9] = {block(0), turned(1), turned(2), block(1), block(3), turned(4),
+                                  block(2), block(4), block(5)};
+            for (int i = 0; i < 9; ++i)
+                k[q][i] = all[i];
+        }
+        double* sums = to + 9 * 55 * element;
+        for (int a = 0; a < 10; ++a) {
+            const four g0 = e[0] * shapes[3 * a];
+            const four g1 = e[0] * shapes[3 * a + 1];
+            const four g2 = e[0] * shapes[3 * a + 2];
+            eight left[4][3];
+            for (int q = 0; q < 4; ++q)
+                for (int i = 0; i < 3; ++i)
+                    left[q][i] = g0[q] * k[q][3 * i] + g1[q] * k[q][3 * i + 1]
+                        + g2[q] * k[q][3 * i + 2];
+            const four last_0 = g0 * last_00 + g1 * last_01 + g2 * last_02;
+            const four last_1 = g0 * last_01 + g1 * last_11 + g2 * last_12;
+            const four last_2 = g0 * last_02 + g1 * last_12 + g2 * last_22;
+            const double b0 = e[1] * e[2 + 3 * a];
+            const double b1 = e[1] * e[3 + 3 * a];
+            const double b2 = e[1] * e[4 + 3 * a];
+            for (int b = a; b < 10; ++b, sums += 9) {
+                const double t0 = e[2 + 3 * b], t1 = e[3 + 3 * b], t2 = e[4 + 3 * b];
+                eight total = {b0 * t0, b0 * t1, b0 * t2, b1 * t0,
+                               b1 * t1, b1 * t2, b2 * t0, b2 * t1};
+                const four s0 = shapes[3 * b], s1 = shapes[3 * b + 1], s2 = shapes[3 * b + 2];
+                for (int q = 0; q < 4; ++q)
+                    total += s0[q] * left[q][0] + s1[q] * left[q][1] + s2[q] * left[q][2];
+                *reinterpret_cast<eight*>(sums) = total;
+                const four last = s0 * last_0 + s1 * last_1 + s2 * last_2;
+                sums[8] = b2 * t2 + last[0] + last[1] + last[2] + last[3];
             }
         }
     }

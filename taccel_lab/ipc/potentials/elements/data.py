@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.bodies import Element
+from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.device.sums import add_row_sums
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
@@ -108,6 +109,20 @@ def _block_part(env: int, code: int, parts: wp.array2d(dtype=wp.mat33d)) -> wp.m
     return block
 
 
+@wp.func_native(native("element_parts", "add_parts"))
+def _add_parts(
+    env: int,
+    block: int,
+    first: int,
+    end: int,
+    sources: wp.array(dtype=wp.int32),
+    parts: wp.array2d(dtype=wp.mat33d),
+    values: wp.array2d(dtype=wp.mat33d),
+) -> None:
+    """Add parts ``first`` to ``end`` of ``sources``, the right way round, to a block."""
+    ...
+
+
 @wp.kernel
 def _gather_blocks_kernel(
     active: Envs,
@@ -121,11 +136,7 @@ def _gather_blocks_kernel(
     env = env_at(place, active)
     if env < 0:
         return
-    block = blocks[i]
-    total = values[env, block]
-    for k in range(starts[i], starts[i + 1]):
-        total += _block_part(env, sources[k], parts)
-    values[env, block] = total
+    _add_parts(env, blocks[i], starts[i], starts[i + 1], sources, parts, values)
 
 
 @wp.kernel

@@ -102,6 +102,31 @@ def stage_points() -> wp.uint64:
     ...
 
 
+@wp.func_native(native("point_stage", "opens_element"))
+def opens_element(lane: int) -> bool:
+    """Whether a lane evaluates what the points of its element share: all do on a GPU, the first one
+    on the CPU."""
+    ...
+
+
+@wp.func_native(native("point_stage", "keep"))
+def keep(stage: wp.uint64, common: wp.mat33d, volume_part: wp.vec3d) -> None:
+    """Keep for the other lanes of an element what the one that opens it has evaluated."""
+    ...
+
+
+@wp.func_native(native("point_stage", "kept_common"))
+def kept_common(stage: wp.uint64) -> wp.mat33d:
+    """What ``keep`` kept."""
+    ...
+
+
+@wp.func_native(native("point_stage", "kept_volume_part"))
+def kept_volume_part(stage: wp.uint64) -> wp.vec3d:
+    """What ``keep`` kept."""
+    ...
+
+
 @wp.func_native(native("point_stage", "put_point", SIZES=_SIZES))
 def put_point(stage: wp.uint64, lane: int, h: PointHessian, shapes: mat103d) -> None:
     """Lay down the second derivatives at a point and the shape gradients in their frame."""

@@ -32,6 +32,10 @@ from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.elements.point_stage import (
     POINT_LANES,
+    keep,
+    kept_common,
+    kept_volume_part,
+    opens_element,
     put_element,
     put_point,
     stage_points,
@@ -327,8 +331,15 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         q = lane % POINT_LANES
         if own < count:
             i = modulus_index(env, own, d)
-            common = common_deformation(env, own, positions, d)
-            volume_part = volumetric(_mean_dilatation(env, own, common, positions, d))
+            common = wp.mat33d()
+            volume_part = wp.vec3d()
+            if opens_element(lane):
+                common = common_deformation(env, own, positions, d)
+                volume_part = volumetric(_mean_dilatation(env, own, common, positions, d))
+                keep(stage, common, volume_part)
+            else:
+                common = kept_common(stage)
+                volume_part = kept_volume_part(stage)
             modulus = volumetric_modulus(d.moduli, i)
             if q == 0:
                 slope = _mean_slope(env, own, common, positions, d)
