@@ -10,7 +10,8 @@ B D^-1 B^T. CG runs on B^-1 A B^-T: as A = B + B^T - (2 / w - 1) D, its product 
 where B^T t = p and B u = p - (2 / w - 1) D t [Eisenstat 1981, Efficient implementation of a class
 of preconditioned conjugate gradient methods]. Two triangular sweeps over the stored lower triangle
 are both the matrix product and the preconditioner. Extra blocks E outside of the pattern enter the
-product only: u gains B^-1 E t.
+product only: u gains B^-1 E t. Blocks of D that are not positive definite are turned (``turned``),
+and E takes that out of the product.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
+from taccel_lab.ipc.linear.problem.turned import reach_m, shortened, turning
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -61,9 +63,22 @@ def _invert_diagonal(
     values: wp.array(dtype=wp.mat33d),
     scale: wp.float64,
     inverses: wp.array(dtype=wp.mat33d),
-):
+    kept: wp.array(dtype=wp.vec3d),
+) -> int:
+    """Inverses of the blocks D, scaled. Those that are not positive definite are turned, in the
+    matrix too, or B D^-1 B^T would not be either; ``kept``: diagonals before. Returns how many."""
+    turned = int(0)
     for i in range(inverses.shape[0]):
-        inverses[i] = scale * wp.inverse(values[row_starts[i + 1] - 1])
+        last = row_starts[i + 1] - 1
+        block = values[last]
+        kept[i] = wp.get_diag(block)
+        more = turning(block)
+        if wp.length_sq(more) > wp.float64(0.0):
+            block += wp.diag(more)
+            values[last] = block
+            turned += 1
+        inverses[i] = scale * wp.inverse(block)
+    return turned
 
 
 @wp.func
@@ -192,7 +207,9 @@ def _solve_kernel(
     max_iterations: int,
     relaxation: wp.float64,
     check_every: int,
+    reach: wp.float64,
     all_inverses: wp.array2d(dtype=wp.mat33d),
+    all_kept: wp.array2d(dtype=wp.vec3d),
     all_r: wp.array2d(dtype=wp.vec3d),
     all_p: wp.array2d(dtype=wp.vec3d),
     all_t: wp.array2d(dtype=wp.vec3d),
@@ -207,6 +224,7 @@ def _solve_kernel(
     values = all_values[env]
     b = all_rhs[env]
     inverses = all_inverses[env]
+    kept = all_kept[env]
     r = all_r[env]
     p = all_p[env]
     t = all_t[env]
@@ -238,7 +256,7 @@ def _solve_kernel(
     keep = relaxation - one
     turn = wp.float64(2.0) - relaxation
 
-    _invert_diagonal(row_starts, values, relaxation, inverses)
+    turned = _invert_diagonal(row_starts, values, relaxation, inverses, kept)
     _forward_sweep(row_starts, columns, values, inverses, b, r)
     rho = zero
     for i in range(n):
@@ -255,14 +273,15 @@ def _solve_kernel(
         searching = int(0)
     while searching == 1 and count < max_iterations:
         _backward_sweep(row_starts, columns, values, inverses, p, t, u)
-        if extra_count > 0:
+        if extra_count + turned > 0:
             for i in range(n):
-                e[i] = wp.vec3d()
+                less = kept[i] - wp.get_diag(values[row_starts[i + 1] - 1])
+                e[i] = wp.cw_mul(less, t[i])
             _add_extra_product(extra_count, extra_codes, extra_places, extra_values, t, e)
         curvature = zero
         for i in range(n):
             total = keep * p[i] + turn * u[i]
-            if extra_count > 0:
+            if extra_count + turned > 0:
                 total += e[i]
             total -= _row_product(row_starts[i], row_starts[i + 1] - 1, columns, values, u)
             u_i = inverses[i] * total
@@ -270,12 +289,15 @@ def _solve_kernel(
             curvature += wp.dot(p[i], t[i] + u_i)
         if not (curvature > zero and curvature < wp.float64(wp.inf)):
             breakdowns[env] = 1
+        if curvature == zero or not wp.isfinite(curvature):
             searching = int(0)
         else:
             alpha = rho / curvature
+            # The recurrence solves the system; what it takes down is turned.
+            way = rho / wp.abs(curvature)
             rho_new = zero
             for i in range(n):
-                x[i] += alpha * t[i]
+                x[i] += way * t[i]
                 r_i = r[i] - alpha * (t[i] + u[i])
                 r[i] = r_i
                 z = values[row_starts[i + 1] - 1] * r_i
@@ -293,6 +315,24 @@ def _solve_kernel(
                 if r_sq <= goal:
                     searching = int(0)
                 ratio = r_sq / rho
+    if breakdowns[env] != 0:
+        length_sq = zero
+        descent = zero
+        for i in range(n):
+            length_sq += wp.length_sq(x[i])
+            descent += wp.dot(x[i], b[i])
+        part = shortened(length_sq, descent, reach)
+        for i in range(n):
+            x[i] = part * x[i]
+        if part == zero:
+            count = int(0)
+    if turned > 0:
+        for i in range(n):
+            last = row_starts[i + 1] - 1
+            block = values[last]
+            for k in range(3):
+                block[k, k] = kept[i][k]
+            values[last] = block
     iterations[env] = count
     residual_sq = _true_residual_sq(
         row_starts,
@@ -315,7 +355,8 @@ class SsorCG:
 
     description = "CG with symmetric Gauss-Seidel, one kernel"
 
-    def __init__(self, problem: LinearProblem) -> None:
+    def __init__(self, problem: LinearProblem, clusters: list[tuple[int, int]]) -> None:
+        """``clusters``: ranges of rows of affine bodies."""
         self._problem = problem
         pattern, device = problem.pattern, problem.device
         if not device.is_cpu:
@@ -323,8 +364,9 @@ class SsorCG:
         self._row_starts = wp.array(pattern.row_starts, dtype=wp.int32, device=device)
         self._columns = wp.array(pattern.columns, dtype=wp.int32, device=device)
         self._extra = ExtraRowLists(problem)
+        self._reach = reach_m(problem, clusters)
         self._inverses = wp.zeros(problem.shape, dtype=wp.mat33d, device=device)
-        self._work = [wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(5)]
+        self._work = [wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(6)]
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
@@ -332,5 +374,6 @@ class SsorCG:
         self._extra.update(active)
         inputs = [self._row_starts, self._columns, p.values, self._extra.rows, p.extra.places]
         inputs += [p.extra.values, p.rhs, active, p.tolerances, max_iterations]
-        inputs += [wp.float64(RELAXATION), _CHECK_EVERY, self._inverses, *self._work, p.solution]
+        inputs += [wp.float64(RELAXATION), _CHECK_EVERY, wp.float64(self._reach), self._inverses]
+        inputs += [*self._work, p.solution]
         launch(_solve_kernel, p.env_count, *inputs, p.iterations, p.residuals, p.breakdown)
