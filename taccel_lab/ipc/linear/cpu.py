@@ -22,7 +22,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
-from taccel_lab.ipc.linear.problem.turned import reach_m, shortened, turning
+from taccel_lab.ipc.linear.problem.turned import (
+    reach_m,
+    shortened,
+    turned_curvature,
+    turning,
+)
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -265,6 +270,8 @@ def _solve_kernel(
         p[i] = z
     # CG knows |r|^2 in the metric of D; the true norm follows at checks, by this ratio between.
     ratio = b_sq / rho
+    # Of the direction, in the metric of the preconditioner.
+    length_sq = rho
     count = int(0)
     unchecked = int(0)
     searching = int(1)
@@ -294,7 +301,7 @@ def _solve_kernel(
         else:
             alpha = rho / curvature
             # The recurrence solves the system; what it takes down is turned.
-            way = rho / wp.abs(curvature)
+            way = rho / turned_curvature(curvature, length_sq)
             rho_new = zero
             for i in range(n):
                 x[i] += way * t[i]
@@ -305,6 +312,7 @@ def _solve_kernel(
                 rho_new += wp.dot(r_i, z)
             beta = rho_new / rho
             rho = rho_new
+            length_sq = rho + beta * beta * length_sq
             for i in range(n):
                 p[i] = u[i] + beta * p[i]
             count += 1
@@ -316,12 +324,12 @@ def _solve_kernel(
                     searching = int(0)
                 ratio = r_sq / rho
     if breakdowns[env] != 0:
-        length_sq = zero
+        square = zero
         descent = zero
         for i in range(n):
-            length_sq += wp.length_sq(x[i])
+            square += wp.length_sq(x[i])
             descent += wp.dot(x[i], b[i])
-        part = shortened(length_sq, descent, reach)
+        part = shortened(square, descent, reach)
         for i in range(n):
             x[i] = part * x[i]
         if part == zero:

@@ -20,6 +20,7 @@ from taccel_lab.ipc.linear.arrow.program import least_degree_order
 from taccel_lab.ipc.linear.cpu import RELAXATION
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW
 from taccel_lab.ipc.linear.problem.scatter import find_block
+from taccel_lab.ipc.linear.problem.turned import LEAST_TURNED
 from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.model.matrix_pattern import block_pattern, node_gather
 from tests.ipc.linear.systems import (
@@ -129,7 +130,8 @@ def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> No
 
 
 def turned_in_krylov_space(dense: np.ndarray, inverse: np.ndarray, load: np.ndarray, steps: int):
-    """V (L |D| L^T)^-1 V^T b: ``inverse`` preconditions, V spans the space, V^T A V = L D L^T."""
+    """V (L |D| L^T)^-1 V^T b, V^T A V = L D L^T; ``inverse`` preconditions, V spans the space.
+    Pivots that were negative are no smaller than a part of that of the preconditioner."""
     space = np.zeros((len(load), 0))
     following = inverse @ load
     for _ in range(steps):
@@ -144,7 +146,9 @@ def turned_in_krylov_space(dense: np.ndarray, inverse: np.ndarray, load: np.ndar
         lower[k + 1 :, k] = small[k + 1 :, k] / pivots[k]
         small = small - np.outer(lower[:, k], lower[:, k]) * pivots[k]
     assert (pivots < 0).any() and (pivots > 0).any()
-    return space @ np.linalg.solve(lower * np.abs(pivots) @ lower.T, space.T @ load)
+    along = space @ np.linalg.inv(lower).T
+    least = LEAST_TURNED * np.einsum("ik,ik->k", along, np.linalg.solve(inverse, along))
+    return along @ (along.T @ load / np.where(pivots < 0, np.maximum(-pivots, least), pivots))
 
 
 @pytest.mark.parametrize("place", ["block", "coupling"])

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.linear.problem.turned import turned_curvature
+
 wp.set_module_options({"enable_backward": False})
 
 # What a pass over the rows does.
@@ -29,6 +31,7 @@ class CgState:
     start_sq: of the one at the last start.
     alpha, beta, rho: of the last step; rho = (r, M^-1 r).
     way: alpha, turned where the curvature is negative (``problem.turned``).
+    length_sq: of the direction, in the metric of the preconditioner.
     """
 
     mode: int
@@ -43,6 +46,7 @@ class CgState:
     beta: wp.float64
     rho: wp.float64
     way: wp.float64
+    length_sq: wp.float64
 
 
 @wp.func
@@ -84,7 +88,8 @@ def next_step(state: CgState, sums: wp.vec3d, verifies: bool, max_iterations: in
         limit = wp.float64(1.001) * limit
     curvature = sums[1] - state.beta * sums[0] / state.alpha
     state.alpha = sums[0] / curvature
-    state.way = sums[0] / wp.abs(curvature)
+    state.length_sq = sums[0] + state.beta * state.beta * state.length_sq
+    state.way = sums[0] / turned_curvature(curvature, state.length_sq)
     state.rho = sums[0]
     state.mode = STEP
     finite = state.r_sq < infinity

@@ -64,6 +64,12 @@ def turning(block: wp.mat33d) -> wp.vec3d:
 
 
 @wp.func
+def turned_curvature(curvature: wp.float64, length_sq: wp.float64) -> wp.float64:
+    """The curvature of a direction, as of a pivot; ``length_sq``: its own by the preconditioner."""
+    return turned_pivot(curvature, wp.float64(LEAST_TURNED) * length_sq)
+
+
+@wp.func
 def shortened(length_sq: wp.float64, descent: wp.float64, reach: wp.float64) -> wp.float64:
     """Part of a turned solution x to take, of its square and of (x, rhs): within ``reach``, and
     nothing where rounding has left no descent."""
