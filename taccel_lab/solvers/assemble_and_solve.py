@@ -34,8 +34,6 @@ do takes 213 CG iterations a step of ``press_2005`` in place of 156, with as man
 solved as well as that in the first iteration, after which smooth motion has nearly arrived, and
 while frames are on their way: the load of a few stiff contacts is all that a looser solve sees
 then, and the gel would not follow."""
-BOOST = 4.0
-"""Factor by which each step on the way down from a saddle is longer than the last one."""
 STUCK_ABOVE = 0.7
 """Part of the residual that a whole step leaves where an exact matrix is tried."""
 
@@ -62,24 +60,6 @@ def projection(env: int, p: Progress) -> int:
     if near or stuck:
         return PSD_NONE
     return PSD_CLAMP
-
-
-@wp.func
-def boosted(env: int, p: Progress) -> wp.float64:
-    """Multiple of the next direction: one, but on the way down from a saddle, which CG leaves
-    slowly (``largest_boost``).
-
-    There the exact matrix was not positive definite, and the projected one is so much stiffer than
-    the body that whole steps lead away by a few percent more each, up to twenty times in a row.
-    """
-    one = wp.float64(1.0)
-    if p.curvature.projected[env] == 0 or p.prescribed.progress[env] < one:
-        return one
-    if p.search.alpha[env] < one or p.search.cuts[env] > 0:
-        return one
-    if p.balance.residual[env] < wp.float64(STUCK_ABOVE) * p.balance.last_residual[env]:
-        return one
-    return wp.min(wp.float64(BOOST) * p.curvature.boost[env], p.rules.largest_boost)
 
 
 @wp.kernel
@@ -114,7 +94,6 @@ def _aim_step_kernel(
     if progress < one:
         p.prescribed.moving[env] = 1
     follows_friction(env, p)
-    p.curvature.boost[env] = boosted(env, p)
     p.curvature.psd_mode[env] = projection(env, p)
     renewed[env] = 1 - p.counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
@@ -166,13 +145,7 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
 
     def spread() -> None:
         # Counting may take some that stop from the mask meanwhile; nobody reads theirs.
-        spread_solution(
-            run.model,
-            run.stepping,
-            linear.solution,
-            s.displacements,
-            p.curvature.boost,
-        )
+        spread_solution(run.model, run.stepping, linear.solution, s.displacements)
 
     run.together([count, spread])
     if s.corrected is not None:

@@ -88,7 +88,6 @@ def _begin_step_kernel(
     forget_gain(env, p)
     p.gain.counted[env] = zero
     p.curvature.projected[env] = 0
-    p.curvature.boost[env] = one
     p.curvature.sharpness[env] = one
     p.balance.last_residual[env] = wp.float64(wp.inf)
     if p.roster.who[env] == 0:

@@ -18,8 +18,6 @@ wp.set_module_options({"enable_backward": False})
 FEW, SOME = 64, 512
 """Environments that have a list, and launches of their own size, once no more are left of a batch
 twice as large."""
-LARGEST_BOOST = 64.0
-"""Longest step along Newton's direction where CG solves: the way off a saddle."""
 FOLLOW_AFTER = 1
 """Freezings of a step before directions follow friction."""
 FOLLOW_AFTER_IN_BATCHES = 20
@@ -51,8 +49,6 @@ class Rules:
     few: wp.int32
     some: wp.int32
     """Environments that stand on a list once no more are left."""
-    largest_boost: wp.float64
-    """Longest step along Newton's direction, off a saddle."""
 
 
 # Arrays of a part have shape [env_count] unless they say otherwise; masks are 0 or 1.
@@ -215,7 +211,7 @@ class Following:
 
 @wp.struct
 class Curvature:
-    """What of the curvature the next matrix has, and how long its direction is taken."""
+    """What of the curvature the next matrix has."""
 
     sharpness: wp.array(dtype=wp.float64)
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
@@ -223,8 +219,6 @@ class Curvature:
     """PSD_* of the next matrix: projected, or as it is."""
     projected: wp.array(dtype=wp.int32)
     """Iterations for which matrices are projected in any case."""
-    boost: wp.array(dtype=wp.float64)
-    """Multiple of Newton's direction that is searched along."""
 
 
 @wp.struct
@@ -432,10 +426,8 @@ def make_rules(
     joint_tolerance_m: float | None,
     has_friction: bool,
     follow_after: int,
-    turns_pivots: bool,
 ) -> Rules:
-    """The rules of a solver; ``joint_tolerance_m`` is None without joints, ``turns_pivots`` says
-    that solutions follow modes of negative curvature."""
+    """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
     rules = Rules()
     rules.dhat = config.dhat_m
     rules.relative_tolerance = config.relative_tolerance
@@ -451,5 +443,4 @@ def make_rules(
     rules.has_friction = int(has_friction)
     rules.follow_after = follow_after
     rules.few, rules.some = FEW, SOME
-    rules.largest_boost = 1.0 if turns_pivots else LARGEST_BOOST
     return rules

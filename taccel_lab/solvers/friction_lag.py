@@ -92,8 +92,6 @@ def follow_friction(run: StepLaunches) -> None:
 
 _CONVERGED = wp.constant(int(EnvStatus.CONVERGED))
 _FRICTION = wp.constant(int(EnvStatus.FRICTION))
-GAIN = 0.9
-"""Part of the residual that a step which follows friction leaves at most."""
 SHARE = 0.25
 """Part of such a step that is tried where all of it led nowhere."""
 PAUSE = 2
@@ -108,7 +106,7 @@ def retreats(env: int, p: Progress) -> bool:
     if p.following.share[env] == wp.float64(0.0):
         p.following.pause[env] = PAUSE
         return False
-    if p.balance.excess[env] < wp.float64(GAIN) * p.following.excess_before[env]:
+    if p.balance.excess[env] < p.following.excess_before[env]:
         return False
     share = wp.float64(SHARE)
     if p.following.share[env] < wp.float64(1.0):

@@ -248,7 +248,6 @@ class SolverParts:
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
             follow_after(model),
-            self.linear.method == "arrow",
         )
         soft = len(scene.soft_bodies)
         carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]

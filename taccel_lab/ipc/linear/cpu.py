@@ -10,7 +10,8 @@ B D^-1 B^T. CG runs on B^-1 A B^-T: as A = B + B^T - (2 / w - 1) D, its product 
 where B^T t = p and B u = p - (2 / w - 1) D t [Eisenstat 1981, Efficient implementation of a class
 of preconditioned conjugate gradient methods]. Two triangular sweeps over the stored lower triangle
 are both the matrix product and the preconditioner. Extra blocks E outside of the pattern enter the
-product only: u gains B^-1 E t.
+product only: u gains B^-1 E t. Blocks of D that are not positive definite are turned (``turned``),
+and E takes that out of the product.
 """
 
 from __future__ import annotations
@@ -21,6 +22,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
+from taccel_lab.ipc.linear.problem.turned import (
+    reach_m,
+    shortened,
+    turned_curvature,
+    turning,
+)
 from taccel_lab.model.launches import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -39,9 +46,22 @@ def _invert_diagonal(
     values: wp.array(dtype=wp.mat33d),
     scale: wp.float64,
     inverses: wp.array(dtype=wp.mat33d),
-):
+    kept: wp.array(dtype=wp.vec3d),
+) -> int:
+    """Inverses of the blocks D, scaled. Those that are not positive definite are turned, in the
+    matrix too, or B D^-1 B^T would not be either; ``kept``: diagonals before. Returns how many."""
+    turned = int(0)
     for i in range(inverses.shape[0]):
-        inverses[i] = scale * wp.inverse(values[row_starts[i + 1] - 1])
+        last = row_starts[i + 1] - 1
+        block = values[last]
+        kept[i] = wp.get_diag(block)
+        more = turning(block)
+        if wp.length_sq(more) > wp.float64(0.0):
+            block += wp.diag(more)
+            values[last] = block
+            turned += 1
+        inverses[i] = scale * wp.inverse(block)
+    return turned
 
 
 @wp.func_native(native("linear_cpu", "forward_sweep", ROWS=_ROWS))
@@ -94,12 +114,13 @@ def _move(
     columns: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.mat33d),
     alpha: wp.float64,
+    way: wp.float64,
     t: wp.array(dtype=wp.vec3d),
     x: wp.array(dtype=wp.vec3d),
     r: wp.array(dtype=wp.vec3d),
     u: wp.array(dtype=wp.vec3d),
 ) -> wp.float64:
-    """x += alpha t, r -= alpha (t + u) and u = D r; returns r . u."""
+    """x += way t, r -= alpha (t + u) and u = D r; returns r . u."""
     ...
 
 
@@ -168,7 +189,9 @@ def _solve_kernel(
     max_iterations: int,
     relaxation: wp.float64,
     check_every: int,
+    reach: wp.float64,
     all_inverses: wp.array2d(dtype=wp.mat33d),
+    all_kept: wp.array2d(dtype=wp.vec3d),
     all_r: wp.array2d(dtype=wp.vec3d),
     all_p: wp.array2d(dtype=wp.vec3d),
     all_t: wp.array2d(dtype=wp.vec3d),
@@ -183,6 +206,7 @@ def _solve_kernel(
     values = all_values[env]
     b = all_rhs[env]
     inverses = all_inverses[env]
+    kept = all_kept[env]
     r = all_r[env]
     p = all_p[env]
     t = all_t[env]
@@ -216,7 +240,7 @@ def _solve_kernel(
     keep = relaxation - one
     turn = wp.float64(2.0) - relaxation
 
-    _invert_diagonal(row_starts, values, relaxation, inverses)
+    turned = _invert_diagonal(row_starts, values, relaxation, inverses, kept)
     _forward_sweep(row_starts, columns, values, inverses, b, r)
     rho = zero
     for i in range(n):
@@ -225,6 +249,8 @@ def _solve_kernel(
         p[i] = z
     # CG knows |r|^2 in the metric of D; the true norm follows at checks, by this ratio between.
     ratio = b_sq / rho
+    # Of the direction, in the metric of the preconditioner.
+    length_sq = rho
     count = int(0)
     unchecked = int(0)
     searching = int(1)
@@ -233,19 +259,24 @@ def _solve_kernel(
         searching = int(0)
     while searching == 1 and count < max_iterations:
         _backward_sweep(row_starts, columns, values, inverses, p, t, u)
-        if extra_count > 0:
+        if extra_count + turned > 0:
             for i in range(n):
-                e[i] = wp.vec3d()
+                less = kept[i] - wp.get_diag(values[row_starts[i + 1] - 1])
+                e[i] = wp.cw_mul(less, t[i])
             _add_extra_product(extra_count, extra_codes, extra_places, extra_values, t, e)
         curvature = _product_sweep(row_starts, columns, values, inverses, keep, turn, p, t, e, u)
         if not (curvature > zero and curvature < wp.float64(wp.inf)):
             breakdowns[env] = 1
+        if curvature == zero or not wp.isfinite(curvature):
             searching = int(0)
         else:
             alpha = rho / curvature
-            rho_new = _move(row_starts, columns, values, alpha, t, x, r, u)
+            # The recurrence solves the system; what it takes down is turned.
+            way = rho / turned_curvature(curvature, length_sq)
+            rho_new = _move(row_starts, columns, values, alpha, way, t, x, r, u)
             beta = rho_new / rho
             rho = rho_new
+            length_sq = rho + beta * beta * length_sq
             for i in range(n):
                 p[i] = u[i] + beta * p[i]
             count += 1
@@ -256,6 +287,24 @@ def _solve_kernel(
                 if r_sq <= goal:
                     searching = int(0)
                 ratio = r_sq / rho
+    if breakdowns[env] != 0:
+        square = zero
+        descent = zero
+        for i in range(n):
+            square += wp.length_sq(x[i])
+            descent += wp.dot(x[i], b[i])
+        part = shortened(square, descent, reach)
+        for i in range(n):
+            x[i] = part * x[i]
+        if part == zero:
+            count = int(0)
+    if turned > 0:
+        for i in range(n):
+            last = row_starts[i + 1] - 1
+            block = values[last]
+            for k in range(3):
+                block[k, k] = kept[i][k]
+            values[last] = block
     iterations[env] = count
     for i in range(n):
         e[i] = wp.vec3d()
@@ -271,7 +320,8 @@ class SsorCG:
 
     description = "CG with symmetric Gauss-Seidel, one kernel"
 
-    def __init__(self, problem: LinearProblem) -> None:
+    def __init__(self, problem: LinearProblem, clusters: list[tuple[int, int]]) -> None:
+        """``clusters``: ranges of rows of affine bodies."""
         self._problem = problem
         pattern, device = problem.pattern, problem.device
         if not device.is_cpu:
@@ -279,8 +329,9 @@ class SsorCG:
         self._row_starts = wp.array(pattern.row_starts, dtype=wp.int32, device=device)
         self._columns = wp.array(pattern.columns, dtype=wp.int32, device=device)
         self._extra = ExtraRowLists(problem)
+        self._reach = reach_m(problem, clusters)
         self._inverses = wp.zeros(problem.shape, dtype=wp.mat33d, device=device)
-        self._work = [wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(5)]
+        self._work = [wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(6)]
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
@@ -288,5 +339,6 @@ class SsorCG:
         self._extra.update(active)
         inputs = [self._row_starts, self._columns, p.values, self._extra.rows, p.extra.places]
         inputs += [p.extra.values, p.rhs, active, p.tolerances, max_iterations]
-        inputs += [wp.float64(RELAXATION), _CHECK_EVERY, self._inverses, *self._work, p.solution]
+        inputs += [wp.float64(RELAXATION), _CHECK_EVERY, wp.float64(self._reach), self._inverses]
+        inputs += [*self._work, p.solution]
         launch(_solve_kernel, p.env_count, *inputs, p.iterations, p.residuals, p.breakdown)

@@ -87,6 +87,10 @@ thread blocks add up in another order."""
 # imported where one is used.
 
 
+def _ssor(system: LinearSystem) -> Solver:
+    return SsorCG(system, system.clusters)
+
+
 def _block_cg(system: LinearSystem) -> Solver:
     from taccel_lab.ipc.linear.cg.block_cg import BlockCG
 
@@ -107,7 +111,7 @@ def _pipelined_cg(system: LinearSystem) -> Solver:
 
 
 METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
-    "ssor": SsorCG,
+    "ssor": _ssor,
     "cg": _block_cg,
     "arrow": _arrow,
     "pipelined": _pipelined_cg,

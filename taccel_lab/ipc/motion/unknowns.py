@@ -118,23 +118,19 @@ def _spread_kernel(
     weights: wp.array(dtype=wp.vec4d),
     free_index: wp.array(dtype=wp.int32),
     solution: wp.array2d(dtype=wp.vec3d),
-    multiples: wp.array(dtype=wp.float64),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
     place, i = wp.tid()
     env = env_at(place, mask)
     if env < 0:
         return
-    multiple = wp.float64(1.0)
-    if multiples:
-        multiple = multiples[env]
     if i < solution.shape[1]:
-        displacements[env, free_nodes[i]] = multiple * solution[env, i]
+        displacements[env, free_nodes[i]] = solution[env, i]
         return
     node = listed_node(i - solution.shape[1], first_vertex, vertex_count, carried)
     y = parents[node]
     w = weights[node]
-    displacements[env, node] = multiple * (
+    displacements[env, node] = (
         w[0] * solution[env, free_index[y]]
         + w[1] * solution[env, free_index[y + 1]]
         + w[2] * solution[env, free_index[y + 2]]
@@ -250,18 +246,14 @@ def begin_rhs(
 
 
 def spread_solution(
-    model: Model,
-    mask: EnvMask,
-    solution: wp.array,
-    displacements: wp.array,
-    multiples: wp.array | None = None,
+    model: Model, mask: EnvMask, solution: wp.array, displacements: wp.array
 ) -> None:
     """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them, in the
     environments of ``mask``."""
     first, end = vertex_range(model)
     carried = model.affine.carried
     inputs = [mask, model.free_nodes, first, end - first, carried, model.parents, model.weights]
-    inputs += [model.free_index, solution, multiples, displacements]
+    inputs += [model.free_index, solution, displacements]
     launch(
         _spread_kernel, (model.env_count, solution.shape[1] + end - first + len(carried)), *inputs
     )

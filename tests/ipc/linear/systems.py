@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.problem.arrays import ExtraBlocks, LinearReport
+from taccel_lab.ipc.linear.problem.turned import LEAST_TURNED
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
@@ -184,10 +185,29 @@ def residuals(system: LinearSystem, dense: Array, rhs: Array | None = None) -> A
     return np.linalg.norm(left, axis=1) / np.linalg.norm(load, axis=1)
 
 
+def turned(matrix: Array, order: Array, gel_rows: int) -> Array:
+    """The matrix whose factor, in this order of rows, has the other sign of negative pivots."""
+    index = (3 * order[:, None] + np.arange(3)).ravel()
+    rest, change = matrix[np.ix_(index, index)].copy(), np.zeros(len(matrix))
+    for k in range(len(rest)):
+        if k % 3 == 0:
+            least = LEAST_TURNED * np.abs(np.diag(rest)[k : k + 3]).sum() * (k < 3 * gel_rows)
+        if rest[k, k] < 0:
+            change[index[k]] = max(-rest[k, k], least) - rest[k, k]
+            rest[k, k] += change[index[k]]
+        rest[k + 1 :, k + 1 :] -= np.outer(rest[k + 1 :, k], rest[k, k + 1 :]) / rest[k, k]
+    return matrix + np.diag(change)
+
+
 def system_of(
-    pattern: BlockPattern, values: Array, rhs: Array, backend: str = "ssor"
+    pattern: BlockPattern,
+    values: Array,
+    rhs: Array,
+    backend: str = "ssor",
+    positions_m: Array | None = None,
 ) -> LinearSystem:
-    system = LinearSystem(pattern, len(values), wp.get_device("cpu"), method=backend)
+    device = wp.get_device("cpu")
+    system = LinearSystem(pattern, len(values), device, method=backend, positions_m=positions_m)
     system.values.assign(values)
     system.rhs.assign(rhs)
     return system

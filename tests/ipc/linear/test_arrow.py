@@ -9,7 +9,6 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow.program import (
-    LEAST_TURNED,
     ROOMS_KIB,
     STATIC_BYTES,
     arrow_program,
@@ -26,6 +25,7 @@ from tests.ipc.linear.systems import (
     residuals,
     solve,
     touch_elsewhere,
+    turned,
     with_contact_in_pattern,
 )
 
@@ -101,20 +101,6 @@ def test_a_pivot_that_is_not_a_number_is_a_breakdown(many_lanes: None) -> None:
     report = factorise(system, 1)
     assert report.breakdown.tolist() == [True] and report.iterations.tolist() == [0]
     assert (system.solution.numpy() == 0).all()
-
-
-def turned(matrix: np.ndarray, order: np.ndarray, gel_rows: int) -> np.ndarray:
-    """The matrix whose factor, in this order of rows, has the other sign of negative pivots."""
-    index = (3 * order[:, None] + np.arange(3)).ravel()
-    rest, change = matrix[np.ix_(index, index)].copy(), np.zeros(len(matrix))
-    for k in range(len(rest)):
-        if k % 3 == 0:
-            least = LEAST_TURNED * np.abs(np.diag(rest)[k : k + 3]).sum() * (k < 3 * gel_rows)
-        if rest[k, k] < 0:
-            change[index[k]] = max(-rest[k, k], least) - rest[k, k]
-            rest[k, k] += change[index[k]]
-        rest[k + 1 :, k + 1 :] -= np.outer(rest[k + 1 :, k], rest[k, k + 1 :]) / rest[k, k]
-    return matrix + np.diag(change)
 
 
 @pytest.mark.parametrize("place", ["gel", "body"])

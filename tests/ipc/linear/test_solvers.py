@@ -17,8 +17,10 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.arrow.program import least_degree_order
+from taccel_lab.ipc.linear.cpu import RELAXATION
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW
 from taccel_lab.ipc.linear.problem.scatter import find_block
+from taccel_lab.ipc.linear.problem.turned import LEAST_TURNED
 from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.model.matrix_pattern import block_pattern, node_gather
 from tests.ipc.linear.systems import (
@@ -28,6 +30,7 @@ from tests.ipc.linear.systems import (
     residuals,
     solve,
     system_of,
+    turned,
 )
 
 ROUNDED = ("cg", "pipelined")
@@ -37,7 +40,7 @@ every_backend = pytest.mark.parametrize("backend", BACKENDS)
 
 def test_the_solver_of_the_cpu_is_refused_on_a_gpu() -> None:
     gpu = SimpleNamespace(is_cpu=False, is_cuda=True)
-    problem: Any = SimpleNamespace(pattern=None, device=gpu)
+    problem: Any = SimpleNamespace(pattern=None, device=gpu, clusters=[])
     with pytest.raises(InputError, match="ssor is for the CPU; a GPU has arrow, cg and pipelined"):
         METHODS["ssor"](problem)
 
@@ -124,6 +127,68 @@ def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> No
     report = solve(system, 1e-8, most=2000)
     assert report.breakdown.tolist() == [True, False] and np.isfinite(system.solution.numpy()).all()
     assert report.relative_residual[1] <= 1e-8
+
+
+def turned_in_krylov_space(dense: np.ndarray, inverse: np.ndarray, load: np.ndarray, steps: int):
+    """V (L |D| L^T)^-1 V^T b, V^T A V = L D L^T; ``inverse`` preconditions, V spans the space.
+    Pivots that were negative are no smaller than a part of that of the preconditioner."""
+    space = np.zeros((len(load), 0))
+    following = inverse @ load
+    for _ in range(steps):
+        for _ in range(2):
+            following = following - space @ (space.T @ following)
+        space = np.column_stack([space, following / np.linalg.norm(following)])
+        following = inverse @ dense @ space[:, -1]
+    small = space.T @ dense @ space
+    lower, pivots = np.eye(steps), np.zeros(steps)
+    for k in range(steps):
+        pivots[k] = small[k, k]
+        lower[k + 1 :, k] = small[k + 1 :, k] / pivots[k]
+        small = small - np.outer(lower[:, k], lower[:, k]) * pivots[k]
+    assert (pivots < 0).any() and (pivots > 0).any()
+    along = space @ np.linalg.inv(lower).T
+    least = LEAST_TURNED * np.einsum("ik,ik->k", along, np.linalg.solve(inverse, along))
+    return along @ (along.T @ load / np.where(pivots < 0, np.maximum(-pivots, least), pivots))
+
+
+@pytest.mark.parametrize("place", ["block", "coupling"])
+@pytest.mark.parametrize("backend", ["ssor", "cg", "pipelined"])
+def test_negative_curvature_is_turned_and_the_solution_descends(backend: str, place: str) -> None:
+    """Where a diagonal block is not positive definite, or the matrix alone."""
+    rng = np.random.default_rng(8)
+    pattern = delaunay_pattern(rng, 20, bonded=5)
+    values = random_spd(rng, pattern, 1.0)[None]
+    blocks = pattern.diagonal if place == "coupling" else pattern.diagonal[[3]]
+    values[0, blocks] -= (0.3 if place == "coupling" else 2.0) * values[0, blocks] * np.eye(3)
+    (dense,), load = pattern.dense(values), rng.normal(size=(1, pattern.free_count, 3))
+    assert np.linalg.eigvalsh(dense)[0] < 0
+    assert (np.linalg.eigvalsh(values[0, pattern.diagonal])[:, 0] < 0).any() == (place == "block")
+    system = system_of(pattern, values, load, backend)
+    report, b = solve(system, 1e-2), load.ravel()
+    assert report.breakdown.all()
+    np.testing.assert_array_equal(system.values.numpy(), values)
+    # The preconditioner has turned blocks.
+    own = np.zeros_like(dense)
+    for row, block in enumerate(values[0, pattern.diagonal]):
+        at = slice(3 * row, 3 * row + 3)
+        own[at, at] = turned(block, np.zeros(1, dtype=int), 1)
+    inverse = np.linalg.inv(own)
+    if backend == "ssor":
+        apart = np.kron(np.tri(pattern.free_count, k=-1), np.ones((3, 3)))
+        half = own / RELAXATION + dense * apart
+        inverse = np.linalg.inv(half @ inverse @ half.T)
+    found = system.solution.numpy().ravel()
+    wanted = turned_in_krylov_space(dense, inverse, b, report.iterations[0])
+    assert found @ b > 0
+    assert np.linalg.norm(found - wanted) < 1e-3 * np.linalg.norm(wanted)
+    # No further than coupled nodes lie apart at rest.
+    system = system_of(pattern, values, load, backend, 1e-4 * np.eye(pattern.free_count, 3))
+    solve(system, 1e-2)
+    short = system.solution.numpy().ravel()
+    assert 0 < np.linalg.norm(short) <= 1.5e-4 < np.linalg.norm(found)
+    np.testing.assert_allclose(
+        short / np.linalg.norm(short), found / np.linalg.norm(found), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("backend", sorted({*BACKENDS} - {"arrow"}))

@@ -93,7 +93,7 @@
 @ROWS@
     double rho = 0.0;
     for (int i = 0; i < r.shape[0]; ++i) {
-        x.data[i] += alpha * t.data[i];
+        x.data[i] += way * t.data[i];
         const three r_i = r.data[i] - alpha * (t.data[i] + u.data[i]);
         r.data[i] = r_i;
         const three z = diagonal_product(i, r_i);

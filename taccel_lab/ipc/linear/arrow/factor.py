@@ -17,10 +17,10 @@ import warp as wp
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.arrow.program import (
     BORDER_CHUNKS,
-    LEAST_TURNED,
     SCHUR_CHUNKS,
     ArrowLayout,
 )
+from taccel_lab.ipc.linear.problem.turned import LEAST_TURNED
 
 wp.set_module_options({"enable_backward": False})
 

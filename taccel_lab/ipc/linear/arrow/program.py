@@ -201,8 +201,6 @@ HASTES = (1.0, 0.25, 0.0)
 """See ``least_degree_order``; two gels of 83 nodes take 20, 22 and 22 levels."""
 BORDER_CHUNKS = 32
 """Partial sums of a border row in a solve."""
-LEAST_TURNED = 0.01
-"""Part of a diagonal block's trace that a pivot is at least which was negative."""
 SCHUR_CHUNKS = 6
 """Partial sums of an element of the Schur complement."""
 

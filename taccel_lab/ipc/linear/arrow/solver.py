@@ -21,6 +21,7 @@ from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists
 from taccel_lab.ipc.linear.problem.packed_rows import row_slices
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan, scalars
+from taccel_lab.ipc.linear.problem.turned import reach_m
 from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.matrix_pattern import BlockPattern
 
@@ -32,17 +33,6 @@ def holds(pattern: BlockPattern, clusters: list[tuple[int, int]]) -> bool:
     """Whether the method is for systems of this pattern."""
     few = pattern.free_count <= MAX_ROWS
     return few and plan_arrow(pattern, clusters, 0, hastes=[0.0])[1].addressable
-
-
-def _reach(problem: LinearProblem, border: np.ndarray) -> float:
-    """Longest way that a solution of a turned factor may lead, as a norm over all rows [m]: the
-    mean distance of coupled gel nodes at rest. Beyond it the matrix says nothing."""
-    if problem.positions_m is None:
-        return np.inf
-    rows, columns = problem.pattern.rows, problem.pattern.columns
-    coupled = (rows != columns) & ~np.isin(rows, border) & ~np.isin(columns, border)
-    ways = problem.positions_m[rows[coupled]] - problem.positions_m[columns[coupled]]
-    return float(np.linalg.norm(ways, axis=1).mean()) if len(ways) else np.inf
 
 
 def _lanes(device: wp.Device, env_count: int, placement: Placement) -> int:
@@ -89,7 +79,7 @@ class Arrow:
         places[order] = np.arange(n)
         numbers = np.full(n, -1)
         numbers[plan.border] = np.arange(len(plan.border))
-        self._reach = _reach(problem, plan.border)
+        self._reach = reach_m(problem, clusters)
         self._layout = program.layout
         self._lists = lists = ArrowLists()
         for name, array in (

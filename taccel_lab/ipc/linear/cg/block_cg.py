@@ -52,6 +52,7 @@ from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW, PackedRows, RowSlices
 from taccel_lab.ipc.linear.problem.row_plan import plan_rows, scalars
 from taccel_lab.ipc.linear.problem.row_products import multiply_extra, row_sum
+from taccel_lab.ipc.linear.problem.turned import reach_m, shortened
 from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import side_by_side
 
@@ -120,7 +121,7 @@ def _update_row(
                 q = product + state.beta * q
             work.p[env, place] = p
             work.q[env, place] = q
-            x[row] = done + state.alpha * p
+            x[row] = done + state.way * p
             r = r - state.alpha * q
     work.r[env, place] = r
     z = inverse * r
@@ -152,6 +153,7 @@ def _solve_kernel(room: int) -> Any:
         tolerances: wp.array(dtype=wp.float64),
         verify_below: wp.float64,
         max_iterations: int,
+        reach: wp.float64,
         work: CgWork,
         solutions: wp.array2d(dtype=wp.vec3d),
         iterations: wp.array(dtype=wp.int32),
@@ -245,6 +247,18 @@ def _solve_kernel(room: int) -> Any:
                 verifies = tolerances[here] < verify_below
                 state = next_step(state, sums, verifies, max_iterations)
         end_stream()
+        if state.broken == 1:
+            share = wp.vec3d()
+            for row in range(lane, n, lanes):
+                share += wp.vec3d(
+                    wp.length_sq(x[row]), wp.dot(x[row], rhs[env, row]), wp.float64(0.0)
+                )
+            sums = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
+            part = shortened(sums[0], sums[1], reach)
+            for row in range(lane, n, lanes):
+                x[row] = part * x[row]
+            if part == wp.float64(0.0):
+                state.count = 0
         if lane == 0:
             report_solve(env, state, iterations, residuals, breakdowns)
 
@@ -271,6 +285,7 @@ class BlockCG:
         self._order = wp.array(plan.order.astype(np.int32), dtype=wp.int32, device=device)
         self._values = scalars(problem.values)
         self._packed = PackedRows(problem, plan, lanes)
+        self._reach = reach_m(problem, clusters)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
         self._extra = ExtraRowLists(problem, plan, lanes)
@@ -314,6 +329,7 @@ class BlockCG:
         inputs = [self._team.lanes, self._stages, active, self._order, layout, self._values]
         inputs += [self._packed.values, self._extra.rows, self._extra.values, self._inverses.blocks]
         inputs += [self._inverses.clusters, self._inverses.stores, self._coarse.space, problem.rhs]
-        inputs += [problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work]
+        inputs += [problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations]
+        inputs += [wp.float64(self._reach), work]
         inputs += [problem.solution, problem.iterations, problem.residuals, problem.breakdown]
         launch_team(self._kernel, problem.env_count, self._team, *inputs)

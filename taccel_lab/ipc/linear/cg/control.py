@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.linear.problem.turned import turned_curvature
+
 wp.set_module_options({"enable_backward": False})
 
 # What a pass over the rows does.
@@ -28,6 +30,8 @@ class CgState:
     b_sq, r_sq: squares of the load and of the residual; goal: of the residual that is wanted;
     start_sq: of the one at the last start.
     alpha, beta, rho: of the last step; rho = (r, M^-1 r).
+    way: alpha, turned where the curvature is negative (``problem.turned``).
+    length_sq: of the direction, in the metric of the preconditioner.
     """
 
     mode: int
@@ -41,6 +45,8 @@ class CgState:
     alpha: wp.float64
     beta: wp.float64
     rho: wp.float64
+    way: wp.float64
+    length_sq: wp.float64
 
 
 @wp.func
@@ -82,12 +88,16 @@ def next_step(state: CgState, sums: wp.vec3d, verifies: bool, max_iterations: in
         limit = wp.float64(1.001) * limit
     curvature = sums[1] - state.beta * sums[0] / state.alpha
     state.alpha = sums[0] / curvature
+    state.length_sq = sums[0] + state.beta * state.beta * state.length_sq
+    state.way = sums[0] / turned_curvature(curvature, state.length_sq)
     state.rho = sums[0]
     state.mode = STEP
     finite = state.r_sq < infinity
     sound = state.rho > zero and curvature > zero and curvature < infinity and finite
+    turns = state.rho > zero and curvature != zero and wp.isfinite(curvature) and finite
+    whole = state.broken == 0
     if finite and state.r_sq <= limit:
-        if verifies and not fresh and state.count < max_iterations:
+        if whole and verifies and not fresh and state.count < max_iterations:
             # What the rounding of the recurrence left is solved for in a fresh start.
             state.mode = SHOW_X
         else:
@@ -96,16 +106,18 @@ def next_step(state: CgState, sums: wp.vec3d, verifies: bool, max_iterations: in
         # Starting anew did not help the last time.
         state.broken = 1
         state.running = 0
-    elif not sound and not fresh and state.r_sq < wp.float64(1e-6) * state.b_sq:
+    elif whole and not sound and not fresh and state.r_sq < wp.float64(1e-6) * state.b_sq:
         # As close as this, it may well be rounding that spoils the curvature.
         state.mode = SHOW_X
-    elif not sound:
+    elif not turns:
         state.broken = 1
         state.running = 0
     elif state.count >= max_iterations:
         state.running = 0
     else:
         state.count += 1
+        if not sound:
+            state.broken = 1
     return state
 
 

@@ -67,6 +67,7 @@ from taccel_lab.ipc.linear.problem.row_products import (
     multiply_extra,
     row_component,
 )
+from taccel_lab.ipc.linear.problem.turned import reach_m, shortened
 from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import side_by_side
 
@@ -163,7 +164,7 @@ def _update(
         work.s[env, task] = s
         work.q[env, task] = q
         work.z[env, task] = z
-        x[at] = done + state.alpha * p
+        x[at] = done + state.way * p
         r = r - state.alpha * s
         u = u - state.alpha * q
         w = w - state.alpha * z
@@ -200,6 +201,7 @@ def _solve_kernel(room: int) -> Any:
         tolerances: wp.array(dtype=wp.float64),
         verify_below: wp.float64,
         max_iterations: int,
+        reach: wp.float64,
         work: PipelineWork,
         solutions: wp.array2d(dtype=wp.float64),
         iterations: wp.array(dtype=wp.int32),
@@ -322,6 +324,18 @@ def _solve_kernel(room: int) -> Any:
                 else:
                     block_barrier()
         end_stream()
+        if state.broken == 1:
+            share = wp.vec3d()
+            for task in range(first + lane, end, lanes):
+                at = 3 * order[task / 3] + task % 3
+                share += wp.vec3d(x[at] * x[at], x[at] * rhs[env, at], zero)
+            sums = team_sum(share, env, block, blocks, lane, 1 - turn, work.gates, work.sums[env])
+            part = shortened(sums[0], sums[1], reach)
+            for task in range(first + lane, end, lanes):
+                at = 3 * order[task / 3] + task % 3
+                x[at] = part * x[at]
+            if part == zero:
+                state.count = 0
         if block == 0 and lane == 0:
             report_solve(env, state, iterations, residuals, breakdowns)
 
@@ -363,6 +377,7 @@ class PipelinedCG:
         self._values = scalars(problem.values)
         self._rhs, self._solution = scalars(problem.rhs), scalars(problem.solution)
         self._packed = PackedRows(problem, plan, lanes)
+        self._reach = reach_m(problem, clusters)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
         self._extra = ExtraRowLists(problem, plan, lanes)
@@ -402,5 +417,12 @@ class PipelinedCG:
         inputs += [self._extra.rows, self._extra.values, scalars(self._inverses.blocks)]
         inputs += [self._inverses.clusters, self._inverses.stores, self._coarse.space]
         inputs += [scalars(problem.rhs), problem.tolerances, wp.float64(VERIFY_BELOW)]
-        inputs += [max_iterations, work, self._solution, problem.iterations, problem.residuals]
+        inputs += [
+            max_iterations,
+            wp.float64(self._reach),
+            work,
+            self._solution,
+            problem.iterations,
+            problem.residuals,
+        ]
         launch_team(self._kernel, problem.env_count, self._team, *inputs, problem.breakdown)

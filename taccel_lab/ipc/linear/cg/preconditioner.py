@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inverses of diagonal blocks: 3x3 of single rows, dense ones of clusters of rows.
+"""Inverses of diagonal blocks: 3x3 of single rows, turned where one is not positive definite, and
+dense ones of clusters of rows.
 
 A cluster is the four control nodes of an affine body: its 1e9 Pa couple them far more strongly than
 anything else. On Newton matrices of the peg scene CG needs 100 iterations with single rows to 1e-4
@@ -27,6 +28,7 @@ from taccel_lab.ipc.device.dense_inverse import (
 from taccel_lab.ipc.device.native import native
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.row_plan import RowPlan
+from taccel_lab.ipc.linear.problem.turned import turning
 from taccel_lab.model.env_lists import EnvMask
 
 wp.set_module_options({"enable_backward": False})
@@ -131,7 +133,8 @@ def _inverse_kernel(room: int) -> Any:
         for place in range(first * lanes + lane, diagonal.shape[0], blocks * lanes):
             block = diagonal[place]
             if block >= 0:
-                inverses[env, place] = wp.inverse(values[env, block])
+                whole = values[env, block]
+                inverses[env, place] = wp.inverse(whole + wp.diag(turning(whole)))
         for c in range(first, clusters.spans.shape[0], blocks):
             span = clusters.spans[c]
             width = 3 * span[1]

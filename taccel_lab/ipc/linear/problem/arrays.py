@@ -89,8 +89,8 @@ class LinearProblem:
         """CG iterations of the last solve (1 for a direct one), 0 where not active, [env_count]."""
         self.breakdown = wp.zeros(env_count, dtype=wp.int32, device=device)
         """1 where the matrix of the last solve is not positive definite or a number is not finite.
-        The solution is then the last good iterate, at worst zero, or that of a factor whose
-        negative pivots have changed their sign: it descends. [env_count]."""
+        The solution then has modes of negative curvature turned (``turned``): it descends, or is
+        zero. [env_count]."""
         self.residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
         self.renewed = wp.full(env_count, 1, dtype=wp.int32, device=device)
         """Whether the next solve makes anew what part of a preconditioner takes long, int32,
