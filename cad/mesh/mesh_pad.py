@@ -161,7 +161,7 @@ class MeshPad(SurfacePad):
             raise InputError(
                 f"the imported gel cannot be thickness_mm = {thickness_mm:g}: {error}; it is "
                 f"{self.thickness_mm:.4g} mm thick. taccel-lab import-gel --thickness-mm "
-                f"{thickness_mm:g} makes a mesh of its own"
+                f"{thickness_mm:g} meshes it anew"
             ) from None
         return MeshPad(thickness_mm, mesh=mesh)
 
