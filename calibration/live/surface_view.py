@@ -16,7 +16,7 @@ from taccel_lab.geometry.height_surface import triangles_of_pixels
 from taccel_lab.report.painted_mesh import painted_mesh
 
 if TYPE_CHECKING:
-    from viser import GlbHandle, ViserServer
+    from viser import ViserServer
 
 MOST_POINTS = 20_000
 """Points of one sensor at most; a frame of them is 1 MB."""
@@ -24,8 +24,6 @@ DIRECTION = np.array((0.25, -0.8, 0.9))
 """Direction from which surfaces are seen at first."""
 PALE = 0.25
 """Share of white: slopes of an untouched gel, which is dark, are to be seen."""
-CLEARANCE = 0.01
-"""Gap between a surface and the one before it, as a share of the colour scale."""
 REJECTED = (150, 150, 150)
 """Colour of a surface that is not to be believed."""
 
@@ -37,7 +35,6 @@ class SurfaceView:
         self._server = server
         self._shown: dict[str, TouchReading] = {}
         self._frames: Counter[str] = Counter()
-        self._last: dict[str, tuple[GlbHandle, np.ndarray]] = {}
 
     def hide(self) -> bool:
         """Take all surfaces off the page; whether there were any."""
@@ -45,7 +42,6 @@ class SurfaceView:
             return False
         self._server.scene.remove_by_name("/live")
         self._shown.clear()
-        self._last.clear()
         return True
 
     def show(
@@ -71,20 +67,14 @@ class SurfaceView:
         at_mm = self._place_mm(name)
         points_mm, shown = surface_mesh(found, relief, deepest_mm, at_mm, rejected=rejected)
         with self._server.atomic():
-            # A page takes a moment to load one: the last stays until the next but one comes. It
-            # sinks below the new one, whose dents it would cover.
+            # A page takes a moment to load one: the last stays until the next but one comes.
             self._frames[name] += 1
-            if name in self._last:
-                last, last_points_mm = self._last[name]
-                margin_mm = CLEARANCE * deepest_mm * relief
-                last.position = (0.0, 0.0, -sunk_mm(last_points_mm, points_mm, margin_mm))
-            handle = self._server.scene.add_glb(
+            self._server.scene.add_glb(
                 f"/live/{name or 'gel'}/{self._frames[name] % 2}",
                 shown,
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            self._last[name] = handle, points_mm
             if first and name:
                 low = points_mm.min(axis=0)
                 self._server.scene.add_label(
@@ -122,21 +112,6 @@ class SurfaceView:
             further = 1.0 / min(client.camera.aspect or 1.0, 1.0)
             client.camera.position = middle + further * (np.asarray(camera.position) - middle)
             client.camera.look_at = middle
-
-
-def sunk_mm(last_mm: np.ndarray, points_mm: np.ndarray, margin_mm: float) -> float:
-    """How far a surface must sink so that no point of it is less than ``margin_mm`` below another
-    [mm].
-
-    Args:
-        last_mm: Points of the surface that sinks [mm], [n, 3].
-        points_mm: Points of the other, in the same order of pixels [mm], [m, 3]; where m is not
-            n, the highest point of one is compared with the lowest of the other.
-        margin_mm: Least gap between the two [mm].
-    """
-    last, new = last_mm[:, 2], points_mm[:, 2]
-    most = float((last - new).max() if len(last) == len(new) else last.max() - new.min())
-    return max(most, 0.0) + margin_mm
 
 
 def surface_mesh(

@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_came
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
-from taccel_lab.calibration.live.surface_view import SurfaceView, surface_mesh
+from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -260,32 +260,6 @@ def test_a_surface_in_space_has_the_heights_and_depths_of_its_reading() -> None:
     np.testing.assert_allclose(flat * (1, 1, 5) - (7, 0, 0), points_mm, rtol=1e-6, atol=1e-9)
     _, grey = surface_mesh(surface, 5.0, DEEPEST_MM, rejected=True)
     assert len(grey) < len(glb)
-
-
-def test_no_surface_covers_the_dents_of_the_one_that_came_last() -> None:
-    """The camera may stand still after a press: what is seen then is the press."""
-    pytest.importorskip("viser", reason="the extra view is not installed")
-    trimesh = pytest.importorskip("trimesh")
-    reader = reader_of()
-    found = [reader.read(image).surface for image in (grey_unit().rest, grey_unit().pressed)]
-    with live_page("Live", PageOptions(port=0, browser=False)) as server:
-        view = SurfaceView(server)
-
-        def heights_mm(place: int) -> np.ndarray:
-            handle: Any = server.scene.get_handle_by_name(f"/live/gel/{place}")
-            file = io.BytesIO(handle.glb_data)
-            mesh: Any = trimesh.load(file, file_type="glb", force="mesh", process=False)
-            return mesh.vertices[:, 2] + handle.position[2]
-
-        # A page draws the last and the one before it.
-        for count, surface in enumerate([*found, *found], start=1):
-            assert surface is not None
-            view.show("", surface, relief=5.0, least_mm=0.5, rejected=False)
-            if count > 1:
-                new, last = heights_mm(count % 2), heights_mm((count + 1) % 2)
-                assert (last < new).all()
-            own_mm, _ = surface_mesh(surface, 5.0, DEEPEST_MM)
-            np.testing.assert_allclose(heights_mm(count % 2), own_mm[:, 2], atol=1e-5)
 
 
 @pytest.mark.thorough
