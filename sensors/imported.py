@@ -33,7 +33,13 @@ from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile, sa
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, imported_gel, require_no_shape
+from taccel_lab.sensors.profile_family import (
+    IMPORTED,
+    LIKE_KEY,
+    THICKNESS,
+    imported_gel,
+    require_no_shape,
+)
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.sensors.workshop import Workshop, issue_of
 
@@ -200,6 +206,8 @@ class _Meshed:
         family = imported_gel(sensor_family(self.like), pad)
         parameters = family.parameters(self.overrides)
         base = designed_profile(family, parameters, self.mesh, self.quality, mesher=self.mesher)
+        # The mesh says it.
+        kept = {name: value for name, value in parameters.values().items() if name != THICKNESS}
         given = ", ".join(f"{name} = {value}" for name, value in self.overrides.items())
         method = f"that of {self.like}, which the sensor is said to be like"
 
@@ -220,7 +228,7 @@ class _Meshed:
         blocks["sensor"] = SensorBlock(
             name=_name(path.stem if gel.name in _UNNAMED else gel.name),
             family=IMPORTED,
-            parameters={LIKE_KEY: self.like, **parameters.values()},
+            parameters={LIKE_KEY: self.like, **kept},
             provenance=file,
         )
         blocks["gel"] = base.gel.replace(provenance=file.replace(method=MESHERS[self.mesher]))

@@ -3,18 +3,19 @@
 
 Its parameters are those of the profile's family, with the profile's values as defaults. Of an
 imported gel, which no family describes, camera, lights, coating, markers and material are those of
-the family that it is like; the shape of the gel is that of the profile's mesh and stays.
+the family that it is like; the shape of the gel is that of the profile's mesh, whose glued surface
+``thickness_mm`` moves.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
-from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
+from taccel_lab.cad.mesh.mesh_pad import THICKNESSES_MM, MeshPad, SurfacePad
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import (
@@ -37,6 +38,8 @@ LIKE_KEY = "like"
 SHAPES = ("gel", "housing")
 """Groups of parameters of no use to an imported gel: the file says its shape, and there is no
 housing."""
+THICKNESS = "thickness_mm"
+"""The one parameter of a shape that an imported gel with a mesh has."""
 _MATERIAL = {
     "young_modulus_mpa": lambda block: 1e-6 * block.young_modulus_pa,
     "poisson_ratio": lambda block: block.poisson_ratio,
@@ -75,9 +78,11 @@ class ProfileFamily(SensorFamily):
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
         """Parameters as of any family; an imported gel refuses those of a shape."""
         given = dict(overrides or {})
-        if self.gel is not None:
-            require_no_shape(self.like, given)
         known = dict(self.defaults)
+        if _has_thickness(self.gel, self.like):
+            known[THICKNESS] = self.gel.thickness_mm
+        if self.gel is not None:
+            require_no_shape(self.like, [name for name in given if name not in known])
         if any(given.get(name) for name in STIFFNESS):
             known = {name: value for name, value in known.items() if name not in STIFFNESS}
         return super().parameters({**known, **given})
@@ -140,7 +145,7 @@ def imported_gel(like: SensorFamily, gel: SurfacePad) -> ProfileFamily:
     return ProfileFamily(name=IMPORTED, title=title, like=like, gel=gel)
 
 
-def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:
+def require_no_shape(like: SensorFamily, names: Iterable[str]) -> None:
     """InputError for parameters of ``like`` that say a shape."""
     specs = like.parameters_type.parameters()
     useless = [name for name in names if name in specs and _group(specs[name]) in SHAPES]
@@ -173,14 +178,14 @@ def _parameters_type(
 
     class OnGel(Stated):
         def pad(self) -> SurfacePad:
-            return gel
+            return self._built_pad
 
         @cached_property
         def _built_pad(self) -> SurfacePad:
             return gel
 
         def gel_depth_mm(self) -> float:
-            return gel.thickness_mm
+            return self.pad().thickness_mm
 
         def layer_materials(self) -> tuple[GelMaterial, ...]:
             # One material: a file of a shape does not say where a skin would be.
@@ -189,7 +194,32 @@ def _parameters_type(
         def housing(self) -> None:
             return None
 
-    return OnGel
+    if not _has_thickness(gel, like):
+        return OnGel
+    mesh_pad, spec = gel, like.parameters_type.parameters()[THICKNESS]
+    low, high = THICKNESSES_MM
+    thickness = dataclasses.replace(
+        spec, default=gel.thickness_mm, minimum=low, maximum=high, zero_means="", source="the mesh",
+        description="gel under the apex: the glued surface moves along the normal, contact face "
+        "and outline stay",
+    )  # fmt: skip
+
+    class OnThickness(OnGel):
+        @classmethod
+        def parameters(cls) -> dict[str, Parameter]:
+            return {THICKNESS: thickness, **super().parameters()}
+
+        @cached_property
+        def _built_pad(self) -> SurfacePad:
+            return mesh_pad.of_thickness(getattr(self, THICKNESS))
+
+    return OnThickness
+
+
+def _has_thickness(gel: SurfacePad | None, like: SensorFamily) -> TypeGuard[MeshPad]:
+    """Whether a gel has another thickness for the asking: one with a mesh, like a sensor with such
+    a parameter."""
+    return isinstance(gel, MeshPad) and THICKNESS in like.parameters_type.parameters()
 
 
 def _measured(block: MaterialBlock, known: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -14,13 +14,12 @@ import numpy as np
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.cad.gel_import.gel_checks import check_gel
 from taccel_lab.cad.gel_import.importer import ImportedGel
+from taccel_lab.cad.mesh.mesh_pad import THICKNESSES_MM
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.guards import require_range
 
-THICKNESS_MM = (0.2, 60.0)
-"""Thicknesses that may be asked for [mm]."""
 _SAME_MM = 1e-6
 
 
@@ -30,7 +29,7 @@ def with_thickness(gel: ImportedGel, thickness_mm: float) -> ImportedGel:
     Solid and tets of its file, which are of another thickness, are left out. Raises InputError
     where the glued surface would touch or cross another one.
     """
-    require_range("thickness_mm", thickness_mm, *THICKNESS_MM, "mm")
+    require_range("thickness_mm", thickness_mm, *THICKNESSES_MM, "mm")
     away = thickness_mm - gel.thickness_mm
     if abs(away) < _SAME_MM:
         return gel

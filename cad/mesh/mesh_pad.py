@@ -13,12 +13,15 @@ import numpy as np
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.shading_normals import corner_normals
 
 if TYPE_CHECKING:
     from taccel_lab.cad.mesh.closest import ClosestPoint
 
+THICKNESSES_MM = (0.2, 60.0)
+"""Thicknesses that may be asked for [mm]."""
 _INSIDE = -1e-9
 """Least weight of a corner at which a point still counts as over its triangle."""
 
@@ -140,6 +143,27 @@ class MeshPad(SurfacePad):
         object.__setattr__(self, "mesh", mesh)
         surface = LabelledSurface(1e3 * mesh.nodes_m, mesh.faces, mesh.face_regions)
         super().__init__(thickness_mm, surface=surface)
+
+    def of_thickness(self, thickness_mm: float) -> MeshPad:
+        """The same gel with its glued surface moved so that it is ``thickness_mm`` thick.
+
+        Raises:
+            InputError: The glued surface would touch or cross another one.
+        """
+        from taccel_lab.cad.mesh.moved_bond import moved_bond
+
+        down_mm = thickness_mm - self.thickness_mm
+        if down_mm == 0.0:
+            return self
+        try:
+            mesh = moved_bond(self.mesh, down_mm)
+        except InputError as error:
+            raise InputError(
+                f"the imported gel cannot be thickness_mm = {thickness_mm:g}: {error}; it is "
+                f"{self.thickness_mm:.4g} mm thick. taccel-lab import-gel --thickness-mm "
+                f"{thickness_mm:g} meshes it anew"
+            ) from None
+        return MeshPad(thickness_mm, mesh=mesh)
 
     def _arrays(self) -> tuple[np.ndarray, ...]:
         mesh = self.mesh

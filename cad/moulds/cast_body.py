@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from build123d import Edge, Face, Solid, Vector, Wire
+from build123d import Edge, Face, GeomType, Solid, Vector, Wire
 
 from taccel_lab.cad.parts.solids import base_outline, grown, prism
 from taccel_lab.errors import InputError
@@ -93,6 +93,8 @@ def _wedge(outline: Wire, base: float, height: float, draft_deg: float, inside_m
 
 def is_vertical(face: Face, lean: float = _VERTICAL) -> bool:
     """Whether the face's normals are all horizontal, up to a z of ``lean``."""
+    if face.geom_type == GeomType.PLANE:
+        return abs(face.normal_at().Z) < lean
     points = [face.position_at(u, v) for u in _SAMPLES for v in _SAMPLES]
     return max(abs(face.normal_at(point).Z) for point in points) < lean
 

@@ -22,7 +22,7 @@ from build123d.topology import Shape
 from taccel_lab.cad.moulds.cast_body import CastBody, cast_body
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.cad.parts.part import LabelledSolid, Part
-from taccel_lab.cad.parts.solids import prism, rounded_rectangle
+from taccel_lab.cad.parts.solids import FacesNear, prism, rounded_rectangle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 
@@ -201,12 +201,14 @@ def _with_pins(
 def _part(name: str, solid: Solid, body: CastBody, color: tuple[float, float, float]) -> Part:
     """Faces that shape the gel are "mould", those of the parting plane "parting"."""
     names = []
+    gel = FacesNear(body.solid)
     for face in solid.faces():
         box = face.bounding_box()
-        point = face.position_at(0.5, 0.5)
         if box.size.Z < _ON_PLANE_MM and abs(box.min.Z - body.base_z_mm) < _ON_PLANE_MM:
             names.append("parting")
-        elif body.solid.distance_to(point) < _ON_PLANE_MM:
+        # Not by a point of the face: the middle of its parameters may lie beside a triangle. One
+        # edge is not enough: holes for pouring end on the gel.
+        elif all(gel.touch(edge.position_at(0.5), _ON_PLANE_MM) for edge in face.edges()):
             names.append("mould")
         else:
             names.append("side")

@@ -9,7 +9,19 @@ Outlines in plan: where a body stands, rounded rectangles, walls pulled up from 
 
 from __future__ import annotations
 
-from build123d import BoundBox, Face, Kind, Plane, Pos, RectangleRounded, ShapeList, Solid, Wire
+import numpy as np
+from build123d import (
+    BoundBox,
+    Face,
+    Kind,
+    Plane,
+    Pos,
+    RectangleRounded,
+    ShapeList,
+    Solid,
+    Vector,
+    Wire,
+)
 from build123d.topology import Shape
 from OCP.BRepFeat import BRepFeat_SplitShape
 from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism
@@ -39,6 +51,23 @@ def common_volume_mm3(first: Solid, second: Solid) -> float:
     """Volume that two solids have in common [mm^3]."""
     both = first & second
     return 0.0 if both is None else float(sum(solid.volume for solid in both.solids()))
+
+
+class FacesNear:
+    """The faces of a solid with their boxes, so that a point is held against those near it alone:
+    the kernel's distance to a solid of 700 faces takes 60 ms."""
+
+    def __init__(self, solid: Solid) -> None:
+        self._faces = solid.faces()
+        boxes = [face.bounding_box() for face in self._faces]
+        self._low = np.array([tuple(box.min) for box in boxes])
+        self._high = np.array([tuple(box.max) for box in boxes])
+
+    def touch(self, point: Vector, within_mm: float) -> bool:
+        """Whether a face lies less than ``within_mm`` from a point."""
+        at = np.array(tuple(point))
+        near = ((at > self._low - within_mm) & (at < self._high + within_mm)).all(axis=1)
+        return any(self._faces[k].distance_to(point) < within_mm for k in np.flatnonzero(near))
 
 
 def imprint(solid: Solid, face: Face, wire: Wire) -> Solid:

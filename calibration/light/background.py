@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark, Severity
 
+_COMPARED = "background of all frames"
+"""Key of what is made once of a folder."""
 CLIPPED_SHARE = 0.01
 MIN_SEEN_SHARE = 0.15
 """A frame that shows less untouched gel than this is left out."""
@@ -71,6 +73,12 @@ def calibrate_background(
     """
     require_image_of(base, folder)
     units = spread_of_units(options.units) if options.units else None
+    # Colours and normals are fitted against it, too.
+    found = folder.once.of(_COMPARED, lambda: _of_frames(folder, progress))
+    return found if units is None else replace(found, units=units)
+
+
+def _of_frames(folder: CaptureFolder, progress: Progress) -> BackgroundCalibration:
     sources = _sources(folder)
     mask = folder.mask
     if mask is not None and mask.all():
@@ -129,7 +137,6 @@ def calibrate_background(
             "contacts"
         )
         + ", each frame's gain, offset and gradient of the light taken off",
-        units=units,
     )
 
 

@@ -26,7 +26,7 @@ from taccel_lab.calibration.normals.samples import (
     KnownPress,
     NormalSamples,
     circle_angle_rad,
-    draw_samples,
+    samples_of_presses,
 )
 from taccel_lab.calibration.normals.synthetic_presses import synthetic_samples
 from taccel_lab.calibration.press_options import RIM_RADII, UNTOUCHED_RADII, InverseFitOptions
@@ -135,10 +135,8 @@ class InverseTraining:
         )
         rng = np.random.default_rng(options.seed)
         samples = self._drawn(frames, config, rng)
-        synthetic = [
-            synthetic_samples(press, scene, config, options.synthetic_pixels, rng)
-            for press in synthetic_presses
-        ]
+        pixels = options.synthetic_pixels
+        synthetic = synthetic_samples(synthetic_presses, scene, config, pixels, rng)
         whole = NormalSamples.join([*samples, *synthetic])
         scale = np.maximum(whole.features.std(axis=0, dtype=np.float64), 1e-3)
         self.config = config = replace(
@@ -161,7 +159,7 @@ class InverseTraining:
         self, frames: Sequence[PressFrame], config: NormalModelConfig, rng: np.random.Generator
     ) -> list[NormalSamples]:
         rings, zooms = self.options.rings, self.options.zooms
-        return [draw_samples(frame, self.scene, config, rings, rng, zooms) for frame in frames]
+        return samples_of_presses(frames, self.scene, config, rings, rng, zooms)
 
     def _take(
         self,
@@ -173,10 +171,10 @@ class InverseTraining:
         """Say where the pixels of more presses lie, from ``first`` on, and who leaves out which."""
         ends = first + np.cumsum([0, *(len(part.features) for part in samples)])
         self.pixels += [np.arange(*ends[i : i + 2]) for i in range(len(samples))]
-        for frame in frames:
-            # Inside the contact at the picture's own zoom, and a pixel of the far field.
-            rings = [(0.0, RIM_RADII, CHECK_PIXELS), (UNTOUCHED_RADII, math.inf, 1)]
-            found = draw_samples(frame, self.scene, self.config, rings, rng)
+        # Inside the contact at the picture's own zoom, and a pixel of the far field.
+        rings = [(0.0, RIM_RADII, CHECK_PIXELS), (UNTOUCHED_RADII, math.inf, 1)]
+        checked = samples_of_presses(frames, self.scene, self.config, rings, rng)
+        for frame, found in zip(frames, checked, strict=True):
             check = NormalSamples(found.features[:-1], found.normals[:-1])
             self.checks.append(check)
             self.circles_rad.append(circle_angle_rad(frame, self.scene, check.normals))

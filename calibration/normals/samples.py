@@ -127,20 +127,44 @@ class KnownPress:
         )
 
 
-def draw_samples(
-    frame: PressFrame,
+@dataclass(frozen=True)
+class DrawnPixels:
+    """Pixels of a picture at one zoom."""
+
+    zoom: float
+    part: tuple[slice, slice]
+    """Rows and columns that they are drawn in."""
+    picked: np.ndarray
+    """Counted along the rows of ``part``, shape [n]."""
+
+
+def samples_of_presses(
+    frames: Sequence[PressFrame],
     scene: CaptureScene,
     config: NormalModelConfig,
     rings: Sequence[Ring],
     rng: np.random.Generator,
     zooms: int = 1,
-) -> NormalSamples:
-    """Pixels of one press at several zooms, the first of which is 1."""
-    change = color_change(frame.image, scene.background, scene.mask)
-    wanted = true_normals(frame, scene)
+) -> list[NormalSamples]:
+    """Pixels of each press at several zooms, the first of which is 1.
+
+    All random numbers are drawn here, in order: the pixels are the same however many presses are
+    worked on at once.
+    """
+    drawn = ((frame, _drawn_pixels(frame, scene, rings, rng, zooms)) for frame in frames)
+    return list(ahead(lambda one: _samples(*one, scene, config), drawn))
+
+
+def _drawn_pixels(
+    frame: PressFrame,
+    scene: CaptureScene,
+    rings: Sequence[Ring],
+    rng: np.random.Generator,
+    zooms: int,
+) -> list[DrawnPixels]:
     reach = np.log(MAX_ZOOM)
     drawn = [1.0, *(float(np.exp(rng.uniform(-reach, reach))) for _ in range(zooms - 1))]
-    parts = []
+    found = []
     for zoom in drawn:
         # Zoomed windows are wide; only the part of the image that is drawn from is filtered. The
         # far field is seen at its own scale: it is flat at every zoom.
@@ -151,12 +175,25 @@ def draw_samples(
             for low, high, count in rings
             if whole or math.isfinite(high)
         ]
-        picked = draw_pixels(frame, scene, chosen, rng, part)
+        found.append(DrawnPixels(zoom, part, draw_pixels(frame, scene, chosen, rng, part)))
+    return found
+
+
+def _samples(
+    frame: PressFrame,
+    drawn: Sequence[DrawnPixels],
+    scene: CaptureScene,
+    config: NormalModelConfig,
+) -> NormalSamples:
+    change = color_change(frame.image, scene.background, scene.mask)
+    wanted = true_normals(frame, scene)
+    parts = []
+    for pixels in drawn:
         features = image_features(
-            config, change, scene.background, mask=scene.mask, zoom=zoom, window=part,
-            picked=picked,
+            config, change, scene.background, mask=scene.mask, zoom=pixels.zoom,
+            window=pixels.part, picked=pixels.picked,
         )  # fmt: skip
-        normals = wanted[part].reshape(-1, 3)[picked].astype(np.float32)
+        normals = wanted[pixels.part].reshape(-1, 3)[pixels.picked].astype(np.float32)
         parts.append(NormalSamples(features, normals))
     return NormalSamples.join(parts)
 

@@ -13,7 +13,7 @@ between fine details and the whole view; ``reach_mm``, half of the view's shorte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -239,26 +239,38 @@ def _uneven(coarse: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def synthetic_samples(
-    press: KnownPress,
+    presses: Iterable[KnownPress],
     scene: CaptureScene,
     config: NormalModelConfig,
     count: int,
     rng: np.random.Generator,
-) -> NormalSamples:
-    """``count`` pixels of a press, most of them on and beside what is not flat.
+) -> list[NormalSamples]:
+    """``count`` pixels of each press, most of them on and beside what is not flat.
 
     They are drawn by place, not by tilt: draws by the truth would have the networks expect steep
-    walls wherever they cannot tell.
+    walls wherever they cannot tell. All are drawn here, in order, as in ``samples_of_presses``.
     """
-    change = color_change(press.image, scene.background, scene.mask)
+    drawn = ((press, _drawn_pixels(press, scene, count, rng)) for press in presses)
+    return list(ahead(lambda one: _samples(*one, scene, config), drawn))
+
+
+def _drawn_pixels(
+    press: KnownPress, scene: CaptureScene, count: int, rng: np.random.Generator
+) -> np.ndarray:
     usable = scene.usable
     leaning = press.normals[..., 2] < np.cos(PRESSED_RAD)
     pressed = np.asarray(binary_dilation(leaning, iterations=BESIDE_PX), dtype=bool)
     most = round(PRESSED_SHARE * count)
     regions = [(usable & pressed, most), (usable & ~pressed, count - most)]
-    picked = np.concatenate(
+    return np.concatenate(
         [rng.permutation(np.flatnonzero(region))[:most] for region, most in regions]
     )
+
+
+def _samples(
+    press: KnownPress, picked: np.ndarray, scene: CaptureScene, config: NormalModelConfig
+) -> NormalSamples:
+    change = color_change(press.image, scene.background, scene.mask)
     return NormalSamples(
         image_features(config, change, scene.background, mask=scene.mask, picked=picked),
         press.normals.reshape(-1, 3)[picked].astype(np.float32),

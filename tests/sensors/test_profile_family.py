@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
 from taccel_lab.profile import Provenance, SensorProfile, load_profile, save_profile
 from taccel_lab.scene import Element
 from taccel_lab.sensors import SensorFamily, sensor_families
@@ -24,6 +26,7 @@ from taccel_lab.sensors.registry import (
     known_sensor,
     profile_folder,
     profile_parameters,
+    profile_sensor,
     sensor_family,
 )
 from taccel_lab.studies.evaluate.evaluate import evaluate_designs
@@ -107,7 +110,6 @@ def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
     assert softer.material().young_modulus_pa != pytest.approx(2e5)
     assert (defaults.material().poisson_ratio, softer.material().poisson_ratio) == (0.46, 0.499)
     assert repr(softer.pad()) == repr(pad)
-    assert "thickness_mm" not in family.parameters_type.parameters()
     with pytest.raises(InputError, match="length_x_mm cannot be set: the file"):
         family.parameters({"length_x_mm": 20})
     with pytest.raises(InputError, match="puts the camera inside"):
@@ -158,9 +160,54 @@ def test_a_study_takes_the_folder_beside_its_file(folder: Path) -> None:
     assert stiff == pytest.approx(2 * soft) and soft.min() > 0
     # One simulation serves both, as of any sensor.
     assert [result.simulations for result in results] == [1, 0]
-    path.write_text(STUDY.replace("young_modulus_mpa", "thickness_mm"))
-    with pytest.raises(InputError, match=r"no parameter of .*'thickness_mm'"):
+    path.write_text(STUDY.replace("young_modulus_mpa", "length_x_mm"))
+    with pytest.raises(InputError, match=r"no parameter of .*'length_x_mm'"):
         make_study(load_spec(path), default_kit())
+
+
+THICKNESSES_MM = (3.0, 4.0, 5.5)
+
+
+def test_an_imported_gel_has_any_thickness(folder: Path) -> None:
+    """Of a crowned block with upright walls: contact face and plan stay, the back moves."""
+    family = sensor_family(str(folder))
+    own = family.parameters().pad()
+    area_mm2 = areas_mm2(own, Region.BOND, Region.WINDOW)
+    for thickness_mm in THICKNESSES_MM:
+        parameters = family.parameters({"thickness_mm": thickness_mm})
+        pad = parameters.pad()
+        assert isinstance(pad, MeshPad) and isinstance(own, MeshPad)
+        down_mm = thickness_mm - own.thickness_mm
+        assert pad.thickness_mm == thickness_mm == parameters.values()["thickness_mm"]
+        assert pad.bounds_mm() == pytest.approx(own.bounds_mm() - [[0, 0, down_mm], [0, 0, 0]])
+        for region in (Region.CONTACT, Region.BOND, Region.WINDOW):
+            assert areas_mm2(pad, region) == pytest.approx(areas_mm2(own, region))
+        face = own.mesh.region_nodes(Region.CONTACT)
+        assert (pad.mesh.nodes_m[face] == own.mesh.nodes_m[face]).all()
+        assert pad.volume_mm3() == pytest.approx(own.volume_mm3() + area_mm2 * down_mm)
+        assert (pad.mesh.tets == own.mesh.tets).all() and pad.mesh.volumes_m3().min() > 0
+    with pytest.raises(InputError, match=r"cannot be thickness_mm = 0\.3: its glued .* import-gel"):
+        family.parameters({"thickness_mm": 0.3})
+    with pytest.raises(InputError, match="thickness_mm"):
+        family.parameters({"thickness_mm": 100})
+
+
+def areas_mm2(pad: SurfacePad, *regions: Region) -> float:
+    areas = pad.surface.areas_mm2()[np.isin(pad.surface.regions, [int(r) for r in regions])]
+    return float(areas.sum())
+
+
+@pytest.mark.thorough
+def test_the_thickness_of_an_imported_gel_is_swept(folder: Path) -> None:
+    path = folder.parent / "thickness.toml"
+    path.write_text(STUDY.replace("young_modulus_mpa", "thickness_mm").replace("0.1, 0.2", "3, 5"))
+    designs = make_study(load_spec(path), default_kit()).points()
+    ball = coarse("sphere", depth_fraction=0.1, steps=2)
+    ball = replace(ball, physics=replace(ball.physics, element=Element.LINEAR))
+    results = evaluate_designs(designs, [ball], [METRICS["contact_area"]])
+    # The deeper the gel, the deeper the ball: each is simulated.
+    assert [result.simulations for result in results] == [1, 1]
+    assert all(result.records["sphere"][0].normal_n.min() > 0 for result in results)
 
 
 def test_a_study_of_another_gel_has_other_designs(folder: Path, tmp_path: Path) -> None:
@@ -183,11 +230,17 @@ def test_a_preview_of_it(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_curved_pad_and_its_mesh_press_alike() -> None:
-    """The parametric pad, and its mesh as an imported gel: forces of one ball."""
+@pytest.mark.parametrize("thickness_mm", [3.0, 4.0, 5.0])
+def test_a_curved_pad_and_its_mesh_press_alike(thickness_mm: float) -> None:
+    """The parametric pad, and its mesh of 4 mm as an imported gel: forces of one ball."""
+    wanted = {"thickness_mm": thickness_mm}
+    pads = (
+        sensor_family("gelsight").parameters(SIZE | wanted),
+        profile_sensor(imported()).parameters(wanted),
+    )
     ball = coarse("sphere", depth_fraction=0.1, steps=2, mesh=SURFACE_PHYSICS.mesh)
     forces = []
-    for parameters in (sensor_family("gelsight").parameters(SIZE), profile_parameters(imported())):
+    for parameters in pads:
         (job,) = press_jobs(ball, parameters)
         job = replace(job, poisson_ratios=(0.46,), friction=0.0)
         forces.append(simulate([job])[0].record.normal_n)

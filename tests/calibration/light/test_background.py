@@ -29,10 +29,20 @@ def calibrated(
     presses: Images,
     mask: np.ndarray | None = None,
 ) -> BackgroundCalibration:
+    folder = in_memory(background, untouched, presses, mask)
+    return calibrate_background(folder, tiny_profile(GRID))
+
+
+def in_memory(
+    background: np.ndarray | None,
+    untouched: Images,
+    presses: Images,
+    mask: np.ndarray | None = None,
+) -> CaptureFolder:
     def frame(name: str, image: np.ndarray) -> Frame:
         return Frame(name, name, "0" * 64, partial(np.copy, image))
 
-    folder = CaptureFolder(
+    return CaptureFolder(
         source="memory", root=Path(), sensor="gelsight", unit=None,
         background=None if background is None else frame("background", background),
         untouched=tuple(frame(f"u{i}", image) for i, image in enumerate(untouched)),
@@ -40,7 +50,6 @@ def calibrated(
         presses=tuple(CapturedPress(f"p{i}", f"p{i}", "1" * 64, partial(np.copy, image))
                       for i, image in enumerate(presses)),
     )  # fmt: skip
-    return calibrate_background(folder, tiny_profile(GRID))
 
 
 def codes(result: BackgroundCalibration) -> set[str]:
@@ -119,6 +128,18 @@ def test_dust_that_stays() -> None:
     assert (result.new_dust & truth).sum() > 0.8 * truth.sum()
     assert result.new_dust.mean() < 6 * truth.mean()
     assert background_result.speck_count(dust_mask(quantise(add_noise(gel(), 1.0, rng)))) == 0
+
+
+def test_frames_of_a_folder_are_compared_once() -> None:
+    """Colours and normals are fitted against the background that its own block has found."""
+    image, rng = gel(), np.random.default_rng(0)
+    folder = in_memory(image, [add_noise(image, 1.0, rng) for _ in range(2)], [])
+    told: list[int] = []
+    first, again = (
+        calibrate_background(folder, tiny_profile(GRID), progress=lambda *_: told.append(1))
+        for _ in range(2)
+    )
+    assert again is first and len(told) == 3
 
 
 def test_refusals() -> None:

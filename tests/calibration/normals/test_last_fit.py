@@ -10,6 +10,7 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.normals.network_fit import InverseTraining
+from taccel_lab.calibration.normals.samples import KnownPress
 from taccel_lab.calibration.response.frame import CaptureScene
 from taccel_lab.calibration.unfinished import Profiles
 from tests.calibration.normals.conftest import QUICK, Clean, calibrated, changed
@@ -88,6 +89,21 @@ def test_a_last_fit_leaves_out_what_was_left_out(first: int, folds: list[int | N
     known = set(range(sum(len(part) for part in training.pixels[:first])))
     assert [set(pool.tolist()) & known for pool in training.pools] == seen
     assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
+
+
+def test_pixels_are_the_same_on_any_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    captures, surfaces = synthetic_captures(5)
+    frames, scene = synthetic.frames_of(captures, surfaces), CaptureScene.of(captures, None)
+    frames = [replace(frame, image=frame.image.astype(np.float32)) for frame in frames]
+    empty = np.zeros((GRID.height_px, GRID.width_px))
+    tools = [KnownPress(frame.image, frame.surface.normals, empty, empty > 0) for frame in frames]
+    found = []
+    for cores in (1, 2):
+        monkeypatch.setattr("taccel_lab.processes.ahead.usable_cores", lambda cores=cores: cores)
+        training = InverseTraining(frames, scene, replace(QUICK, zooms=2), tools)
+        found.append((training.inputs, training.normals, *training.pools))
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
 
 
 @pytest.mark.thorough
