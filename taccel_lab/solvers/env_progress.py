@@ -280,6 +280,8 @@ class Flags:
     """Whether any is; ``some_running``: more than ``few``; ``many_running``: more than ``some``."""
     some_running: wp.array(dtype=wp.int32)
     many_running: wp.array(dtype=wp.int32)
+    search_goes_on: wp.array(dtype=wp.int32)
+    """Whether any line search goes on of environments that step together."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     following: wp.array(dtype=wp.int32)
@@ -303,7 +305,7 @@ _REPORTED = {
     "joint_violation_m": "violation",
 }
 """Names of the figures of a report here, where they differ."""
-NO_LIMIT = 2**30
+NO_LIMIT = wp.constant(2**30)
 """Rounds of a call that ends when all environments have finished."""
 
 
@@ -332,6 +334,7 @@ def lower_flags(p: Progress):
     p.flags.running[0] = 0
     p.flags.some_running[0] = 0
     p.flags.many_running[0] = 0
+    p.flags.search_goes_on[0] = 0
     p.flags.freezing[0] = 0
     p.flags.following[0] = 0
     p.flags.retreating[0] = 0

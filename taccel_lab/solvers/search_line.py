@@ -16,7 +16,7 @@ from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_
 from taccel_lab.model.env_lists import Envs, ListedMask, env_at
 from taccel_lab.model.launches import launch, launch_blocks
 from taccel_lab.solvers.env_phase import SEARCHING, count_on, enter, leave, stop
-from taccel_lab.solvers.env_progress import Progress, lower_flags
+from taccel_lab.solvers.env_progress import NO_LIMIT, Progress, lower_flags
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -172,6 +172,9 @@ def judge_trial(env: int, collisions: ListRoom, p: Progress):
         else:
             search_on(env, collisions, p)
             count_on(env, p)
+            # At its own pace nobody waits: what a call does must not depend on how many are left.
+            if p.flags.most_rounds[0] == NO_LIMIT:
+                p.flags.search_goes_on[0] = 1
 
 
 @wp.kernel
@@ -254,8 +257,8 @@ def open_search(run: StepLaunches) -> None:
 def try_fraction(run: StepLaunches) -> None:
     """Evaluate and judge one trial of each search: ``trial`` where it is accepted.
 
-    One a round. Of a hundred directions 98 are taken at once, and of hundreds of environments
-    some try a fourth time: the others do not wait for them.
+    One a round, where many are left. Of a hundred directions 98 are taken at once, and of hundreds
+    of environments some try a fourth time: the others do not wait for them.
     """
 
     def begin() -> None:

@@ -75,6 +75,9 @@ def _iterate(run: StepLaunches) -> None:
     limit_step(run, run.stepping, beside=energies_at_start(run))
     open_search(run)
     try_fraction(run)
+    if run.places is run.s.few_places:
+        # Few wait, and a trial alone takes less than a round of launches that find nobody.
+        wp.capture_while(run.p.flags.search_goes_on, lambda: try_fraction(run))
     measure_and_judge(run, run.active, take_trial=True)
 
 
