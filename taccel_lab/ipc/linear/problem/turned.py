@@ -18,6 +18,9 @@ from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 
 wp.set_module_options({"enable_backward": False})
 
+LEAST_TURNED = 0.01
+"""Part of a diagonal block's trace, negative pivots turned, that a turned pivot is at least."""
+
 
 def reach_m(problem: LinearProblem, clusters: Sequence[tuple[int, int]]) -> float:
     """Longest way that a turned solution may lead, as a norm over all rows [m]: the mean distance
@@ -34,10 +37,6 @@ def reach_m(problem: LinearProblem, clusters: Sequence[tuple[int, int]]) -> floa
     return float(np.linalg.norm(ways, axis=1).mean()) if len(ways) else np.inf
 
 
-LEAST_TURNED = 0.01
-"""Part of a diagonal block's trace, negative pivots turned, that a turned pivot is at least."""
-
-
 @wp.func
 def turned_pivot(pivot: wp.float64, least: wp.float64) -> wp.float64:
     """A pivot that was negative with the other sign, at least ``least``; others as they are."""
@@ -49,7 +48,7 @@ def turned_pivot(pivot: wp.float64, least: wp.float64) -> wp.float64:
 @wp.func
 def turning(block: wp.mat33d) -> wp.vec3d:
     """What turns the negative pivots of a symmetric block, added to its diagonal; zero for one that
-    is positive definite."""
+    is positive definite, or has a pivot of zero."""
     trace = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
     least = wp.float64(LEAST_TURNED) * trace
     d0 = turned_pivot(block[0, 0], least)
@@ -60,7 +59,11 @@ def turning(block: wp.mat33d) -> wp.vec3d:
     below = block[2, 1] - l2 * block[1, 0]
     rest2 = block[2, 2] - l2 * block[2, 0] - below * below / d1
     d2 = turned_pivot(rest2, least)
-    return wp.vec3d(d0 - block[0, 0], d1 - rest1, d2 - rest2)
+    more = wp.vec3d(d0 - block[0, 0], d1 - rest1, d2 - rest2)
+    if not wp.isfinite(more):
+        # What it is divided by was zero: such a block keeps the inverse that it has, or has not.
+        return wp.vec3d()
+    return more
 
 
 @wp.func
