@@ -430,6 +430,16 @@ class Model(Summary):
                 first += 4
         return rows
 
+    def held_rows(self) -> np.ndarray:
+        """Rows of the Newton system that share an element with a prescribed node, bool,
+        [free_count]."""
+        held, index = np.zeros(self.free_count, dtype=bool), self.free_index.numpy()
+        for group in self.elastic:
+            rows = index[group.elements.numpy()]
+            rows = rows[(rows < 0).any(axis=1)]
+            held[rows[rows >= 0]] = True
+        return held
+
     def body_id(self, name: str) -> int:
         """Id of the one body of that name; KeyError names what there is."""
         found = [i for i, body in enumerate(self.bodies) if body.name == name]

@@ -179,6 +179,7 @@ class SolverParts:
             extra_room=self._extra_room(),
             scratch=self._scratch(),
             positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
+            held=model.held_rows(),
             in_any_order=same,
         )
         follows = self.friction is not None and self.joints is None

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.boxes import append, find_body_boxes, rounded_out
+from taccel_lab.ipc.broad_phase.sieve import edges_may_meet, node_may_meet
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 from taccel_lab.model.env_lists import EnvMask
@@ -111,7 +112,8 @@ def _node_kernel(
         face = faces[item]
         if may_touch[node_bodies[node], node_bodies[face[0]]] != 0:
             if face[0] != node and face[1] != node and face[2] != node:
-                append(env, node, item, room, pairs)
+                if node_may_meet(node, face, margins[env], positions[env], displacements[env]):
+                    append(env, node, item, room, pairs)
 
 
 @wp.kernel
@@ -147,7 +149,8 @@ def _edge_kernel(
         # Each pair once, and not with an edge that shares a node.
         if mine < other and may_touch[node_bodies[a[0]], node_bodies[b[0]]] != 0:
             if a[0] != b[0] and a[0] != b[1] and a[1] != b[0] and a[1] != b[1]:
-                append(env, mine, other, room, pairs)
+                if edges_may_meet(a, b, margins[env], positions[env], displacements[env]):
+                    append(env, mine, other, room, pairs)
 
 
 class SoftTrees:

@@ -24,6 +24,7 @@ from taccel_lab.ipc.broad_phase.boxes import (
     rounded_out,
     widened_margin,
 )
+from taccel_lab.ipc.broad_phase.sieve import edges_may_meet, node_may_meet
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 from taccel_lab.model.env_lists import EnvMask, Envs, env_at
@@ -214,6 +215,8 @@ def _search_kernel(
     jobs: wp.array(dtype=wp.vec3i),
     job_nodes: wp.array(dtype=wp.vec3i),
     trees: TargetTrees,
+    faces: wp.array(dtype=wp.vec3i),
+    edges: wp.array(dtype=wp.vec2i),
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
     margins: wp.array(dtype=wp.float64),
@@ -241,12 +244,12 @@ def _search_kernel(
     travel = wp.float64(0.0)
     start = frames.starts[env, frame]
     end = frames.ends[env, frame]
+    x = positions[env]
+    dx = displacements[env]
     corner_count = int(3)
     for k in range(corner_count):
         if k == 0 or nodes[k] != nodes[k - 1]:
-            x = positions[env, nodes[k]]
-            displacement = displacements[env, nodes[k]]
-            low, high, travel = include(low, high, travel, x, displacement, start, end)
+            low, high, travel = include(low, high, travel, x[nodes[k]], dx[nodes[k]], start, end)
     margin = widened_margin(margins[env], travel, frames.bends[env, frame])
     box = rounded_out(low, high, margin)
     query = wp.bvh_query_aabb(trees.ids[what, frame], box.lower, box.upper)
@@ -254,11 +257,16 @@ def _search_kernel(
     while wp.bvh_query_next(query, hit):
         found = trees.starts[what, frame] + hit
         if what == wp.static(EDGE_EDGE):
-            append(env, item, found, edge_edge_room, edge_edges)
-        elif what == wp.static(FACE_VERTEX):
-            append(env, found, item, node_face_room, node_faces)
+            if edges_may_meet(edges[item], edges[found], margins[env], x, dx):
+                append(env, item, found, edge_edge_room, edge_edges)
         else:
-            append(env, item, found, node_face_room, node_faces)
+            node = item
+            face = found
+            if what == wp.static(FACE_VERTEX):
+                node = found
+                face = item
+            if node_may_meet(node, faces[face], margins[env], x, dx):
+                append(env, node, face, node_face_room, node_faces)
 
 
 def run_search(
@@ -272,6 +280,7 @@ def run_search(
     """Append pairs to ``outputs`` (room, pairs of nodes and faces, then of edges); ``path``:
     margins, positions, displacements."""
     if len(search.jobs):
-        inputs = [active, search.jobs, search.nodes, search.trees, model.surface.node_bodies]
-        inputs += [model.present, *path, frames, *outputs]
+        surface = model.surface
+        inputs = [active, search.jobs, search.nodes, search.trees, surface.faces, surface.edges]
+        inputs += [surface.node_bodies, model.present, *path, frames, *outputs]
         launch(_search_kernel, (model.env_count, len(search.jobs)), *inputs)

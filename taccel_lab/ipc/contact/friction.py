@@ -19,6 +19,11 @@ goes 50 um straight to a sharp edge and ends 0.5 um beside it, 5 um away, has a 
 and would seem to have slid 5 um. Friction would push it across, its normal tilt to the other side,
 and freezing never settle. Seen from the edge, a node at r n that was at r0 n0 has come by
 (r - r0) n0 and slid by r (n - n0): the way in is taken along the normal where the step began.
+
+A node that slides over a face to its edge, and hardly comes nearer, did not come from afar. Its
+normal where the step began is that of the face as long as the face is nearest, and leans as far as
+it came once the edge is: friction would jump, and where it has to hold the node there, no residual
+below the jump exists. So the way in is taken along the normal now unless it is as long as the gap.
 """
 
 from __future__ import annotations
@@ -103,6 +108,49 @@ def friction_hessian(
     return mu_lambda * (across * plane + bend * wp.outer(direction, direction))
 
 
+@wp.struct
+class WayIn:
+    """How a pair has come together.
+
+    along: relative motion along the normal now [m]. before: unit normal where the step began.
+    share: how much the way in is along that, 0 to 1, r^4 / (1 + r^4) of r = along / distance;
+    slope: its derivative by r.
+    """
+
+    along: wp.float64
+    before: wp.vec3d
+    share: wp.float64
+    slope: wp.float64
+
+
+@wp.func
+def way_in(
+    env: int,
+    kind: int,
+    nodes: wp.vec4i,
+    pair: ClosestPair,
+    now: wp.array2d(dtype=wp.vec3d),
+    then: wp.array2d(dtype=wp.vec3d),
+    geometry: ContactGeometry,
+) -> WayIn:
+    """How ``pair``, the collision ``now``, has come together since the positions ``then``."""
+    moved = combine(
+        pair.weights,
+        now[env, nodes[0]] - then[env, nodes[0]],
+        now[env, nodes[1]] - then[env, nodes[1]],
+        now[env, nodes[2]] - then[env, nodes[2]],
+        now[env, nodes[3]] - then[env, nodes[3]],
+    )
+    way = WayIn()
+    way.along = wp.dot(moved, pair_normal(pair))
+    way.before = pair_normal(closest_pair(env, kind, nodes, then, geometry))
+    ratio = way.along / wp.sqrt(pair.distance_sq)
+    rest = wp.float64(1.0) / (wp.float64(1.0) + wp.pow(ratio, wp.float64(4.0)))
+    way.share = wp.float64(1.0) - rest
+    way.slope = wp.float64(4.0) * wp.pow(ratio, wp.float64(3.0)) * rest * rest
+    return way
+
+
 @wp.func
 def normal_motion(
     env: int,
@@ -114,17 +162,11 @@ def normal_motion(
     geometry: ContactGeometry,
 ) -> wp.vec3d:
     """Relative motion [m] from the positions ``then`` to ``now`` that is no sliding: what it is
-    along the normal of ``pair``, the collision now, along the normal that it had then.
+    along the normal of ``pair``, the collision now, along that and the normal that it had then.
 
     Its length is not that of the gaps: in sliding from one face to the next the gap to a face, and
     the normal with it, may have been anything; along the normal there is hardly any motion.
     """
-    moved = combine(
-        pair.weights,
-        now[env, nodes[0]] - then[env, nodes[0]],
-        now[env, nodes[1]] - then[env, nodes[1]],
-        now[env, nodes[2]] - then[env, nodes[2]],
-        now[env, nodes[3]] - then[env, nodes[3]],
-    )
-    along = wp.dot(moved, pair_normal(pair))
-    return along * pair_normal(closest_pair(env, kind, nodes, then, geometry))
+    way = way_in(env, kind, nodes, pair, now, then, geometry)
+    n = pair_normal(pair)
+    return way.along * (n + way.share * (way.before - n))

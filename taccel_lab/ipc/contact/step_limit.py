@@ -22,7 +22,6 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 from taccel_lab.ipc.device.sums import lower_to
 from taccel_lab.ipc.distance.ccd import (
     edge_edge_ccd,
-    edges_stay_apart,
     point_plane_ccd,
     point_point_ccd,
     point_triangle_ccd,
@@ -89,21 +88,6 @@ def node_face_limit(env: int, candidate: wp.vec2i, most: wp.float64, way: Way) -
 
 
 @wp.func
-def edges_pass_by(env: int, candidate: wp.vec2i, most: wp.float64, way: Way) -> bool:
-    """Whether two edges are too far apart for any advance, up to the fraction ``most``."""
-    a = way.edges[candidate[0]]
-    b = way.edges[candidate[1]]
-    x = way.positions[env]
-    dx = way.displacements[env]
-    shift = wp.float64(0.25) * (dx[a[0]] + dx[a[1]] + dx[b[0]] + dx[b[1]])
-    first = wp.max(wp.length_sq(dx[a[0]] - shift), wp.length_sq(dx[a[1]] - shift))
-    second = wp.max(wp.length_sq(dx[b[0]] - shift), wp.length_sq(dx[b[1]] - shift))
-    gone = most * (wp.sqrt(first) + wp.sqrt(second))
-    kept = kept_distance(a[0], b[0], way.geometry)
-    return edges_stay_apart(x[a[0]], x[a[1]], x[b[0]], x[b[1]], gone, kept, way.slackness)
-
-
-@wp.func
 def edge_edge_limit(env: int, candidate: wp.vec2i, most: wp.float64, way: Way) -> wp.float64:
     """Collision-free fraction of two edges, up to ``most``."""
     a = way.edges[candidate[0]]
@@ -153,23 +137,11 @@ def _edge_edge_kernel(
     env = env_at(place, active)
     if env < 0:
         return
-    at = room.starts[env] + lane
-    end = list_end(env, room)
-    while at < end:
+    for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         most = limits[env]
-        # Two of three stay apart: all threads of a warp pass by theirs before any goes on.
-        passing = bool(True)
-        while passing:
-            passing = False
-            if at < end:
-                if edges_pass_by(env, candidates[at], most, way):
-                    at += lanes
-                    passing = True
-        if at < end:
-            free = edge_edge_limit(env, candidates[at], most, way)
-            if free < most:
-                lower_to(limits, env, free)
-        at += lanes
+        free = edge_edge_limit(env, candidates[at], most, way)
+        if free < most:
+            lower_to(limits, env, free)
 
 
 @wp.kernel

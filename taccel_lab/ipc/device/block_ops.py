@@ -117,9 +117,10 @@ def team(
         return Team(lanes if lanes and wp.config.enable_cpu_blocks else 1)
     processors = int(device.sm_count)
     if lanes is None:
-        # A block of 512 fills the registers of a multiprocessor, two of 256 hide each other's
-        # barriers.
-        most = MAX_LANES if env_count <= processors else MAX_LANES // 2
+        # A block of 512 fills the registers of a multiprocessor. Two of 256 hide each other's
+        # barriers, unless their work is long beside these: then one has the cache for itself.
+        alone = env_count <= processors or tasks > 4 * MAX_LANES
+        most = MAX_LANES if alone else MAX_LANES // 2
         lanes = 32
         while lanes < min(tasks, most):
             lanes *= 2

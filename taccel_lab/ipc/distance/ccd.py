@@ -23,7 +23,6 @@ from taccel_lab.ipc.distance.closest_pairs import (
     closest_edge_edge,
     closest_point_triangle,
     combine,
-    edge_parameter,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -74,27 +73,6 @@ def _closest(
     if edge_edge:
         return closest_edge_edge(x0, x1, x2, x3)
     return closest_point_triangle(x0, x1, x2, x3)
-
-
-@wp.func
-def edges_stay_apart(
-    a0: wp.vec3d,
-    a1: wp.vec3d,
-    b0: wp.vec3d,
-    b1: wp.vec3d,
-    way: wp.float64,
-    kept: wp.float64,
-    slackness: wp.float64,
-) -> bool:
-    """Whether two segments, which move against each other by no more than ``way`` [m], keep more
-    than ``kept`` [m] and the ``slackness`` of their first gap: by a sphere around the shorter."""
-    half = wp.float64(0.5)
-    start = wp.where(wp.length_sq(a1 - a0) < wp.length_sq(b1 - b0), b0, a0)
-    end = wp.where(wp.length_sq(a1 - a0) < wp.length_sq(b1 - b0), b1, a1)
-    middle = half * (a0 + a1) + half * (b0 + b1) - half * (start + end) - start
-    radius = half * wp.sqrt(wp.min(wp.length_sq(a1 - a0), wp.length_sq(b1 - b0)))
-    distance = wp.length(middle - edge_parameter(middle, end - start) * (end - start))
-    return distance - radius - way > kept + slackness * distance
 
 
 @wp.func

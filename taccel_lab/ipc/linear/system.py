@@ -41,15 +41,18 @@ class LinearSystem(LinearProblem):
         extra_room: int = 1,
         scratch: Scratch | None = None,
         positions_m: np.ndarray | None = None,
+        held: np.ndarray | None = None,
         in_any_order: bool = False,
     ) -> None:
         """``clusters``: ranges (first, end) of rows that are stiff among themselves, as the control
         nodes of an affine body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of
         an environment that ``ExtraBlocks`` has room for at first. ``scratch``: memory that is free
         during a solve. ``positions_m``: of the rows at rest [m], shape [free_count, 3].
-        ``in_any_order``: see ``LinearProblem``.
+        ``held``, ``in_any_order``: see ``LinearProblem``.
         """
-        super().__init__(pattern, env_count, device, extra_room, scratch, positions_m, in_any_order)
+        super().__init__(
+            pattern, env_count, device, extra_room, scratch, positions_m, held, in_any_order
+        )
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, self.clusters, env_count, device)

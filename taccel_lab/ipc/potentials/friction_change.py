@@ -3,11 +3,12 @@
 
 Frozen friction is a potential, and its Hessian in the Newton matrix is symmetric. What freezing
 leaves out is not: friction follows the normal force, lambda = -E'(gap), and the tangent plane.
-With m the relative motion since the step began, a = m . n, n0 the normal where it began,
+With m the relative motion since the step began, a = m . n, n0 the normal where it began, and c
+what of a the way in counts along it (``friction.WayIn``),
 
-    F = mu lambda f1(|u|) u / |u|,   u = (I - n n^T) v,   v = m - a n0,
+    F = mu lambda f1(|u|) u / |u|,   u = (I - n n^T) v,   v = m - w,   w = a (n + c (n0 - n)),
     dF = mu dlambda f1 u / |u| + mu lambda (f1 du / |u| + (f1' - f1 / |u|) u (u . du) / |u|^2),
-    dlambda = -E'' n . dm,   du = (I - n n^T) (dm - da n0) - (n . v) dn - (dn . v) n.
+    dlambda = -E'' n . dm,   du = (I - n n^T) (dm - dw) - (n . v) dn - (dn . v) n.
 
 The change of the normal has the part t (t . dm) / d along a tangent t that the closest points do
 not slide along, and -t (c n . dx) along one that they do (``PairFrame``). Over a sharp edge it
@@ -31,6 +32,7 @@ from taccel_lab.ipc.contact.friction import (
     friction_f2,
     friction_hessian,
     tangential,
+    way_in,
 )
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.device.sums import SumStage, add_vector
@@ -168,6 +170,7 @@ def sliding_change(
     env: int,
     at: int,
     kind: int,
+    now: ClosestPair,
     pair: PairChange,
     geometry: ContactGeometry,
     frozen: FrozenContacts,
@@ -180,9 +183,14 @@ def sliding_change(
     slid = pair.moved + node_difference(env, pair.weights, nodes, motion.positions)
     slid -= node_difference(env, pair.weights, nodes, motion.previous)
     if geometry.node_is_ball[nodes[0]] == 0:
+        way = way_in(env, kind, nodes, now, motion.positions, motion.previous, geometry)
+        lean = way.before - n
         came_by = wp.dot(v + frozen.normal_motions[at], pair.normal) + wp.dot(slid, n)
-        before = closest_pair(env, kind, nodes, motion.previous, geometry)
-        slid -= came_by * pair_normal(before)
+        distance = wp.sqrt(now.distance_sq)
+        ratio_change = (came_by - way.along / distance * pair.approach) / distance
+        slid -= came_by * (n + way.share * lean)
+        rest = wp.float64(1.0) - way.share
+        slid -= way.along * (way.slope * ratio_change * lean + rest * pair.normal)
     return tangential(n, slid) - wp.dot(n, v) * pair.normal - wp.dot(pair.normal, v) * n
 
 
@@ -220,7 +228,7 @@ def _friction_change_kernel(
         pressed = mu * normal_force_change(
             env, at, now, pair.approach, lists, geometry, x, displacements
         )
-        du = sliding_change(env, at, kind, pair, geometry, frozen, motion)
+        du = sliding_change(env, at, kind, now, pair, geometry, frozen, motion)
         u = sliding(env, at, frozen, motion)
         size = wp.length(u)
         across = friction_f1_over_u(size, eps_u[env])

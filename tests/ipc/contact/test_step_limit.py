@@ -49,8 +49,9 @@ def limits(
     flags, found = wp.full(count, 1, dtype=wp.int32), wp.full(count, most, dtype=wp.float64)
     positions, way = wp.array(x, dtype=wp.vec3d), wp.array(dx, dtype=wp.vec3d)
     poses = wp.zeros((count, 0), dtype=wp.transformd)
+    # A tenth of the largest gap here: what keeps more is no candidate.
     candidates = Candidates(model)
-    candidates.update(flags, positions, way, poses, poses, 1e-6)
+    candidates.update(flags, positions, way, poses, poses, 1e-5)
     for check in limit_checks(model, flags, candidates, positions, way, found, SLACKNESS):
         check()
     return found.numpy()

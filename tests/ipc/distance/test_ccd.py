@@ -18,7 +18,6 @@ from taccel_lab.ipc.distance.ccd import (
     CCD_HIT,
     CCD_NO_HIT,
     CCD_START,
-    edges_stay_apart,
 )
 from tests.ipc.batch import (
     EDGE_EDGE,
@@ -26,7 +25,6 @@ from tests.ipc.batch import (
     POINT_TRIANGLE,
     Array,
     collide,
-    mapped,
     query_pairs,
     unit,
 )
@@ -371,21 +369,3 @@ def test_the_exact_referee_knows_a_hit_from_a_miss() -> None:
         way = np.array([[0, 0, -2.0]] * 2 + [[0, 0, 0]] * 2)
         found = earliest_contact(EDGE_EDGE, np.array(ends, dtype=float), way)
         assert (found is not None and found[0] <= 0.5 <= found[1]) == hits
-
-
-def test_edges_that_stay_apart_need_no_advance() -> None:
-    """By a sphere around the shorter one; those of it that meet are never among them."""
-    rng = np.random.default_rng(7)
-    x = rng.normal(size=(4000, 4, 3))
-    x[:, 2:] = x[:, 2:3] + rng.uniform(0, 1, (4000, 1, 1)) * (x[:, 2:] - x[:, 2:3])
-    x[::2] = x[::2, [2, 3, 0, 1]]
-    dx = rng.normal(size=x.shape) * 10.0 ** rng.uniform(-2, 0.5, (4000, 1, 1))
-    shift = dx - dx.mean(axis=1, keepdims=True)
-    far = np.linalg.norm(shift, axis=2)
-    way = far[:, :2].max(axis=1) + far[:, 2:].max(axis=1)
-    for kept in (0.0, 0.3):
-        apart = mapped(edges_stay_apart, *x.swapaxes(0, 1), way, kept, 0.1)
-        toi, status, iterations = collide(EDGE_EDGE, x, dx, kept, 0.1)
-        assert 0.2 < apart.mean() < 0.9
-        assert (status[apart] == CCD_NO_HIT).all() and (toi[apart] == 1).all()
-        assert iterations[apart].max() == 1 and (status == CCD_HIT).sum() > 100

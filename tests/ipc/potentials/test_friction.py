@@ -170,7 +170,7 @@ def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
     assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding)
 
 
-@pytest.mark.parametrize("size", [0.2 * EPS, 5 * EPS])
+@pytest.mark.parametrize("size", [0.2 * EPS, 5 * EPS, 15 * EPS])
 @pytest.mark.parametrize("name", ["bumpy", "edge", "ball"])
 def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
     name: str, size: float
@@ -220,3 +220,19 @@ def test_a_body_that_comes_straight_down_has_slid_by_what_it_went_aside() -> Non
         assert friction_over_normal(blade, sign * 0.3)[0] == pytest.approx(sign * expected, rel=0.1)
     plate = friction_over_normal(box_mesh((6e-3, 6e-3, 1e-3)), 0.3)
     assert plate == pytest.approx([expected, 0, 0], abs=1e-3)
+
+
+def test_friction_does_not_jump_where_a_node_slides_over_a_rim() -> None:
+    """The plate comes 0.5 um nearer, and 20 um aside: nodes under it end right below its rim."""
+    plate, flat = box_mesh((6e-3, 6e-3, 1e-3)), block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
+    height = 0.5e-3 + 2e-5
+    config, forces = SolverConfig(dhat_m=3e-4, friction_eps_m=10 * EPS), []
+    for beyond in (-1e-8, 1e-8):
+        before, after = (
+            pose(-3e-3 - beyond + 2e-5, 1e-4, height + 5e-7),
+            pose(-3e-3 - beyond, 1e-4, height),
+        )
+        case = Rubbing(plate, before, after, 1, flat, config)
+        forces.append(case.at(case.now[0])[: flat.node_count].sum(axis=0))
+    assert np.linalg.norm(forces[0]) > 0
+    np.testing.assert_allclose(*forces, rtol=0, atol=3e-3 * np.linalg.norm(forces[0]))

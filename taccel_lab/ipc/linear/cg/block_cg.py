@@ -291,7 +291,8 @@ class BlockCG:
         self._extra = ExtraRowLists(problem, plan, lanes)
         tasks = 3 * self._packed.layout.segment_count
         self._team = Team(team(device, problem.env_count, tasks, lanes).lanes)
-        self._stages = stages_of(device)
+        # The cache that more of them would take holds the vectors.
+        self._stages = min(2, stages_of(device))
         self._kernel = _solve_kernel(room_for_stream(self._team.lanes, self._stages))
         work = self._work = CgWork()
         work.r, work.z, work.p, work.q = (

@@ -66,13 +66,18 @@ def coarse_parts(
     there is no such gel, where the problem does not say where its rows are, and on a device
     without the shared memory.
 
-    A small gel has no need: parts of all 17 gels of the hand saved no iteration. ``bodies``: rows
-    that have their own blocks and are in no part.
+    A small gel has no need, and none all of whose rows are ``held``, which neither shears nor bends
+    as a whole: parts of the 17 gels of the hand saved no iteration. ``bodies``: rows that have
+    their own blocks and are in no part.
     """
     rows = np.setdiff1d(np.arange(problem.pattern.free_count), np.concatenate([[], *bodies]))
     if problem.positions_m is None or not has_room(problem.device) or len(rows) <= 2 * part_rows:
         return []
-    gels = [gel for gel in connected_rows(problem.pattern, rows) if len(gel) > 2 * part_rows]
+    gels = [
+        gel
+        for gel in connected_rows(problem.pattern, rows)
+        if len(gel) > 2 * part_rows and not problem.held[gel].all()
+    ]
     if not 0 < len(gels) < MOST_PARTS:
         return []
     size = max(part_rows, -(-sum(map(len, gels)) // (MOST_PARTS - len(gels))))

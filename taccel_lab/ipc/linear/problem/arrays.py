@@ -58,12 +58,15 @@ class LinearProblem:
         extra_room: int = 1,
         scratch: Scratch | None = None,
         positions_m: np.ndarray | None = None,
+        held: np.ndarray | None = None,
         in_any_order: bool = False,
     ) -> None:
         self.in_any_order = in_any_order
         """Whether solutions are the same bits in whatever order blocks and forces were added."""
         self.positions_m = positions_m
         """Where the rows are at rest [m], shape [free_count, 3], for methods that ask."""
+        self.held = np.zeros(pattern.free_count, dtype=bool) if held is None else held
+        """Whether a row shares an element with a node that is no unknown, bool, [free_count]."""
         self.scratch = scratch or Scratch()
         """Where solvers keep what they need during a solve alone."""
         self.pattern = pattern
