@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.guards import require_known, require_range
-from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
 from taccel_lab.learning.task import LearningTask
@@ -41,8 +40,7 @@ def make_vec(
         num_envs: How many.
         sensor: Whose gels stand in place of the task's; pixels see what its camera does. A profile,
             the folder of one, or a sensor of the catalogue by its name.
-        options: Of ``TactileVectorEnv``. Images have ``default_colors`` of the sensor where no
-            ``colors`` are given.
+        options: Of ``TactileVectorEnv``.
 
     Raises:
         InputError: A task that cannot be learned, or a sensor that it does not take.
@@ -60,13 +58,6 @@ def make_vec(
     if parameters.kind not in KINDS:
         raise InputError(f"tasks of kind {parameters.kind!r} cannot be learned: {', '.join(KINDS)}")
     profile = None if sensor is None else _profile(sensor)
-    observe = options.get("observe", ())
-    observe = {observe} if isinstance(observe, str) else set(observe)
-    shows = {"rgb", "rgb_levels"} & observe or options.get("render_mode")
-    if shows and not options.get("colors"):
-        options["colors"] = default_colors(profile)
-    if profile is not None:
-        options.setdefault("view", profile.grid())
     learned = dict(zip(KINDS, _CLASSES, strict=True))[parameters.kind]
     return TactileVectorEnv(learned(parameters, int(num_envs), profile), **options)
 

@@ -23,6 +23,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import nearest, require_known
+from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.picture import EnvPicture
@@ -147,8 +148,10 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             randomised: Whether episodes draw the parameters that the task randomises; ranges, by
                 what is drawn, stand in place of the task's or the sensor's.
             size_px: Width and height of images and depth.
-            colors: For images: gives the colour network and the untouched image of a pixel grid.
-            view: What pixels see of each gel; its contact face when None.
+            colors: For images: gives the colour network and the untouched image of a pixel grid;
+                ``default_colors`` of the task's sensor when None.
+            view: What pixels see of each gel; when None what the camera of the task's sensor does,
+                without a sensor the contact face.
             device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
             solver: Settings of ``SolverConfig`` other than the task's.
             arrays: What ``step`` and ``reset`` return: tensors on the device, or arrays of the
@@ -156,7 +159,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             render_mode: "rgb_array" for ``render``.
 
         Raises:
-            InputError: Unknown observations or modes, images without colours, ranges of what is not
+            InputError: Unknown observations or modes, no colours, ranges of what is not
                 drawn, or a sensor that does not state how far its gels spread.
         """
         observe = (observe,) if isinstance(observe, str) else tuple(observe)
@@ -175,6 +178,10 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         require_known("arrays", arrays, ("torch", "numpy"))
         if render_mode is not None:
             require_known("render_mode", render_mode, RENDER_MODES)
+        if colors is None and ({"rgb", "rgb_levels"} & set(observe) or render_mode is not None):
+            colors = default_colors(task.sensor)
+        if view is None and task.sensor is not None:
+            view = task.sensor.grid()
         self.render_mode = render_mode
         self._on_host = arrays == "numpy"
         self.task = task

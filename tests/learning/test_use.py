@@ -16,11 +16,12 @@ from gymnasium.vector import AutoresetMode
 
 from taccel_lab.errors import InputError
 from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.learning.peg_insertion import PegInsertionLearning
 from taccel_lab.learning.vector_env import TactileVectorEnv
 from taccel_lab.profile import save_profile
 from taccel_lab.registration import env_id
 from taccel_lab.sensors.profile import stock_sensor
-from tests.tasks.changed import task_with
+from tests.tasks.changed import parameters, task_with
 
 PEG = env_id("peg-insertion")
 
@@ -48,6 +49,13 @@ def test_a_sensor_is_given_by_its_name_or_folder_and_has_its_own_colours(tmp_pat
         make(sensor="gelsight_minu")
     with pytest.raises(InputError, match="sensor is a profile, its folder or a name, got 3"):
         make(sensor=3)
+
+
+def test_a_task_of_ones_own_is_drawn_too() -> None:
+    task = PegInsertionLearning(parameters("peg-insertion"), 1)
+    env = TactileVectorEnv(task, device="cpu", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render()[0].shape == (240, 640, 3)
 
 
 def test_nothing_touched_reads_as_nothing() -> None:
