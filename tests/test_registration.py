@@ -10,7 +10,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
+from gymnasium.wrappers.vector import (
+    FlattenObservation,
+    NormalizeObservation,
+    NormalizeReward,
+    RecordEpisodeStatistics,
+)
 
 from taccel_lab.errors import InputError
 from taccel_lab.learning.vector_env import TactileVectorEnv
@@ -33,6 +38,7 @@ def test_every_task_is_registered_whichever_package_loads_first(modules: str) ->
     assert names() == [*lifts, "peg-insertion"] and PEG == "taccel_lab/PegInsertion-v0"
 
 
+@pytest.mark.thorough
 def test_a_name_with_its_module_needs_no_import() -> None:
     code = f"import gymnasium; print(gymnasium.make('taccel_lab:{PEG}', device='cpu').spec.id)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -81,3 +87,11 @@ def test_gymnasiums_statistics_and_normalised_rewards(mode: AutoresetMode) -> No
     env.step(STILL)
     again = env.step(ends)[4]["episode"]
     assert again["l"].tolist() == [0, 2 if mode is AutoresetMode.NEXT_STEP else 3]
+
+
+def test_normalised_observations_are_those_of_a_flat_space() -> None:
+    inner = gymnasium.make_vec(PEG, num_envs=2, device="cpu", arrays="numpy")
+    env = NormalizeObservation(FlattenObservation(inner))
+    env.reset(seed=1)
+    seen, *_ = env.step(STILL)
+    assert seen.shape == (2, 2 * 6 + 4) and np.isfinite(seen).all()
