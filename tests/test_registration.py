@@ -10,7 +10,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import NormalizeReward, RecordEpisodeStatistics
+from gymnasium.wrappers.vector import (
+    FlattenObservation,
+    NormalizeObservation,
+    NormalizeReward,
+    RecordEpisodeStatistics,
+)
 
 from taccel_lab.errors import InputError
 from taccel_lab.learning.vector_env import TactileVectorEnv
@@ -33,18 +38,28 @@ def test_every_task_is_registered_whichever_package_loads_first(modules: str) ->
     assert names() == [*lifts, "peg-insertion"] and PEG == "taccel_lab/PegInsertion-v0"
 
 
+@pytest.mark.thorough
+def test_a_name_with_its_module_needs_no_import() -> None:
+    code = f"import gymnasium; print(gymnasium.make('taccel_lab:{PEG}', device='cpu').spec.id)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split()[-1] == PEG
+
+
 def test_make_gives_one_environment_of_arrays_and_its_picture() -> None:
     env = gymnasium.make(PEG, device="cpu", render_mode="rgb_array")
     assert env.metadata["render_fps"] == 50
     seen, _ = env.reset(seed=3)
     assert seen in env.observation_space
     untouched = env.render()
-    assert untouched.shape == (60, 2 * 80, 3) and untouched.dtype == np.uint8
+    assert untouched.shape == (240, 320 + 2 * 160, 3) and untouched.dtype == np.uint8
+    assert (untouched[120:, 320:] == 128).all(), "no change of the images"
+    blue, orange = (untouched[:, :320] @ sign > 40 for sign in ([-1, 0, 1], [1, 0, -1]))
+    assert min(blue.sum(), orange.sum()) > 1000, "gels and peg are seen"
     _, reward, terminated, truncated, info = env.step(np.zeros(4, np.float32))
     assert (terminated, truncated) == (False, False) and isinstance(reward, float)
     assert info["success"] is False and isinstance(info["depth_mm"], float)
     change = np.abs(env.render().astype(int) - untouched)
-    assert min(change[:, :80].max(), change[:, 80:].max()) > 10, "both gels are squeezed"
+    assert min(change[120:, 320:480].max(), change[120:, 480:].max()) > 40, "both gels are squeezed"
     *_, truncated, info = env.step(np.full(4, np.nan, np.float32))
     assert truncated and info["cause"] == "NOT_A_NUMBER"
 
@@ -72,3 +87,11 @@ def test_gymnasiums_statistics_and_normalised_rewards(mode: AutoresetMode) -> No
     env.step(STILL)
     again = env.step(ends)[4]["episode"]
     assert again["l"].tolist() == [0, 2 if mode is AutoresetMode.NEXT_STEP else 3]
+
+
+def test_normalised_observations_are_those_of_a_flat_space() -> None:
+    inner = gymnasium.make_vec(PEG, num_envs=2, device="cpu", arrays="numpy")
+    env = NormalizeObservation(FlattenObservation(inner))
+    env.reset(seed=1)
+    seen, *_ = env.step(STILL)
+    assert seen.shape == (2, 2 * 6 + 4) and np.isfinite(seen).all()

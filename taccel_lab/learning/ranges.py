@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from taccel_lab.bodies.bodies import combined_friction
 from taccel_lab.errors import InputError
 from taccel_lab.guards import unknown
@@ -99,12 +101,17 @@ def sensor_ranges(
 
 def check_given(given: Given, known: set[str]) -> None:
     """Refuse ranges of what is not drawn, and those whose ends are the wrong way round."""
-    for what, (low, high) in given.items():
+    if not isinstance(given, Mapping):
+        raise InputError(f"randomised is True, False or ranges by what is drawn, got {given!r}")
+    for what, ends in given.items():
         if what not in known:
             raise InputError(
                 f"randomised gives a range of {what!r}, which episodes of this task do not draw"
                 f"{unknown(what, sorted(known))}"
             )
+        if np.shape(ends) != (2,):
+            raise InputError(f"range of {what} must be (low, high), got {ends!r}")
+        low, high = ends
         if not low <= high:
             raise InputError(f"range of {what} must be low <= high, got {low:g} and {high:g}")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from taccel_lab.errors import InputError
 from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.learning.gymnasium_names import AutoresetMode, Env
 from taccel_lab.learning.vector_env import RENDER_MODES
@@ -25,7 +26,15 @@ class TactileEnv(Env[dict[str, np.ndarray], np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(self, task: str | Task, **options: Any) -> None:
-        """Options as of ``make_vec``, but how episodes begin anew and what arrays are."""
+        """Options as of ``make_vec``, but how episodes begin anew and what arrays are.
+
+        Raises InputError for these, and as of ``make_vec``.
+        """
+        if fixed := sorted({"arrays", "autoreset_mode", "num_envs"} & set(options)):
+            raise InputError(
+                f"{', '.join(fixed)}: only of vector environments (gymnasium.make_vec); whoever "
+                "steps this one resets it, and gets numpy's arrays"
+            )
         self._vector = make_vec(
             task, 1, autoreset_mode=AutoresetMode.DISABLED, arrays="numpy", **options
         )
@@ -51,9 +60,13 @@ class TactileEnv(Env[dict[str, np.ndarray], np.ndarray]):
         return _first(seen), float(reward[0]), *ends, _first(info)
 
     def render(self) -> np.ndarray | None:
-        """What the gels show side by side, uint8 [height, gels x width, 3]."""
+        """A picture, see ``EnvPicture``."""
         images = self._vector.render()
         return None if images is None else images[0]
+
+    def close(self) -> None:
+        """Let the device's memory go."""
+        self._vector.close()
 
 
 def _first(rows: dict[str, Any]) -> dict[str, Any]:

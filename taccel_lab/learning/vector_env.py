@@ -12,7 +12,7 @@ the others nor on the device: numbers are hashed from these, not taken from a st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,14 +22,16 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.guards import require_known
+from taccel_lab.guards import nearest, require_known
+from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
+from taccel_lab.learning.picture import EnvPicture
 from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.model import Model
 from taccel_lab.signals.gel_faces import Colors
-from taccel_lab.solvers import Control, EnvStatus, SolverIPC, StepReport
+from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
 if TYPE_CHECKING:
@@ -102,6 +104,8 @@ PROPRIOCEPTION = "proprioception"
 OBSERVATIONS = (*VIEWS, PROPRIOCEPTION)
 """What there is to observe."""
 RENDER_MODES = ("rgb_array",)
+_HELD = ("solver", "state", "model", "task", "views", "_picture", "_draws")
+"""What has memory of the device."""
 
 
 class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
@@ -124,9 +128,9 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
     def __init__(
         self,
         task: LearningTask,
-        observe: tuple[str, ...] = ("wrench", PROPRIOCEPTION),
+        observe: str | Sequence[str] = ("wrench", PROPRIOCEPTION),
         *,
-        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         randomised: bool | Given = False,
         size_px: tuple[int, int] = (80, 60),
         colors: Colors | None = None,
@@ -139,13 +143,15 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         """
         Args:
             task: As many environments as its scene has.
-            observe: Names of ``OBSERVATIONS``; see ``GelViews.read`` for units.
-            autoreset_mode: When ended environments begin anew.
+            observe: Name or names of ``OBSERVATIONS``; see ``GelViews.read`` for units.
+            autoreset_mode: When ended environments begin anew, or the name of it.
             randomised: Whether episodes draw the parameters that the task randomises; ranges, by
                 what is drawn, stand in place of the task's or the sensor's.
             size_px: Width and height of images and depth.
-            colors: For images: gives the colour network and the untouched image of a pixel grid.
-            view: What pixels see of each gel; its contact face when None.
+            colors: For images: gives the colour network and the untouched image of a pixel grid;
+                ``default_colors`` of the task's sensor when None.
+            view: What pixels see of each gel; when None what the camera of the task's sensor does,
+                without a sensor the contact face.
             device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
             solver: Settings of ``SolverConfig`` other than the task's.
             arrays: What ``step`` and ``reset`` return: tensors on the device, or arrays of the
@@ -153,24 +159,35 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             render_mode: "rgb_array" for ``render``.
 
         Raises:
-            InputError: Unknown observations or modes, images without colours, ranges of what is not
+            InputError: Unknown observations or modes, no colours, ranges of what is not
                 drawn, or a sensor that does not state how far its gels spread.
         """
+        observe = (observe,) if isinstance(observe, str) else tuple(observe)
         unknown = [name for name in observe if name not in OBSERVATIONS]
         if unknown or not observe or len(set(observe)) < len(observe):
-            known = ", ".join(OBSERVATIONS)
-            raise InputError(f"observe names some of {known}, each once; got {', '.join(observe)}")
-        modes = [mode.name for mode in AutoresetMode]
-        require_known("autoreset_mode", str(getattr(autoreset_mode, "name", autoreset_mode)), modes)
+            known, got = ", ".join(OBSERVATIONS), ", ".join(observe)
+            meant = nearest(unknown[0], OBSERVATIONS) if unknown else ""
+            raise InputError(f"observe names some of {known}, each once; got {got}{meant}")
+        for name in solver or {}:
+            require_known(
+                "setting of the solver", name, [each.name for each in fields(SolverConfig)]
+            )
+        mode = str(getattr(autoreset_mode, "name", autoreset_mode))
+        require_known("autoreset_mode", mode, [each.name for each in AutoresetMode])
+        self._mode = AutoresetMode[mode]
         require_known("arrays", arrays, ("torch", "numpy"))
         if render_mode is not None:
             require_known("render_mode", render_mode, RENDER_MODES)
+        if colors is None and ({"rgb", "rgb_levels"} & set(observe) or render_mode is not None):
+            colors = default_colors(task.sensor)
+        if view is None and task.sensor is not None:
+            view = task.sensor.grid()
         self.render_mode = render_mode
         self._on_host = arrays == "numpy"
         self.task = task
         dt_s = task.scene.time.dt_s
         self.metadata = {
-            "autoreset_mode": autoreset_mode,
+            "autoreset_mode": self._mode,
             "render_modes": list(RENDER_MODES),
             "render_fps": round(1 / dt_s),
         }
@@ -189,9 +206,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self.views = GelViews(self.solver, observe, size_px, colors, view)
         """What the gels show and feel."""
         shown = render_mode is not None
-        self._pictures = GelViews(self.solver, ("rgb",), size_px, colors, view) if shown else None
+        self._picture = EnvPicture(self.solver, self.state, colors, view) if shown else None
         self._observe = observe
-        self._mode = autoreset_mode
         self._ended = np.ones(self.num_envs, dtype=bool)
         """Environments that are to begin an episode before they step, on the host."""
         self._steps = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
@@ -217,7 +233,11 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             options: ``reset_mask``: environments that begin, bool, [env], of numpy or torch; all
                 when it is left out. ``start``: their starts, in place of drawn ones, [env,
                 task.start_names].
+
+        Raises:
+            InputError: Unknown options or wrong shapes; after ``close``.
         """
+        self._require_open()
         super().reset(seed=seed)
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -242,9 +262,10 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         see the class for the others. An action that is not a number ends its own environment.
 
         Raises:
-            InputError: Wrong shape; before the first ``reset``; with DISABLED if an environment has
-                ended and was not reset.
+            InputError: Wrong shape; before the first ``reset``, after ``close``; with DISABLED if
+                an environment has ended and was not reset.
         """
+        self._require_open()
         actions = self._tensor(actions, "actions", len(self.task.action_names))
         begin = self._ended.copy()
         if begin.any() and (self._mode is AutoresetMode.DISABLED or not self._seeded):
@@ -254,6 +275,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             self.begin_episodes(begin, None)
         going = torch.as_tensor(~begin, device=self.device)
         targets = self.task.act(going, actions.clamp(-1.0, 1.0))
+        # Whatever a task makes of it, such as nothing while its gels close.
+        targets = targets.masked_fill(actions.isnan().any(dim=1)[:, None, None], torch.nan)
         failed = np.zeros(self.num_envs, dtype=bool)
         info: dict[str, Any] = {}
         if not begin.all():
@@ -278,12 +301,22 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         return self._given((seen, reward, terminated, truncated, info))
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """What the gels of each environment show, side by side, uint8 [height, gels x width, 3];
-        None unless ``render_mode`` was set."""
-        if self._pictures is None:
-            return None
-        images = self._pictures.read("rgb", self.state).cpu().numpy()
-        return tuple(np.concatenate(list(gels), axis=1) for gels in images)
+        """A picture of each environment, see ``EnvPicture``; None unless ``render_mode`` was set.
+
+        Raises InputError after ``close``.
+        """
+        self._require_open()
+        return None if self._picture is None else self._picture.draw(self.state)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let the device's memory go."""
+        for name in _HELD:
+            # An environment that could not be made is closed, too.
+            self.__dict__.pop(name, None)
+
+    def _require_open(self) -> None:
+        if self.closed:
+            raise InputError("the environment is closed: make another one")
 
     def begin_episodes(self, mask: np.ndarray, start: torch.Tensor | None) -> None:
         """New episodes in the environments of a mask (bool, [env]), from drawn starts when None;
@@ -329,7 +362,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         return self.views.space(name)
 
     def _tensor(self, value: Any, name: str, width: int) -> torch.Tensor:
-        found = torch.as_tensor(value, dtype=torch.float64, device=self.device)
+        # Policies outside ``torch.no_grad`` give actions with a gradient, which ends here.
+        found = torch.as_tensor(value, dtype=torch.float64, device=self.device).detach()
         if found.shape != (self.num_envs, width):
             shape = list(found.shape)
             raise InputError(f"{name} must have shape [{self.num_envs}, {width}], got {shape}")

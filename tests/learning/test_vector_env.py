@@ -198,12 +198,10 @@ def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
     assert env.step(torch.zeros(2, 4))[0]["wrench"][0].abs().max() > 1
 
 
-@pytest.mark.thorough
 def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
     env = make()
     env.reset(seed=0)
     half = torch.tensor([[0.0] * 4, [float("nan")] * 4])
-    assert env.step(half)[3].tolist() == [False, False], "the first step only closes the gels"
     _, reward, _, truncated, info = env.step(half)
     assert truncated.tolist() == [False, True] == info["_cause"].tolist()
     assert info["cause"].tolist() == [None, "NOT_A_NUMBER"]

@@ -29,10 +29,9 @@ from taccel_lab.benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import build_scene
 from taccel_lab.files.atomic_file import atomic_file, write_by
-from taccel_lab.model import BodyKind
 from taccel_lab.report.page_text import with_parts
 from taccel_lab.studies.report.figures import plain_log_ticks
-from taccel_lab.tasks.bodies import surfaces
+from taccel_lab.tasks.scene_picture import draw_bodies
 
 _ROOT = Path(__file__).resolve().parents[3]
 PAGE, README = _ROOT / "docs" / "evidence" / "benchmarks.md", _ROOT / "README.md"
@@ -182,40 +181,14 @@ MOMENTS = {
 """Step, and direction that it is looked at from."""
 
 
-BODY_COLORS = {BodyKind.SOFT: "#7fb2d9", BodyKind.AFFINE: "#e0a458", BodyKind.KINEMATIC: "#b8b8b8"}
-
-
 def draw_scenes(path: Path) -> Path:
     """Run each scene to its moment, render it, and put the pictures side by side."""
     figure, axes = plt.subplots(1, len(MOMENTS), figsize=(15, 3.6), layout="constrained")
     for axis, (name, (step, direction)) in zip(axes, MOMENTS.items(), strict=True):
         runner = Runner(build_scene(name))
         runner.run(step)
-        axis.imshow(drawn_bodies(runner, direction))
+        positions = runner.state.positions.numpy()[0]
+        axis.imshow(draw_bodies(runner.model, positions, direction))
         axis.set_title(f"{name}, step {step}", fontsize=10)
         axis.axis("off")
     return save(figure, path)
-
-
-def drawn_bodies(runner: Runner, direction: tuple[float, float, float]) -> np.ndarray:
-    """The surfaces of all bodies, seen from a direction; pixels [height, width, 3]."""
-    import pyvista
-
-    plotter = pyvista.Plotter(off_screen=True, window_size=[520, 520])
-    positions = runner.state.positions.numpy()[0]
-    for kind, vertices, faces in surfaces(runner.bench.scene, runner.model, positions):
-        cells = np.column_stack([np.full(len(faces), 3), faces])
-        plotter.add_mesh(
-            pyvista.PolyData(1e3 * vertices, cells),
-            color=BODY_COLORS[kind],
-            show_edges=kind is BodyKind.SOFT,
-            edge_color="#3b5a75",
-            line_width=0.6,
-            opacity=0.35 if kind is BodyKind.KINEMATIC else 1.0,
-        )
-    plotter.view_vector(direction, viewup=(0, 0, 1))  # type: ignore[arg-type]
-    plotter.camera.zoom(1.15)
-    plotter.render()
-    picture = np.asarray(plotter.screenshot(return_img=True))
-    plotter.close()
-    return picture
