@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import warp as wp
 
 from taccel_lab.ipc.affine.bent_step import LARGEST_TURN
-from taccel_lab.ipc.contact.step_limit import limit_checks
+from taccel_lab.ipc.contact.step_limit import SLACKNESS, limit_checks
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.solvers.env_phase import stop
@@ -23,9 +23,9 @@ wp.set_module_options({"enable_backward": False})
 
 
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
-_CHORD_SHARE = 0.025
-"""Part of a gap by which nodes may leave their chords: both sides do, and CCD leaves a tenth of the
-gap, of which half remains."""
+_CHORD_SHARE = SLACKNESS / 4
+"""Part of a gap by which nodes may leave their chords: both sides do, and half of what CCD leaves
+remains."""
 
 
 @wp.kernel

@@ -98,7 +98,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
     """Part of the remaining motion to ask for next, after ``fraction`` of the last was accepted.
 
     The gel's answer is linear in the motion asked for. Cutting the direction again and again
-    instead uses up a tenth of the gap each time, until the barrier is too stiff to recover.
+    instead uses up most of the gap each time, until the barrier is too stiff to recover.
     """
     if fraction < wp.float64(0.1):
         return wp.max(wp.float64(0.25) * stride, wp.float64(1.0e-9))
