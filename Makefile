@@ -18,10 +18,12 @@ FAULTS ?= '*'
 OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
-PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
-# One thread a process: the tests run in parallel processes. Bytecode is kept, whatever the user's
-# setting: each process would compile the package and rewrite the tests' assertions anew.
-TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
+INSTALL := PIP_FLAGS="$(PIP_FLAGS)" tools/install.sh $(PY) -c constraints.txt
+# One thread a process: the tests run in parallel processes.
+TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
+# Bytecode is kept, whatever the user's setting: each process would compile anew what it imports, and
+# rewrite the tests' assertions.
+export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py.
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
@@ -94,21 +96,21 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
 	@PATH="$$PATH:/usr/sbin:/sbin" tools/system_libraries.sh
-	@echo "Installing into $(VENV), once; this takes some minutes."
+	@echo "Installing into $(VENV), once."
 	$(PYTHON) -m venv $(VENV)
 	$(if $(filter cuda,$(TORCH)),,@PIP_FLAGS="$(PIP_FLAGS)" tools/cpu_torch.sh $(PY))
-	$(PIP) -e ".[demo,view]"
+	$(INSTALL) -e ".[demo,view]"
 	@$(PY) -c 'import build123d' || \
 		{ echo "A system library is missing; on Debian: apt install libgl1 libx11-6 libexpat1"; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed-demo
 	@tools/system_libraries.sh --browser
-	$(PIP) -e ".[demo,dev,docs,repair]"
+	$(INSTALL) -e ".[demo,dev,docs,repair]"
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed-dev
-	$(PIP) -e ".[demo,dev,peers,robots,newton]"
+	$(INSTALL) -e ".[demo,dev,peers,robots,newton]"
 	@touch $@
 
 clean:

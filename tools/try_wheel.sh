@@ -19,9 +19,11 @@ wheel=$(echo dist/*.whl)
 echo "built $(basename dist/*.tar.gz) and $(basename "$wheel"), $(du -k "$wheel" | cut -f1) KiB"
 
 "$python" -m venv "$work/venv"
-pip() { "$work/venv/bin/python" -m pip install -q --disable-pip-version-check ${PIP_FLAGS:-} "$@"; }
 tools/cpu_torch.sh "$work/venv/bin/python"
-pip -c constraints.txt "$root/$wheel[demo]"
+tools/install.sh "$work/venv/bin/python" -c constraints.txt "$root/$wheel[demo]"
+# The wheel itself by pip, as users have it, and all that it asks for is there.
+"$work/venv/bin/python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps "$wheel"
+"$work/venv/bin/python" -m pip check
 echo "installed on $("$python" --version)"
 
 mkdir -p "$work/mine/cad" && cd "$work/mine"
