@@ -26,14 +26,16 @@ TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py.
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
+NOTEBOOKS := --nbmake --nbmake-timeout=600 notebooks
 
-.PHONY: help demo test thorough style lint types check slow explore mutants notebook docs wheel doctor clean
+.PHONY: help demo test thorough ci style lint types check dear both slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
 	@echo "make test      linters, type checker, import contracts, tests of every promise: minutes"
 	@echo "               FOLDER=calibration/color: ruff and all fast tests of one folder"
-	@echo "make thorough  the dearer tests, notebooks, documentation, wheel: with make test what CI runs"
+	@echo "make thorough  the dearer tests, notebooks, documentation, wheel"
+	@echo "make ci        both at once, as continuous integration does"
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
@@ -64,9 +66,19 @@ types: $(VENV)/.installed-dev
 check: $(VENV)/.installed-dev
 	$(PYTEST) -m "not slow$(if $(FOLDER),, and not thorough)" tests/$(FOLDER)
 
+# What takes one core goes on beside the tests, one after the other.
 thorough: $(VENV)/.installed-dev
+	$(MAKE) -j2 dear notebook wheel docs
+
+dear: $(VENV)/.installed-dev
 	$(PYTEST) -m "thorough and not slow" tests
-	$(MAKE) notebook docs wheel
+
+# In one run of pytest what is imported and collected, and what several tests start from, is so once.
+ci: style
+	$(MAKE) -j2 both types wheel docs
+
+both: $(VENV)/.installed-dev
+	$(PYTEST) -m "not slow" tests $(NOTEBOOKS)
 
 slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow
@@ -80,7 +92,7 @@ mutants: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m tests.mutants --only $(FAULTS)
 
 notebook: $(VENV)/.installed-dev
-	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks
+	$(PYTEST) $(NOTEBOOKS)
 
 docs: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m sphinx -b html -W --keep-going -q docs out/docs

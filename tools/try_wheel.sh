@@ -3,7 +3,7 @@
 # folder beside modules of a user's own that are named like our packages.
 #   tools/try_wheel.sh PYTHON BUILD_PYTHON [COMMAND...]
 # PYTHON: the interpreter to try; BUILD_PYTHON: one that has hatchling and pip.
-# COMMAND: what to run at the end instead of the demonstration (`true`: nothing).
+# COMMAND: what to run at the end instead of a small demonstration (`true`: nothing).
 # PIP_FLAGS are passed to pip. Needs 2 GB in $TMPDIR; leaves the archives in dist/.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -38,6 +38,8 @@ test -s press/press.json
 if [ $# -gt 0 ]; then
     PATH="$work/venv/bin:$PATH" "$@"
 else
+    # Of all captures `make demo` makes one, in the image.
+    "$work/venv/bin/python" "$root/tools/fewer_captures.py"
     taccel demo --out demo --quiet
     test -s demo/report/report.html
 fi
