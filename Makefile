@@ -60,7 +60,7 @@ style: $(VENV)/.installed-dev
 lint: style types
 
 types: $(VENV)/.installed-dev
-	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
+	$(VENV)/bin/pyright --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
