@@ -16,5 +16,5 @@ index=${PIP_INDEX_URL:-$(pip config get global.index-url 2>/dev/null || true)}
 export UV_DEFAULT_INDEX=${UV_DEFAULT_INDEX:-${index:-https://pypi.org/simple}}
 if ! "$uv" pip install -q --python "$python" ${PIP_FLAGS:-} "$@"; then
     echo "uv could not: pip installs, which takes minutes" >&2
-    pip install -q --disable-pip-version-check ${PIP_FLAGS:-} "$@"
+    pip install -q --disable-pip-version-check --no-compile ${PIP_FLAGS:-} "$@"
 fi
