@@ -18,20 +18,24 @@ FAULTS ?= '*'
 OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
-PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
-# One thread a process: the tests run in parallel processes. Bytecode is kept, whatever the user's
-# setting: each process would compile the package and rewrite the tests' assertions anew.
-TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
+INSTALL := PIP_FLAGS="$(PIP_FLAGS)" tools/install.sh $(PY) -c constraints.txt
+# One thread a process: the tests run in parallel processes.
+TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
+# Bytecode is kept, whatever the user's setting: each process would compile anew what it imports, and
+# rewrite the tests' assertions.
+export PYTHONDONTWRITEBYTECODE :=
 # In the order of tests/conftest.py.
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
+NOTEBOOKS := --nbmake --nbmake-timeout=600 notebooks
 
-.PHONY: help demo test thorough style lint types check slow explore mutants notebook docs wheel doctor clean
+.PHONY: help demo test thorough ci style lint types check dear both slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
 	@echo "make test      linters, type checker, import contracts, tests of every promise: minutes"
 	@echo "               FOLDER=calibration/color: ruff and all fast tests of one folder"
-	@echo "make thorough  the dearer tests, notebooks, documentation, wheel: with make test what CI runs"
+	@echo "make thorough  the dearer tests, notebooks, documentation, wheel"
+	@echo "make ci        both at once, as continuous integration does"
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
@@ -56,15 +60,25 @@ style: $(VENV)/.installed-dev
 lint: style types
 
 types: $(VENV)/.installed-dev
-	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
+	$(VENV)/bin/pyright --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
 	$(PYTEST) -m "not slow$(if $(FOLDER),, and not thorough)" tests/$(FOLDER)
 
+# What takes one core goes on beside the tests, one after the other.
 thorough: $(VENV)/.installed-dev
+	$(MAKE) -j2 dear notebook wheel docs
+
+dear: $(VENV)/.installed-dev
 	$(PYTEST) -m "thorough and not slow" tests
-	$(MAKE) notebook docs wheel
+
+# In one run of pytest what is imported and collected, and what several tests start from, is so once.
+ci: style
+	$(MAKE) -j2 both types wheel docs
+
+both: $(VENV)/.installed-dev
+	$(PYTEST) -m "not slow" tests $(NOTEBOOKS)
 
 slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow
@@ -78,7 +92,7 @@ mutants: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m tests.mutants --only $(FAULTS)
 
 notebook: $(VENV)/.installed-dev
-	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks
+	$(PYTEST) $(NOTEBOOKS)
 
 docs: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m sphinx -b html -W --keep-going -q docs out/docs
@@ -94,21 +108,21 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
 	@PATH="$$PATH:/usr/sbin:/sbin" tools/system_libraries.sh
-	@echo "Installing into $(VENV), once; this takes some minutes."
+	@echo "Installing into $(VENV), once."
 	$(PYTHON) -m venv $(VENV)
 	$(if $(filter cuda,$(TORCH)),,@PIP_FLAGS="$(PIP_FLAGS)" tools/cpu_torch.sh $(PY))
-	$(PIP) -e ".[demo,view]"
+	$(INSTALL) -e ".[demo,view]"
 	@$(PY) -c 'import build123d' || \
 		{ echo "A system library is missing; on Debian: apt install libgl1 libx11-6 libexpat1"; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed-demo
 	@tools/system_libraries.sh --browser
-	$(PIP) -e ".[demo,dev,docs,repair]"
+	$(INSTALL) -e ".[demo,dev,docs,repair]"
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed-dev
-	$(PIP) -e ".[demo,dev,peers,robots,newton]"
+	$(INSTALL) -e ".[demo,dev,peers,robots,newton]"
 	@touch $@
 
 clean:

@@ -95,9 +95,10 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files begin first, then those of many tests: where a process takes one file after the
-    other, none is left with a long one when the others are done."""
+    """Long files and notebooks begin first, then those of many tests: where a process takes one
+    file after the other, none is left with a long one when the others are done."""
     first = {Path(__file__).parent / name for name in LONG}
+    first |= {item.path for item in items if item.path.suffix == ".ipynb"}
     counts = Counter(item.path for item in items)
     items.sort(key=lambda item: (item.path not in first, -counts[item.path], str(item.path)))
 

@@ -6,4 +6,4 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 index=https://download.pytorch.org/whl/cpu
 "$1" -m pip install -q --disable-pip-version-check ${PIP_FLAGS:-} -c constraints.txt \
-    --no-deps --retries 1 --timeout 10 --extra-index-url "$index" torch
+    --no-compile --no-deps --retries 1 --timeout 10 --extra-index-url "$index" torch

@@ -3,7 +3,7 @@
 # folder beside modules of a user's own that are named like our packages.
 #   tools/try_wheel.sh PYTHON BUILD_PYTHON [COMMAND...]
 # PYTHON: the interpreter to try; BUILD_PYTHON: one that has hatchling and pip.
-# COMMAND: what to run at the end instead of the demonstration (`true`: nothing).
+# COMMAND: what to run at the end instead of a small demonstration (`true`: nothing).
 # PIP_FLAGS are passed to pip. Needs 2 GB in $TMPDIR; leaves the archives in dist/.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -19,9 +19,11 @@ wheel=$(echo dist/*.whl)
 echo "built $(basename dist/*.tar.gz) and $(basename "$wheel"), $(du -k "$wheel" | cut -f1) KiB"
 
 "$python" -m venv "$work/venv"
-pip() { "$work/venv/bin/python" -m pip install -q --disable-pip-version-check ${PIP_FLAGS:-} "$@"; }
 tools/cpu_torch.sh "$work/venv/bin/python"
-pip -c constraints.txt "$root/$wheel[demo]"
+tools/install.sh "$work/venv/bin/python" -c constraints.txt "$root/$wheel[demo]"
+# The wheel itself by pip, as users have it, and all that it asks for is there.
+"$work/venv/bin/python" -m pip install -q --disable-pip-version-check --force-reinstall --no-deps "$wheel"
+"$work/venv/bin/python" -m pip check
 echo "installed on $("$python" --version)"
 
 mkdir -p "$work/mine/cad" && cd "$work/mine"
@@ -36,6 +38,8 @@ test -s press/press.json
 if [ $# -gt 0 ]; then
     PATH="$work/venv/bin:$PATH" "$@"
 else
+    # Of all captures `make demo` makes one, in the image.
+    "$work/venv/bin/python" "$root/tools/fewer_captures.py"
     taccel demo --out demo --quiet
     test -s demo/report/report.html
 fi

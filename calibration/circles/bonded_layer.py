@@ -192,6 +192,7 @@ def pressure_under(
     """
     # Single precision is a thousandth of the smallest tolerance, and transforms take half the time.
     gap_mm = gap_mm.astype(np.float32)
+    pressure: np.ndarray
     if start is not None:
         pressure = np.where(gap_mm < FAR_MM, start, 0.0).astype(np.float32)
     elif min(gap_mm.shape) >= 2 * COARSEST:
@@ -205,7 +206,7 @@ def pressure_under(
     else:
         pressure = np.maximum(-gap_mm, 0.0) / layer.thickness_mm
     sinking = _sinking(gap_mm.shape, step_mm, layer)
-    direction = np.zeros_like(pressure)
+    direction: np.ndarray = np.zeros_like(pressure)
     before, keep = 1.0, 0.0
     sunk = sinking(pressure)
     for _ in range(MAX_ITERATIONS):

@@ -14,6 +14,7 @@ from taccel_lab.cad.export import write_stl
 from taccel_lab.cad.gel_import import (
     FaceSelection,
     ImportedGel,
+    WorkshopSolid,
     import_gel,
     part_faces,
     workshop_solid,
@@ -47,9 +48,15 @@ def gel(rounded: Path) -> ImportedGel:
     return import_gel(rounded)
 
 
-def test_a_rounded_pad_becomes_a_solid_within_the_tolerance(gel: ImportedGel) -> None:
+@pytest.fixture(scope="module")
+def made(gel: ImportedGel) -> WorkshopSolid:
+    return workshop_solid(gel)
+
+
+def test_a_rounded_pad_becomes_a_solid_within_the_tolerance(
+    gel: ImportedGel, made: WorkshopSolid
+) -> None:
     assert len(gel.surface.triangles) > 9_000
-    made = workshop_solid(gel)
     figures = made.deviation
     assert figures["tolerance_mm"] == TOLERANCE_MM and figures["simplified_triangles"] <= 1_000
     assert 0 < figures["hausdorff_mm"] <= TOLERANCE_MM
@@ -69,12 +76,11 @@ def test_a_rounded_pad_becomes_a_solid_within_the_tolerance(gel: ImportedGel) ->
 
 @pytest.mark.thorough
 def test_faces_of_a_mould_are_named_without_measuring_the_whole_gel(
-    gel: ImportedGel, monkeypatch: pytest.MonkeyPatch
+    made: WorkshopSolid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A distance to all facets for each face took 33 of 42 s of 740 triangles."""
-    solid = workshop_solid(gel).solid
     monkeypatch.setattr(Solid, "distance_to", Mock(side_effect=AssertionError("to all facets")))
-    mould = gel_mould(solid, facets_mm=TOLERANCE_MM)
+    mould = gel_mould(made.solid, facets_mm=TOLERANCE_MM)
     monkeypatch.undo()
     names = list(mould.cavity.face_names)
     # Beside the gel: a top, four walls and their corners, two holes of pins, each with its bottom.
@@ -87,10 +93,10 @@ def test_faces_of_a_mould_are_named_without_measuring_the_whole_gel(
 
 
 @pytest.mark.thorough
-def test_walls_of_facets_are_drafted(gel: ImportedGel) -> None:
+def test_walls_of_facets_are_drafted(made: WorkshopSolid) -> None:
     """Facets of a wall lean a little. The wall of 3.1 mm is drafted by 2 degrees, without a gap
     behind the wedge: the mould holds what the gel and its draft have."""
-    ((mould, report),) = casting_moulds(workshop_solid(gel).solid, facets_mm=TOLERANCE_MM)
+    ((mould, report),) = casting_moulds(made.solid, facets_mm=TOLERANCE_MM)
     assert report.draft_height_mm == pytest.approx(3.1, abs=0.1)
     assert report.draft_width_mm == pytest.approx(np.tan(np.radians(2)) * report.draft_height_mm)
     around_mm = 2 * (24 + 20) - 8 * 2 + 2 * np.pi * 2

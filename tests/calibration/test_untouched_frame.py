@@ -72,14 +72,13 @@ def test_a_file_beside_the_images_is_taken_by_its_name(name: str, mini: SensorPr
 @pytest.mark.thorough
 def test_the_rest_before_the_first_touch_of_a_dotted_mini_is_found(mini, tmp_path) -> None:
     """57 frames are at rest, then a finger presses and shears, and never stands still."""
-    for number in (*range(0, 56, 4), *range(57, 121, 4)):
+    for number in (*range(0, 56, 8), *range(57, 121, 8)):
         shutil.copy(real_data(f"gsmini_markers_video/{number:04d}.png"), tmp_path)
-    for sources in ([tmp_path], [tmp_path / "0061.png", tmp_path / "0008.png"]):
-        found = UntouchedFrame.of(mini, sources)
-        said = found.profile.sensor.provenance.remarks[-1]
-        first, last = (int(name[:4]) for name in said.rsplit(", ", 1)[1].split(" to "))
-        assert 0 <= first < last < 57
-        assert f"still frames of {tmp_path}" in said
+    found = UntouchedFrame.of(mini, [tmp_path / "0065.png", tmp_path / "0008.png"])
+    said = found.profile.sensor.provenance.remarks[-1]
+    first, last = (int(name[:4]) for name in said.rsplit(", ", 1)[1].split(" to "))
+    assert 0 <= first < last < 57
+    assert f"still frames of {tmp_path}" in said
     assert touched_mm2(found, read_image(tmp_path / "0008.png")) < 1.0
     assert touched_mm2(found, read_image(tmp_path / "0089.png")) > 10.0
 

@@ -98,7 +98,7 @@ def grey_depth(folder: Path) -> None:
 
 
 def forces(folder: Path) -> None:
-    touches = write_touches(planned(saved_profile(folder / "pad")), folder / "touches")
+    touches = write_touches(planned(saved_profile(folder / "pad"), episodes=16), folder / "touches")
     found = calibrate_force(touches, options=replace(QUICK, steps=3))
     write_page_file(force_page(found), folder / "force.html")
 
