@@ -431,7 +431,7 @@ class Model(Summary):
         return rows
 
     def held_rows(self) -> np.ndarray:
-        """Rows of the Newton system that share an element with a prescribed node, bool,
+        """Find the rows of the Newton system that share an element with a prescribed node, bool,
         [free_count]."""
         held, index = np.zeros(self.free_count, dtype=bool), self.free_index.numpy()
         for group in self.elastic:
