@@ -34,7 +34,12 @@ from taccel_lab.ipc.contact.collision_lists import (
     collision_gap,
 )
 from taccel_lab.ipc.contact.collisions import Collisions
-from taccel_lab.ipc.contact.friction import friction_f1_over_u, friction_f2, tangential
+from taccel_lab.ipc.contact.friction import (
+    friction_f1_over_u,
+    friction_f2,
+    tangential,
+    way_in,
+)
 from taccel_lab.ipc.contact.pair_energy import (
     GAUSS_NEWTON,
     mollified_gradient,
@@ -211,10 +216,14 @@ def rubbing(
         old = closest_pair(env, kind, nodes, motion.previous, geometry)
         then = _nodes_at(env, nodes, motion.previous)
         old_change = pair_change(kind, old, then, by.before)
-        along = wp.dot(u, n)
+        way = way_in(env, kind, nodes, pair, motion.positions, motion.previous, geometry)
+        lean = way.before - n
+        distance = wp.sqrt(pair.distance_sq)
         lengthened = wp.dot(du, n) + wp.dot(u, c.normal)
-        u -= along * pair_normal(old)
-        du -= lengthened * pair_normal(old) + along * old_change.normal
+        steeper = way.slope * (lengthened - way.along / distance * c.distance) / distance
+        u -= way.along * (n + way.share * lean)
+        du -= lengthened * (n + way.share * lean) + way.along * steeper * lean
+        du -= way.along * (c.normal + way.share * (old_change.normal - c.normal))
     across = tangential(n, u)
     dacross = tangential(n, du) - wp.dot(n, u) * c.normal - wp.dot(c.normal, u) * n
     size = wp.length(across)
