@@ -145,9 +145,10 @@ def way_in(
     way.along = wp.dot(moved, pair_normal(pair))
     way.before = pair_normal(closest_pair(env, kind, nodes, then, geometry))
     ratio = way.along / wp.sqrt(pair.distance_sq)
-    rest = wp.float64(1.0) / (wp.float64(1.0) + wp.pow(ratio, wp.float64(4.0)))
+    cubed = ratio * ratio * ratio
+    rest = wp.float64(1.0) / (wp.float64(1.0) + cubed * ratio)
     way.share = wp.float64(1.0) - rest
-    way.slope = wp.float64(4.0) * wp.pow(ratio, wp.float64(3.0)) * rest * rest
+    way.slope = wp.float64(4.0) * cubed * rest * rest
     return way
 
 
