@@ -112,12 +112,14 @@ def friction_hessian(
 class WayIn:
     """How a pair has come together.
 
-    along: relative motion along the normal now [m]. before: unit normal where the step began.
+    along: relative motion along the normal now [m]. distance: now [m]. before: unit normal where
+    the step began.
     share: how much the way in is along that, 0 to 1, r^4 / (1 + r^4) of r = along / distance;
     slope: its derivative by r.
     """
 
     along: wp.float64
+    distance: wp.float64
     before: wp.vec3d
     share: wp.float64
     slope: wp.float64
@@ -144,7 +146,8 @@ def way_in(
     way = WayIn()
     way.along = wp.dot(moved, pair_normal(pair))
     way.before = pair_normal(closest_pair(env, kind, nodes, then, geometry))
-    ratio = way.along / wp.sqrt(pair.distance_sq)
+    way.distance = wp.sqrt(pair.distance_sq)
+    ratio = way.along / way.distance
     cubed = ratio * ratio * ratio
     rest = wp.float64(1.0) / (wp.float64(1.0) + cubed * ratio)
     way.share = wp.float64(1.0) - rest
@@ -153,21 +156,28 @@ def way_in(
 
 
 @wp.func
-def normal_motion(
-    env: int,
-    kind: int,
-    nodes: wp.vec4i,
-    pair: ClosestPair,
-    now: wp.array2d(dtype=wp.vec3d),
-    then: wp.array2d(dtype=wp.vec3d),
-    geometry: ContactGeometry,
-) -> wp.vec3d:
-    """Relative motion [m] from the positions ``then`` to ``now`` that is no sliding: what it is
-    along the normal of ``pair``, the collision now, along that and the normal that it had then.
+def normal_motion(way: WayIn, n: wp.vec3d) -> wp.vec3d:
+    """Relative motion since the step began that is no sliding [m]: what it is along the normal n of
+    the collision now, along that and the normal that it had then.
 
     Its length is not that of the gaps: in sliding from one face to the next the gap to a face, and
     the normal with it, may have been anything; along the normal there is hardly any motion.
     """
-    way = way_in(env, kind, nodes, pair, now, then, geometry)
-    n = pair_normal(pair)
     return way.along * (n + way.share * (way.before - n))
+
+
+@wp.func
+def normal_motion_change(
+    way: WayIn,
+    n: wp.vec3d,
+    along: wp.float64,
+    distance: wp.float64,
+    dn: wp.vec3d,
+    dbefore: wp.vec3d,
+) -> wp.vec3d:
+    """Change of ``normal_motion`` [m] as ``way.along`` and ``way.distance`` change by ``along`` and
+    ``distance`` [m], and the normals now and before by ``dn`` and ``dbefore``."""
+    lean = way.before - n
+    steeper = way.slope * (along - way.along / way.distance * distance) / way.distance
+    turned = dn + way.share * (dbefore - dn)
+    return along * (n + way.share * lean) + way.along * (steeper * lean + turned)

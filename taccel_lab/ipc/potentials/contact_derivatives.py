@@ -37,6 +37,8 @@ from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.contact.friction import (
     friction_f1_over_u,
     friction_f2,
+    normal_motion,
+    normal_motion_change,
     tangential,
     way_in,
 )
@@ -217,13 +219,9 @@ def rubbing(
         then = _nodes_at(env, nodes, motion.previous)
         old_change = pair_change(kind, old, then, by.before)
         way = way_in(env, kind, nodes, pair, motion.positions, motion.previous, geometry)
-        lean = way.before - n
-        distance = wp.sqrt(pair.distance_sq)
-        lengthened = wp.dot(du, n) + wp.dot(u, c.normal)
-        steeper = way.slope * (lengthened - way.along / distance * c.distance) / distance
-        u -= way.along * (n + way.share * lean)
-        du -= lengthened * (n + way.share * lean) + way.along * steeper * lean
-        du -= way.along * (c.normal + way.share * (old_change.normal - c.normal))
+        along = wp.dot(du, n) + wp.dot(u, c.normal)
+        u -= normal_motion(way, n)
+        du -= normal_motion_change(way, n, along, c.distance, c.normal, old_change.normal)
     across = tangential(n, u)
     dacross = tangential(n, du) - wp.dot(n, u) * c.normal - wp.dot(c.normal, u) * n
     size = wp.length(across)

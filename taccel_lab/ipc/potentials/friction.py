@@ -25,6 +25,7 @@ from taccel_lab.ipc.contact.friction import (
     normal_motion,
     relative_displacement,
     tangential,
+    way_in,
 )
 from taccel_lab.ipc.device.ragged_lists import ListRoom, entry_types, list_end, move_entries
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
@@ -114,9 +115,8 @@ def freeze_contact(
     frozen.normal_motions[at] = wp.vec3d()
     # Normals of a ball turn too little to matter, and its shear would lean on dhat twice as much.
     if geometry.node_is_ball[nodes[0]] == 0:
-        frozen.normal_motions[at] = normal_motion(
-            env, kind, nodes, pair, positions, previous, geometry
-        )
+        way = way_in(env, kind, nodes, pair, positions, previous, geometry)
+        frozen.normal_motions[at] = normal_motion(way, pair_normal(pair))
 
 
 @wp.kernel

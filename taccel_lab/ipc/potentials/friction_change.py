@@ -31,6 +31,7 @@ from taccel_lab.ipc.contact.friction import (
     friction_f1_over_u,
     friction_f2,
     friction_hessian,
+    normal_motion_change,
     tangential,
     way_in,
 )
@@ -184,13 +185,8 @@ def sliding_change(
     slid -= node_difference(env, pair.weights, nodes, motion.previous)
     if geometry.node_is_ball[nodes[0]] == 0:
         way = way_in(env, kind, nodes, now, motion.positions, motion.previous, geometry)
-        lean = way.before - n
         came_by = wp.dot(v + frozen.normal_motions[at], pair.normal) + wp.dot(slid, n)
-        distance = wp.sqrt(now.distance_sq)
-        ratio_change = (came_by - way.along / distance * pair.approach) / distance
-        slid -= came_by * (n + way.share * lean)
-        rest = wp.float64(1.0) - way.share
-        slid -= way.along * (way.slope * ratio_change * lean + rest * pair.normal)
+        slid -= normal_motion_change(way, n, came_by, pair.approach, pair.normal, wp.vec3d())
     return tangential(n, slid) - wp.dot(n, v) * pair.normal - wp.dot(pair.normal, v) * n
 
 
