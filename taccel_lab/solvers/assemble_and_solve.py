@@ -15,7 +15,6 @@ from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Progress
-from taccel_lab.solvers.friction_lag import follow_friction, follows_friction
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus
 
@@ -52,8 +51,11 @@ def projection(env: int, p: Progress) -> int:
         p.curvature.projected[env] -= 1
         return PSD_CLAMP
     one = wp.float64(1.0)
-    cut = p.search.alpha[env] < one or p.search.cuts[env] > 0
-    if p.prescribed.progress[env] < one or (cut and p.following.follows[env] == 0):
+    # A step that was damped (``friction_lag``) was not cut.
+    cut = p.clearance.limit[env] < one or p.search.cuts[env] > 0
+    if p.counts.newton[env] == 0:
+        cut = False
+    if p.prescribed.progress[env] < one or cut:
         return PSD_CLAMP
     near = p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(EXACT_BELOW)
     stuck = p.balance.residual[env] > wp.float64(STUCK_ABOVE) * p.balance.last_residual[env]
@@ -74,12 +76,10 @@ def _aim_step_kernel(
     """
     env = wp.tid()
     p.prescribed.moving[env] = 0
-    p.following.seeks[env] = 0
     if p.phases.stepping[env] == 0:
         return
     p.clearance.bend[env] = wp.float64(0.0)
     p.clearance.reach[env] = p.clearance.margin[env]
-    p.following.follows[env] = 0
     one = wp.float64(1.0)
     progress = p.prescribed.progress[env]
     goal = one
@@ -93,7 +93,6 @@ def _aim_step_kernel(
     p.prescribed.goal[env] = goal
     if progress < one:
         p.prescribed.moving[env] = 1
-    follows_friction(env, p)
     p.curvature.psd_mode[env] = projection(env, p)
     renewed[env] = 1 - p.counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
@@ -121,11 +120,7 @@ def _count_solve_kernel(
     p.counts.cg[env] += iterations[env]
     p.counts.newton[env] += 1
     if breakdown[env] == 0:
-        if p.following.follows[env] != 0:
-            p.flags.following[0] = 1
         return
-    p.following.follows[env] = 0
-    p.following.seeks[env] = 0
     if p.curvature.psd_mode[env] == PSD_NONE:
         p.curvature.projected[env] = PROJECTED_AFTER
     elif iterations[env] == 0:
@@ -135,8 +130,7 @@ def _count_solve_kernel(
 def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] = ()) -> None:
     """The Newton direction of all environments that are stepping, in ``displacements``. ``beside``:
     what else may be launched meanwhile."""
-    s, p = run.s, run.p
-    linear = s.linear
+    s, linear = run.s, run.s.linear
     _assemble(run, beside)
     linear.solve(run.stepping, s.config.max_cg_iterations)
 
@@ -148,8 +142,6 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
         spread_solution(run.model, run.stepping, linear.solution, s.displacements)
 
     run.together([count, spread])
-    if s.corrected is not None:
-        wp.capture_if(p.flags.following, on_true=lambda: follow_friction(run))
 
 
 def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:

@@ -78,10 +78,6 @@ def _begin_step_kernel(
     p.clearance.bend[env] = zero
     p.balance.lag_change[env] = wp.float64(wp.inf)
     p.balance.damping[env] = one
-    p.following.follows[env] = 0
-    p.following.seeks[env] = 0
-    p.following.pause[env] = 0
-    p.following.left[env] = wp.float64(0.0)
     p.clearance.margin[env] = p.rules.dhat
     p.search.before[env] = zero
     p.search.after[env] = wp.float64(wp.inf)

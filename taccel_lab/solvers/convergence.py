@@ -38,10 +38,9 @@ def settle(env: int, p: Progress):
     """Stop what has converged; with friction, choose where it is frozen anew.
 
     Not where joints are open. While freezing anew still changes forces, solving in between to the
-    last digit is wasted: ``FREEZE_BELOW`` of the last change is enough, and one step when damped or
-    when it followed friction. At first friction waits for as small a part of the contact force:
-    frames on their way squeeze what lies ahead, up to 34 times as much as in the end, and friction
-    frozen then holds it there.
+    last digit is wasted: ``FREEZE_BELOW`` of the last change is enough, and one step when damped.
+    At first friction waits for as small a part of the contact force: frames on their way squeeze
+    what lies ahead, up to 34 times as much as in the end, and friction frozen then holds it there.
     """
     if p.phases.active[env] != 0:
         settled = p.prescribed.progress[env] >= wp.float64(1.0) and p.phases.phase[env] != CLOSING
@@ -55,7 +54,7 @@ def settle(env: int, p: Progress):
                 p.balance.lag_change[env] = wp.max(p.balance.lag_change[env], p.balance.excess[env])
                 change = wp.min(p.balance.lag_change[env], enough / p.rules.relative_tolerance)
                 enough = wp.max(enough, wp.float64(FREEZE_BELOW) * change)
-                if p.balance.damping[env] < wp.float64(1.0) or p.following.follows[env] != 0:
+                if p.balance.damping[env] < wp.float64(1.0):
                     enough = wp.float64(wp.inf)
                 if p.balance.excess[env] <= enough:
                     enter(env, FREEZING, p)

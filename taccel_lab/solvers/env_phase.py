@@ -30,8 +30,6 @@ class EnvPhase(IntEnum):
     """Newton has converged, its joints may be open."""
     FREEZING = 6
     """Its friction is frozen anew."""
-    RETREATING = 7
-    """It takes back a part of its step, or all."""
 
 
 STEPPING = wp.constant(int(EnvPhase.STEPPING))
@@ -40,7 +38,6 @@ STAYING = wp.constant(int(EnvPhase.STAYING))
 SEARCHING = wp.constant(int(EnvPhase.SEARCHING))
 CLOSING = wp.constant(int(EnvPhase.CLOSING))
 FREEZING = wp.constant(int(EnvPhase.FREEZING))
-RETREATING = wp.constant(int(EnvPhase.RETREATING))
 _RESTING = wp.constant(int(EnvPhase.RESTING))
 _NO_CONVERGENCE = wp.constant(int(EnvStatus.NO_CONVERGENCE))
 _STALLED = wp.constant(int(EnvStatus.STALLED))
@@ -135,7 +132,7 @@ def count_on(env: int, p: Progress):
 @wp.func
 def go_on(env: int, p: Progress):
     """Stop where the iterations are used up, or lead nowhere. Not where friction is frozen anew
-    first, a step taken back, or a line search goes on: a trial counts that."""
+    first, or a line search goes on: a trial counts that."""
     if p.phases.phase[env] == SEARCHING:
         # Since the last call, whose trial counted for that one.
         if p.flags.rounds[0] == 0:

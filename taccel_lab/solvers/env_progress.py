@@ -18,11 +18,6 @@ wp.set_module_options({"enable_backward": False})
 FEW, SOME = 64, 512
 """Environments that have a list, and launches of their own size, once no more are left of a batch
 twice as large."""
-FOLLOW_AFTER = 1
-"""Freezings of a step before directions follow friction."""
-FOLLOW_AFTER_IN_BATCHES = 20
-"""Likewise in the batches of a GPU. It freezes for all environments in the time of one, and all
-wait for the solves of one that follows."""
 
 
 @wp.struct
@@ -44,8 +39,6 @@ class Rules:
     max_cuts: wp.int32
     has_joints: wp.int32
     has_friction: wp.int32
-    follow_after: wp.int32
-    """Freezings of a step before its directions follow friction."""
     few: wp.int32
     some: wp.int32
     """Environments that stand on a list once no more are left."""
@@ -192,24 +185,6 @@ class Balance:
 
 
 @wp.struct
-class Following:
-    """Steps whose direction counts how friction follows the contacts (``friction_lag``)."""
-
-    follows: wp.array(dtype=wp.int32)
-    """Mask of those that take such a step."""
-    seeks: wp.array(dtype=wp.int32)
-    """Mask of those of them whose direction is looked for in this round."""
-    excess_before: wp.array(dtype=wp.float64)
-    """``excess`` where the step began."""
-    share: wp.array(dtype=wp.float64)
-    """Part of the step that is taken, 0 where it leads nowhere."""
-    pause: wp.array(dtype=wp.int32)
-    """Iterations until the next one."""
-    left: wp.array(dtype=wp.float64)
-    """Largest part of the residual that a freezing of friction left in this step."""
-
-
-@wp.struct
 class Curvature:
     """What of the curvature the next matrix has."""
 
@@ -284,10 +259,6 @@ class Flags:
     """Whether any line search goes on of environments that step together."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
-    following: wp.array(dtype=wp.int32)
-    """Whether a direction that follows friction is looked for anywhere."""
-    retreating: wp.array(dtype=wp.int32)
-    """Whether such a step is taken back anywhere."""
     closing: wp.array(dtype=wp.int32)
     """Whether Newton has converged in any environment whose joints may be open."""
     reopened: wp.array(dtype=wp.int32)
@@ -319,7 +290,6 @@ class Progress:
     prescribed: Prescribed
     clearance: Clearance
     balance: Balance
-    following: Following
     curvature: Curvature
     search: Search
     gain: Gain
@@ -336,8 +306,6 @@ def lower_flags(p: Progress):
     p.flags.many_running[0] = 0
     p.flags.search_goes_on[0] = 0
     p.flags.freezing[0] = 0
-    p.flags.following[0] = 0
-    p.flags.retreating[0] = 0
     p.flags.closing[0] = 0
     p.flags.reopened[0] = 0
 
@@ -368,8 +336,8 @@ class EnvProgress:
     ) -> None:
         self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
         self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
-        self.following, self.gain = Following(), Gain()
-        self.curvature, self.search, self.flags = Curvature(), Search(), Flags()
+        self.curvature, self.search = Curvature(), Search()
+        self.gain, self.flags = Gain(), Flags()
         self.rules = rules
         self.report = ReportBlock.zeros(env_count, device)
         """What a report needs, on the memory of the parts."""
@@ -415,20 +383,12 @@ def list_places(model: Model) -> tuple[EnvList | None, EnvList | None]:
     return few, some
 
 
-def follow_after(model: Model) -> int:
-    """Freezings before directions follow friction, in the batch that a model is."""
-    if model.device.is_cuda and model.env_count > 1:
-        return FOLLOW_AFTER_IN_BATCHES
-    return FOLLOW_AFTER
-
-
 def make_rules(
     config: SolverConfig,
     affine_rounding_n: float,
     affine_energy_rounding: float,
     joint_tolerance_m: float | None,
     has_friction: bool,
-    follow_after: int,
 ) -> Rules:
     """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
     rules = Rules()
@@ -444,6 +404,5 @@ def make_rules(
     rules.max_cuts = config.max_line_search_cuts
     rules.has_joints = int(joint_tolerance_m is not None)
     rules.has_friction = int(has_friction)
-    rules.follow_after = follow_after
     rules.few, rules.some = FEW, SOME
     return rules

@@ -81,9 +81,7 @@ def _open_search_kernel(
         p.search.before[env] = p.search.base[env] + friction
         p.search.strays[env] = 0
         p.search.cuts[env] = 0
-        alpha = p.clearance.limit[env]
-        if p.following.follows[env] == 0:
-            alpha = wp.min(alpha, p.balance.damping[env])
+        alpha = wp.min(p.clearance.limit[env], p.balance.damping[env])
         p.search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
             enter(env, SEARCHING, p)
@@ -111,8 +109,7 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 def is_good(env: int, p: Progress) -> bool:
     """Whether a trial lowers the energy.
 
-    While frames are still on their way the energy may rise: they do work. So it may along
-    a direction that follows friction, which the residual will judge (``friction_lag``).
+    While frames are still on their way the energy may rise: they do work.
     A body that turns leaves the chord that CCD checked: where one does, ``free`` is that of the
     path really taken.
     Sums of that many terms carry rounding of about 1e-14 of the energy, each element's energy is a
@@ -129,8 +126,8 @@ def is_good(env: int, p: Progress) -> bool:
         wp.float64(1.0e-4) * p.search.alpha[env] * wp.min(p.search.derivative[env], wp.float64(0.0))
     )
     good = wp.isfinite(after)
-    minimises = p.prescribed.progress[env] >= one and p.following.follows[env] == 0
-    if minimises and not (after <= before + descent + rounding):
+    arrived = p.prescribed.progress[env] >= one
+    if arrived and not (after <= before + descent + rounding):
         good = False
     if p.search.strays[env] != 0 and p.search.free[env] < one:
         good = False

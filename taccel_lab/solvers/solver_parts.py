@@ -17,7 +17,6 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
-from taccel_lab.ipc.linear.corrected import CorrectedSolve
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion.trial import FrameNodes, StraightNodes
 from taccel_lab.ipc.potentials.contact import ContactPotential
@@ -33,7 +32,6 @@ from taccel_lab.model.launches import Scratch, launch
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import (
     EnvProgress,
-    follow_after,
     list_places,
     make_rules,
 )
@@ -182,9 +180,6 @@ class SolverParts:
             held=model.held_rows(),
             in_any_order=same,
         )
-        follows = self.friction is not None and self.joints is None
-        self.corrected = CorrectedSolve(self.linear) if follows else None
-        """Solves for directions that follow friction."""
         shape, device = (model.env_count, model.node_count), model.device
 
         def nodal() -> wp.array:
@@ -211,10 +206,6 @@ class SolverParts:
         """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
         self.friction_gradient = nodal()
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
-        self.follow_start = nodal() if follows else self.origin
-        """Where a step that follows friction began [m]."""
-        self.friction_change = nodal() if follows else self.friction_gradient
-        """Change of friction along a direction [N]."""
         self.path = nodal() if model.kinematic or self.affine else self.trial
         """Way of a trial in which a body turns [m]."""
         pivots = (model.env_count, model.affine.count)
@@ -248,7 +239,6 @@ class SolverParts:
             self.affine.energy_rounding if self.affine else 0.0,
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
-            follow_after(model),
         )
         soft = len(scene.soft_bodies)
         carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]

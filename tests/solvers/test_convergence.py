@@ -9,7 +9,6 @@ and follow friction.
 from __future__ import annotations
 
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, start_step
 from taccel_lab.solvers.env_phase import STALL_AFTER, STEPPING, forget_gain, go_on
-from taccel_lab.solvers.env_progress import Progress, follow_after
+from taccel_lab.solvers.env_progress import Progress
 from taccel_lab.solvers.solver_ipc import HALVING_HELPS
 from taccel_lab.state import State, initial_state
 from tests.solvers.steps import begun, stepped
@@ -242,7 +241,7 @@ def test_a_start_that_turns_an_element_inside_out_is_not_taken() -> None:
     assert (report.starts_tried, report.starts_taken, report.substeps) == (1, 0, 1)
 
 
-# Friction is followed -----------------------------------------------------------------------------
+# Friction is frozen anew --------------------------------------------------------------------------
 
 
 def rub(
@@ -271,23 +270,14 @@ def rub(
 
 @pytest.mark.thorough
 def test_edges_take_few_iterations() -> None:
-    """63 and 56; 111 and 81 with frozen friction alone."""
-    for most, case in ((80, (8, 2e-3, 0.0)), (60, (10, 1.5e-3, 30.0))):
+    """120 and 70; 123 and 86 where damped steps have projected matrices."""
+    for most, case in ((140, (8, 2e-3, 0.0)), (80, (10, 1.5e-3, 30.0))):
         taken = rub(*case)[1]
         assert taken.sum() <= most, taken
 
 
-@pytest.mark.parametrize(
-    ("on_gpu", "env_count", "freezings"), [(False, 64, 1), (True, 1, 1), (True, 64, 20)]
-)
-def test_batches_of_a_gpu_freeze_longer(on_gpu: bool, env_count: int, freezings: int) -> None:
-    """All of them wait for the solves of one that follows: 10 % of the steps a second."""
-    model: Any = SimpleNamespace(device=SimpleNamespace(is_cuda=on_gpu), env_count=env_count)
-    assert follow_after(model) == freezings
-
-
 @pytest.mark.thorough
-def test_environments_follow_friction_each_for_itself() -> None:
+def test_environments_freeze_friction_each_for_itself() -> None:
     together, taken = rub(4, 2e-3, 0.0, (1.0, 0.6))
     uncaptured, _ = rub(4, 2e-3, 0.0, (1.0, 0.6), capture=False)
     alone, taken_alone = rub(4, 2e-3, 0.0, (0.6,))

@@ -12,7 +12,6 @@ import warp as wp
 
 from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.friction import step_motion
-from taccel_lab.ipc.potentials.friction_change import add_friction_change
 from taccel_lab.presses import parse_indenter
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers import SolverConfig
@@ -168,37 +167,6 @@ def test_a_rolling_ball_does_not_drag_and_a_spinning_one_does() -> None:
     # All faces in reach count, so that the drag is not that of the lowest point alone.
     np.testing.assert_allclose(spinning, sliding, rtol=0.15, atol=0.05 * abs(sliding[0]))
     assert np.linalg.norm(rolling) < 0.15 * np.linalg.norm(sliding)
-
-
-@pytest.mark.parametrize("size", [0.2 * EPS, 5 * EPS, 15 * EPS])
-@pytest.mark.parametrize("name", ["bumpy", "edge", "ball"])
-def test_frozen_anew_everywhere_it_changes_by_what_the_hessian_leaves_out(
-    name: str, size: float
-) -> None:
-    case, rng = rubbing(name, 0.0, 12), np.random.default_rng(2)
-    x = case.start[0] + rng.uniform(-size, size, case.start[0].shape)
-    ways = np.repeat(rng.uniform(-1.0, 1.0, (6, *x.shape)), 2, axis=0)
-    signs = np.tile([1.0, -1.0], 6)[:, None, None]
-
-    def difference(step: float) -> np.ndarray:
-        forces = case.gradient(x + step * signs * ways)
-        return (forces[::2] - forces[1::2]) / (2 * step)
-
-    assert case.assembly.collide(case.same(x)) > 0
-    case.freeze(x + 1e-10 * signs * ways)
-    whole = difference(1e-10)
-    case.freeze(case.same(x))
-    mu_lambdas = case.friction.frozen.mu_lambdas
-    signed = mu_lambdas.numpy().copy()
-    mu_lambdas.assign(np.maximum(signed, 0.0))
-    left_out = whole - difference(1e-9)
-    mu_lambdas.assign(signed)
-    found, sharpness = case.assembly.nodal(), wp.full(len(signs), 1.0, dtype=wp.float64)
-    motion, along = case.motion(case.same(x)), case.assembly.nodal(ways)
-    add_friction_change(case.friction, case.active, motion, sharpness, along, found)
-    scale = np.abs(left_out).max()
-    assert scale > 0.01 * np.abs(whole).max()
-    np.testing.assert_allclose(found.numpy()[::2], left_out, atol=1e-3 * scale)
 
 
 def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
