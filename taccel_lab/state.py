@@ -211,7 +211,8 @@ class State(Summary):
         if mask is not None:
             mask = device_mask(mask, len(self.positions), self.positions.device)
         for target, source in zip(mine, theirs, strict=True):
-            copy_rows(mask, source, target)
+            if source is not target:
+                copy_rows(mask, source, target)
         if self.unsearched is not None:
             if other.unsearched is None:
                 self.moved(mask)

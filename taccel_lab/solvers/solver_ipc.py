@@ -26,7 +26,7 @@ from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array
+from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array, on_device
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
 from taccel_lab.model.turns import TURNS, in_turn
 from taccel_lab.solvers.config import Control, SolverConfig
@@ -160,7 +160,9 @@ class SolverIPC(SolverParts):
             check_state(state, self.model)
             chosen = device_mask(mask, self.model.env_count, self.model.device)
             if self.progress.underway.any():
-                self.progress.drop(chosen.numpy() != 0, chosen)
+                # A mask of the host is not read back: the host would wait.
+                who = chosen.numpy() != 0 if on_device(mask) else np.asarray(mask)
+                self.progress.drop(who, chosen)
             if poses is not None:
                 copy_rows(chosen, poses_array(self.model, poses), state.poses)
             if self._start is None:
