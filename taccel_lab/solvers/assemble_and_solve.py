@@ -51,11 +51,9 @@ def projection(env: int, p: Progress) -> int:
         p.curvature.projected[env] -= 1
         return PSD_CLAMP
     one = wp.float64(1.0)
-    # A step that was damped (``friction_lag``) was not cut.
+    # A damped step (``friction_lag``) was not cut; before the first one, ``limit`` is of the start.
     cut = p.clearance.limit[env] < one or p.search.cuts[env] > 0
-    if p.counts.newton[env] == 0:
-        cut = False
-    if p.prescribed.progress[env] < one or cut:
+    if p.prescribed.progress[env] < one or (cut and p.counts.newton[env] > 0):
         return PSD_CLAMP
     near = p.rules.relative_tolerance * p.balance.excess[env] < wp.float64(EXACT_BELOW)
     stuck = p.balance.residual[env] > wp.float64(STUCK_ABOVE) * p.balance.last_residual[env]

@@ -3,7 +3,7 @@
 
 Each body by its own forces, residual and force in one norm. Newton's matrix is exact near the
 solution and projected where that is not positive definite; steps start along the last velocities,
-and follow friction.
+and friction is frozen anew.
 """
 
 from __future__ import annotations

@@ -65,8 +65,7 @@ def test_the_pace_of_an_environment_changes_no_bit(
 
 
 def test_a_line_search_that_lasts_beyond_a_call_changes_no_bit() -> None:
-    """Of pegs that are pushed in by strides of four steps: their line searches are cut, and steps
-    that followed friction are taken back."""
+    """Of pegs that are pushed in by strides of four steps: their line searches are cut."""
     bench = build_scene("peg", SceneOptions(3, "generated", {}))
     model = bench.scene.finalize("cpu")
     moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
