@@ -133,10 +133,10 @@ class State(Summary):
     elements, mat33d, shape [env_count, point_count]; groups of ``Model.elastic`` one after the
     other, and in them branches. In scenes with such materials only."""
     unsearched: wp.array | None = None
-    """1 where the next step first searches for bodies that overlap, int32, [env_count]; everywhere
-    when None."""
-    separate: np.ndarray | None = None
-    """Where such a search found none, bool, [env_count], on the host; None when one is due."""
+    """1 where bodies overlap, or where nobody has searched for such yet, int32, [env_count];
+    everywhere when None."""
+    searched: bool = False
+    """Whether the first is what it says everywhere; else the next step searches."""
     model: Model | None = None
     """The model that it was made for: it is read as one of that or of the same bodies. None where
     nobody said."""
@@ -218,14 +218,14 @@ class State(Summary):
                 self.moved(mask)
             else:
                 copy_rows(mask, other.unsearched, self.unsearched)
-        self.separate = None
+        self.searched = False
 
     @in_turn
     def moved(self, mask: np.ndarray | wp.array | None = None) -> None:
         """Mark positions or poses as written by hand, in the environments of ``mask`` (bool, or
         int32 on the device, [env_count]), in all when None. The next step searches them for bodies
         that overlap."""
-        self.separate = None
+        self.searched = False
         if self.unsearched is None or mask is None:
             self.unsearched = None
             return
@@ -243,7 +243,7 @@ class State(Summary):
             self.viscous_inverses = no_viscous_strain(model)
         if self.unsearched is None:
             self.unsearched = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
-            self.separate = None
+            self.searched = False
 
     def __reduce__(self) -> Any:
         raise InputError(

@@ -33,22 +33,43 @@ def lane_count(device: wp.Device, env_count: int, most: int) -> int:
     return max(1, min(most, max(32, _THREADS // env_count)))
 
 
+# What is known to be one lane, and to have its words side by side, is compiled to vectors: on the
+# CPU a row takes a ninth of the time.
+@wp.func_native("""
+    const int count = result.shape[1];
+    const auto* const from = source.data + static_cast<size_t>(env % source.shape[0]) * count;
+    auto* const row = result.data + static_cast<size_t>(env) * count;
+#if !defined(__CUDA_ARCH__)
+    lane = 0;
+    lanes = 1;
+#endif
+    for (int i = lane; i < count; i += lanes)
+        row[i] = from[i];
+""")
+def _copy_row(
+    env: int,
+    lane: int,
+    lanes: int,
+    source: wp.array2d(dtype=wp.int32),
+    result: wp.array2d(dtype=wp.int32),
+) -> None:
+    """Copy every ``lanes``-th word of a row from ``lane`` on."""
+    ...
+
+
 @wp.kernel
 def _copy_rows_kernel(
     mask: Envs,
     lanes: int,
-    source: wp.array2d(dtype=Any),
-    result: wp.array2d(dtype=Any),
+    source: wp.array2d(dtype=wp.int32),
+    result: wp.array2d(dtype=wp.int32),
 ):
     place, lane = wp.tid()
     env = env_at(place, mask)
     if env >= 0:
-        for i in range(lane, result.shape[1], lanes):
-            result[env, i] = source[env % source.shape[0], i]
+        _copy_row(env, lane, lanes, source, result)
 
 
-# What is known to be one lane, and to have its numbers side by side, is compiled to vectors: on the
-# CPU a row takes a ninth of the time.
 @wp.func_native("""
     const int count = values.shape[1];
     auto* const row = values.data + static_cast<size_t>(env) * count;
@@ -59,34 +80,25 @@ def _copy_rows_kernel(
     for (int i = lane; i < count; i += lanes)
         row[i] = 0;
 """)
-def _zero_row(env: int, lane: int, lanes: int, values: wp.array2d(dtype=Any)) -> None:
-    """Clear every ``lanes``-th number of a row from ``lane`` on."""
+def _zero_row(env: int, lane: int, lanes: int, values: wp.array2d(dtype=wp.int32)) -> None:
+    """Clear every ``lanes``-th word of a row from ``lane`` on."""
     ...
 
 
 @wp.kernel
-def _zero_rows_kernel(mask: Envs, lanes: int, values: wp.array2d(dtype=Any)):
+def _zero_rows_kernel(mask: Envs, lanes: int, values: wp.array2d(dtype=wp.int32)):
     place, lane = wp.tid()
     env = env_at(place, mask)
     if env >= 0:
         _zero_row(env, lane, lanes, values)
 
 
-# The kernels of each word: to find that of an array at each launch takes the host longer than that.
-_COPY_ROWS, _ZERO_ROWS = {}, {}
-for _word in (wp.int32, wp.float64):
-    _rows = wp.array2d(dtype=_word)
-    _COPY_ROWS[_word] = wp.overload(_copy_rows_kernel, {"source": _rows, "result": _rows})
-    _ZERO_ROWS[_word] = wp.overload(_zero_rows_kernel, {"values": _rows})
-
-
+# Words of one size whatever the type: captured on the CPU, overloads of a kernel are one.
 def _as_rows(array: wp.array) -> wp.array:
-    """The same memory as words, [rows, all else]: float64, or int32 where an entry is no multiple
-    of that."""
-    size = wp.types.type_size_in_bytes(array.dtype)
-    word, width = (wp.float64, 8) if size % 8 == 0 else (wp.int32, 4)
-    shape = (array.shape[0], math.prod(array.shape[1:]) * (size // width))
-    return wp.array(ptr=array.ptr, dtype=word, shape=shape, device=array.device)
+    """The same memory as words of four bytes, int32, [rows, all else]."""
+    words = math.prod(array.shape[1:]) * (wp.types.type_size_in_bytes(array.dtype) // 4)
+    shape = (array.shape[0], words)
+    return wp.array(ptr=array.ptr, dtype=wp.int32, shape=shape, device=array.device)
 
 
 def copy_rows(mask: EnvMask | None, source: wp.array, result: wp.array) -> None:
@@ -99,8 +111,7 @@ def copy_rows(mask: EnvMask | None, source: wp.array, result: wp.array) -> None:
         source = source.to(result.device)
         into = _as_rows(result)
         lanes = lane_count(result.device, place_count(mask), into.shape[1])
-        kernel = _COPY_ROWS[into.dtype]
-        launch(kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
+        launch(_copy_rows_kernel, (len(into), lanes), mask, lanes, _as_rows(source), into)
 
 
 def zero_rows(mask: EnvMask, values: wp.array) -> None:
@@ -108,7 +119,7 @@ def zero_rows(mask: EnvMask, values: wp.array) -> None:
     if values.size:
         rows = _as_rows(values)
         lanes = lane_count(values.device, place_count(mask), rows.shape[1])
-        launch(_ZERO_ROWS[rows.dtype], (len(rows), lanes), mask, lanes, rows)
+        launch(_zero_rows_kernel, (len(rows), lanes), mask, lanes, rows)
 
 
 @wp.kernel

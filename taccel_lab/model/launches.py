@@ -17,8 +17,11 @@ from __future__ import annotations
 
 import ctypes
 import math
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
@@ -171,12 +174,63 @@ def side_by_side(device: wp.Device, parts: Sequence[Callable[[], None]]) -> None
     _branches(device).run(parts)
 
 
-def capture(device: wp.Device, work: Callable[[], None]) -> wp.Graph:
-    """The graph of all that ``work`` launches, whatever other threads do meanwhile."""
-    stream = _branches(device).main
-    with wp.ScopedStream(stream, sync_enter=False), wp.ScopedCapture(device) as captured:
-        work()
-    return captured.graph
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait until this is over. A capture takes milliseconds, and one that an
+    exception leaves by half keeps the streams of the device busy for good."""
+    held: list[tuple[Any, ...]] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Of no handler of Python's nothing is known; it does not raise either.
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda *caught: held.append(caught))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for number, frame in held:
+        handlers[number](number, frame)
+
+
+class CapturedWork:
+    """Launches that are captured as a graph, and launched as a whole after that; with new arrays
+    once as they come, which loads their kernels."""
+
+    def __init__(self, device: wp.Device, wanted: bool = True) -> None:
+        """``wanted``: False launches always as they come."""
+        self._device, self._wanted = device, wanted
+        self._graph: wp.Graph | None = None
+        self._arrays: Hashable = None
+        """What the graph was captured with, or is to be."""
+        self.launches = 0
+        """Graphs launched so far."""
+
+    def clear(self) -> None:
+        """Forget the graph: arrays that it uses have moved."""
+        self._graph, self._arrays = None, None
+
+    def launch(self, arrays: Hashable, work: Callable[[], None]) -> None:
+        """Launch ``work``, the same at every call that gives the same ``arrays``: addresses, or
+        what else tells those that it uses. It allocates nothing that lasts."""
+        if not self._wanted or arrays != self._arrays:
+            self.clear()
+            work()
+            self._arrays = arrays
+            return
+        if self._graph is None:
+            with _undisturbed():
+                self._graph = self._capture(work)
+        wp.capture_launch(self._graph)
+        self.launches += 1
+
+    def _capture(self, work: Callable[[], None]) -> wp.Graph:
+        """The graph of all that ``work`` launches, whatever other threads do meanwhile."""
+        device, stream = self._device, _branches(self._device).main
+        with wp.ScopedStream(stream, sync_enter=False), wp.ScopedCapture(device) as captured:
+            work()
+        return captured.graph
 
 
 _ALIGNMENT = 256

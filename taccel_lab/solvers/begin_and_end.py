@@ -25,17 +25,29 @@ _NOT_A_NUMBER = wp.constant(int(EnvStatus.NOT_A_NUMBER))
 _INVERSION = wp.constant(int(EnvStatus.INVERSION))
 _IMPACT = wp.constant(int(EnvStatus.IMPACT))
 _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
+_OVERLAP = wp.constant(int(EnvStatus.OVERLAP))
+
+
+@wp.func
+def _overlaps(env: int, count: int, address: wp.uint64) -> bool:
+    """Whether bodies overlap in an environment, by the mask at an address; at 0 is none."""
+    if address == wp.uint64(0):
+        return False
+    mask = wp.array(ptr=address, shape=(count,), dtype=wp.int32)
+    return mask[env] != 0
 
 
 @wp.kernel
 def _begin_step_kernel(
+    overlapping: wp.array(dtype=wp.uint64),
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
     origin_poses: wp.array2d(dtype=wp.transformd),
     p: Progress,
 ):
-    """Nothing is done yet; how far frames go and turn. What is underway goes on."""
+    """Nothing is done yet; how far frames go and turn. What is underway goes on; where bodies
+    overlap nothing begins."""
     env = wp.tid()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -46,11 +58,15 @@ def _begin_step_kernel(
     if p.roster.underway[env] != 0:
         return
     p.phases.status[env] = _SKIPPED
+    begins = p.roster.who[env]
+    if begins != 0 and _overlaps(env, poses.shape[0], overlapping[0]):
+        p.phases.status[env] = _OVERLAP
+        begins = 0
     p.phases.phase[env] = 0
-    p.phases.fresh[env] = p.roster.who[env]
-    p.roster.underway[env] = p.roster.who[env]
-    p.phases.active[env] = p.roster.who[env]
-    p.phases.stepping[env] = p.roster.who[env]
+    p.phases.fresh[env] = begins
+    p.roster.underway[env] = begins
+    p.phases.active[env] = begins
+    p.phases.stepping[env] = begins
     p.phases.searching[env] = 0
     p.phases.inner[env] = 0
     p.phases.flying[env] = 0
@@ -86,7 +102,7 @@ def _begin_step_kernel(
     p.curvature.projected[env] = 0
     p.curvature.sharpness[env] = one
     p.balance.last_residual[env] = wp.float64(wp.inf)
-    if p.roster.who[env] == 0:
+    if begins == 0:
         return
     p.phases.status[env] = _RUNNING
     p.phases.phase[env] = STEPPING
@@ -174,7 +190,7 @@ def begin_step(run: StepLaunches) -> None:
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.roster.reads)
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
-    run.decide(_begin_step_kernel, *poses)
+    run.decide(_begin_step_kernel, s.rows.overlapping, *poses)
     inputs = [state.positions, state.velocities, s.previous, s.origin, p.struct]
     launch(_begin_nodes_kernel, state.positions.shape, *inputs)
     _begin_potentials(run)

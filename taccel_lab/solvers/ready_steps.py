@@ -71,9 +71,7 @@ class ReadySteps:
             solver.begin(state)
             solver.set_dt(dt, beginning if progress.underway.any() else None)
             solver.follow_parameters()
-            separate = solver.find_separate(state)
-            overlapping = who & ~separate
-            who &= separate
+            solver.search_overlaps(state)
             progress.roster.again.zero_()
             progress.flags.most_rounds.fill_(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
@@ -82,15 +80,13 @@ class ReadySteps:
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)
             status[progress.again] = EnvStatus.RUNNING
-            failed = progress.underway & ~np.isin(status, (EnvStatus.RUNNING, EnvStatus.CONVERGED))
-            status[list(solver.ways.of_step(state, solver.end_poses, failed))] = EnvStatus.BLOCKED
-            progress.underway &= status == EnvStatus.RUNNING
+            ended = progress.underway & (status != EnvStatus.RUNNING)
+            report = solver.find_blocked(state, replace(report, status=status), ended)
+            progress.underway &= report.status == EnvStatus.RUNNING
             solver.end(state)
-        status[overlapping] = EnvStatus.OVERLAP
         return replace(
             report,
-            status=status,
-            substeps=(status == EnvStatus.CONVERGED).astype(np.int64),
+            substeps=report.converged.astype(np.int64),
             seconds=time.perf_counter() - started,
         )
 

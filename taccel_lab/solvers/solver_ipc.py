@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from threading import get_ident
 from typing import TYPE_CHECKING, Any
 from weakref import ref
@@ -25,9 +24,9 @@ from taccel_lab.ipc.contact.blocked_ways import BlockedWays
 from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
-from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array, on_device
-from taccel_lab.model.kinematics import place_at_start, place_poses_between
+from taccel_lab.model.kinematics import place_poses_between
+from taccel_lab.model.launches import CapturedWork
 from taccel_lab.model.turns import TURNS, in_turn
 from taccel_lab.solvers.config import Control, SolverConfig
 from taccel_lab.solvers.env_progress import NO_LIMIT
@@ -35,10 +34,11 @@ from taccel_lab.solvers.measure import evaluate_forces
 from taccel_lab.solvers.one_writer import writing
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.solver_parts import SolverParts
-from taccel_lab.solvers.step_graph import StepGraph
+from taccel_lab.solvers.starts import Starts
+from taccel_lab.solvers.step_graph import launch_step
 from taccel_lab.solvers.step_launches import StepLaunches
-from taccel_lab.solvers.step_report import EnvStatus, StepReport, refused
-from taccel_lab.state import State, check_state, initial_state, poses_array
+from taccel_lab.solvers.step_report import EnvStatus, StepReport, flagged_blocked
+from taccel_lab.state import State, check_state, poses_array
 
 wp.set_module_options({"enable_backward": False})
 
@@ -69,15 +69,17 @@ class SolverIPC(SolverParts):
     @in_turn
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
-        self.graph = StepGraph()
+        self.graph = CapturedWork(model.device, self.config.capture)
+        """Whole steps."""
         self._everyone = np.ones(model.env_count, dtype=bool)
         self._nobody = np.zeros(model.env_count, dtype=bool)
-        self._start: State | None = None
-        """Where environments are put back to; made by the first reset."""
+        self._starts: Starts | None = None
+        """Made by the first reset."""
         self.ways = BlockedWays(model)
         """What is held in the way of kinematic bodies."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
+        self._searches = CapturedWork(model.device, self.config.capture)
         self._changes, self._moves = -1, model.moves
         """Counts of changes and moves of the model's parameters, as they were followed last."""
         self._torn = False
@@ -119,8 +121,8 @@ class SolverIPC(SolverParts):
         not tried in parts where ``ways`` has what is held in their way.
 
         The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
-        anything is taken again. After resets it also reads which environments overlap. All other
-        figures stay on the device until they are read from the report.
+        anything is taken again. All other figures stay on the device until they are read from the
+        report.
         """
         started = time.perf_counter()
         with self.at_work(state):
@@ -131,14 +133,11 @@ class SolverIPC(SolverParts):
             who = self._everyone if who is None else checked_mask(who, self.model.env_count)
             dt = self.take(control, state)
             self.follow_parameters()
-            separate = self.find_separate(state)
+            self.search_overlaps(state)
             self.begin(state)
             self.progress.roster.again.fill_(int(again))
-            # The same array as in the step before where all go on: nothing to compare.
-            able = separate if who is self._everyone else separate & who
-            report = self._attempt(able, dt, whole=True)
-            blocked = self.ways.of_step(state, self.end_poses, able & ~report.converged)
-            report = refused(report, ~separate & who, blocked)
+            report = self._attempt(who, dt, whole=True)
+            report = self.find_blocked(state, report, who)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
                 report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
             if not report.converged[who].all():
@@ -158,21 +157,19 @@ class SolverIPC(SolverParts):
         """
         with self.at_work(state):
             check_state(state, self.model)
-            chosen = device_mask(mask, self.model.env_count, self.model.device)
+            count, device = self.model.env_count, self.model.device
+            ours = on_device(mask)
+            chosen = device_mask(mask, count, device) if ours else checked_mask(mask, count)
+            where = None if poses is None else poses_array(self.model, poses)
+            if self._starts is None:
+                self._starts = Starts(self.model, self.joints, self.config.capture)
+            self._starts.choose(chosen)
             if self.progress.underway.any():
                 # A mask of the host is not read back: the host would wait.
-                who = chosen.numpy() != 0 if on_device(mask) else np.asarray(mask)
-                self.progress.drop(who, chosen)
-            if poses is not None:
-                copy_rows(chosen, poses_array(self.model, poses), state.poses)
-            if self._start is None:
-                self._start = initial_state(self.model).shared()
+                who = chosen.numpy() != 0 if ours else chosen
+                self.progress.drop(who, self._starts.mask)
             state.complete(self.model)
-            state.restore(replace(self._start, poses=state.poses), chosen)
-            place_at_start(self.model, state.poses, state.positions, chosen)
-            embed_vertices(self.model, state.positions)
-            if self.joints is not None:
-                self.joints.reset(chosen)
+            self._starts.put(state, where)
 
     def refresh_forces(self, state: State, who: np.ndarray) -> None:
         """Compute contacts and forces of a state where ``who`` (bool, [env_count]) was put
@@ -253,7 +250,7 @@ class SolverIPC(SolverParts):
         self._torn = True
         self._latest = lambda: None
         state.complete(self.model)
-        if self.rows.point(state):
+        if self.rows.point(state, self.config.check_start):
             self.graph.clear()
 
     def end(self, state: State) -> None:
@@ -274,22 +271,25 @@ class SolverIPC(SolverParts):
                 part.add_energy_rounding(everyone, rounding)
             self._changes = self.model.changes
 
-    def find_separate(self, state: State) -> np.ndarray:
-        """Return the environments whose bodies did not overlap when they were searched, bool,
-        [env_count]; those that were not looked at yet are."""
-        if not self.config.check_start:
-            return self._everyone
+    def search_overlaps(self, state: State) -> None:
+        """Search for bodies that overlap where nobody has looked yet; no step begins there."""
         state.complete(self.model)
-        separate = state.separate
-        if separate is None or not separate.all():
-            if self._overlaps is None:
-                from taccel_lab.ipc.contact.overlap_search import OverlapSearch
+        if state.searched or not self.config.check_start:
+            return
+        if self._overlaps is None:
+            from taccel_lab.ipc.contact.overlap_search import OverlapSearch
 
-                self._overlaps = OverlapSearch(self.model)
-            assert state.unsearched is not None
-            wp.copy(state.unsearched, self._overlaps.find(state, state.unsearched))
-            separate = state.separate = state.unsearched.numpy() == 0
-        return separate
+            self._overlaps = OverlapSearch(self.model)
+        search, x, marks = self._overlaps, state.positions, state.unsearched
+        assert marks is not None
+        self._searches.launch((x.ptr, marks.ptr), lambda: search.mark(x, marks))
+        state.searched = True
+
+    def find_blocked(self, state: State, report: StepReport, who: np.ndarray) -> StepReport:
+        """Flag environments of ``who`` (bool, [env_count]) whose step from ``state`` failed as
+        something held is in its way."""
+        failed = who & ~report.converged & (report.status != EnvStatus.OVERLAP)
+        return flagged_blocked(report, self.ways.of_step(state, self.end_poses, failed))
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the
@@ -387,7 +387,7 @@ class SolverIPC(SolverParts):
             if known is not mask and (known is None or not np.array_equal(mask, known)):
                 getattr(self.progress.roster, name).assign(mask.astype(np.int32))
                 self._masks[name] = mask
-        self.graph.launch(self)
+        launch_step(self.graph, self)
         block = self.progress.report.copy()
         TURNS.wait_for(self.model.device)
         return StepReport.of_block(block)

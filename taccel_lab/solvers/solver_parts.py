@@ -80,27 +80,33 @@ class StateRows:
         self._widths = wp.zeros(_MOST, dtype=wp.int32, device=device)
         self._mine = wp.zeros(_MOST, dtype=wp.uint64, device=device)
         self._theirs = wp.zeros(_MOST, dtype=wp.uint64, device=device)
-        self._known: tuple[list[int], list[int]] = ([], [])
+        self.overlapping = wp.zeros(1, dtype=wp.uint64, device=device)
+        """Where ``State.unsearched`` stands; 0 where overlaps are not looked for."""
+        self._known: tuple[list[int], list[int], list[int]] = ([], [], [])
         self._lanes = lane_count(device, model.env_count, 3 * model.node_count)
 
-    def point(self, state: State) -> bool:
-        """Move to and from ``state`` from now on; returns whether ``work`` has other arrays now,
-        so that a graph that moves them is stale."""
+    def point(self, state: State, checked: bool) -> bool:
+        """Move to and from ``state`` from now on, and read from it where bodies overlap if that is
+        ``checked``. Returns whether ``work`` has other arrays now, so that a graph that moves them
+        is stale."""
         loads = (state.external_forces, state.wrenches, self._work.external_forces)
         if any(array is not None for array in loads):
             state.loads(self._model)
             self._work.loads(self._model)
         mine = [*self._work.motion(), *self._work.asked()]
-        addresses = _addresses(mine), _addresses([*state.motion(), *state.asked()])
+        flags = [] if state.unsearched is None or not checked else [state.unsearched]
+        theirs = [*state.motion(), *state.asked()]
+        addresses = _addresses(mine), _addresses(theirs), _addresses(flags)
         changed = addresses[0] != self._known[0]
         if addresses != self._known:
             # Of no state while it is written: that may be interrupted.
-            self._known = ([], [])
+            self._known = ([], [], [])
             entries = [wp.types.type_size_in_bytes(array.dtype) // 8 for array in mine]
             widths = [n * math.prod(a.shape[1:]) for n, a in zip(entries, mine, strict=True)]
-            rows = (np.array(widths, dtype=np.int32), *np.array(addresses, dtype=np.uint64))
+            rows = (np.array(widths, dtype=np.int32), *np.array(addresses[:2], dtype=np.uint64))
             for array, row in zip((self._widths, self._mine, self._theirs), rows, strict=True):
                 array.assign(np.pad(row, (0, _MOST - len(row))))
+            self.overlapping.assign(np.array(addresses[2] or [0], dtype=np.uint64))
             self._known = addresses
         return changed
 

@@ -14,16 +14,10 @@ graph: recorded once for a solver's arrays, then launched as a whole.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-
 import warp as wp
 
 from taccel_lab.model.env_lists import EnvList
-from taccel_lab.model.launches import capture
+from taccel_lab.model.launches import CapturedWork
 from taccel_lab.solvers.assemble_and_solve import assemble_and_solve
 from taccel_lab.solvers.begin_and_end import begin_step, end_step
 from taccel_lab.solvers.convergence import measure_and_judge
@@ -81,55 +75,8 @@ def _iterate(run: StepLaunches) -> None:
     measure_and_judge(run, run.active, take_trial=True)
 
 
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait until this is over. A capture takes milliseconds, and one that an
-    exception leaves by half keeps the streams of the device busy for good."""
-    held: list[tuple[Any, ...]] = []
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            # Of no handler of Python's nothing is known; it does not raise either.
-            if callable(signal.getsignal(number)):
-                handlers[number] = signal.signal(number, lambda *caught: held.append(caught))
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    for number, frame in held:
-        handlers[number](number, frame)
-
-
-class StepGraph:
-    """Launches whole steps; the first one with new arrays as they come, to load its kernels."""
-
-    def __init__(self) -> None:
-        self._graph: wp.Graph | None = None
-        self._arrays: tuple[int, ...] = ()
-        """What the graph was captured with, or is to be."""
-        self.launches = 0
-        """Graphs launched so far."""
-
-    def clear(self) -> None:
-        """Forget the graph: arrays that it uses have moved."""
-        self._graph, self._arrays = None, ()
-
-    def launch(self, solver: SolverParts) -> None:
-        """Take a step of the environments in ``progress.who`` to ``end_poses``."""
-        if not solver.config.capture:
-            take_step(StepLaunches(solver))
-            return
-        # Lists that have grown since have moved, whoever made room in them.
-        arrays = (int(solver.load is not None), *(part.capacity for part in solver.lists))
-        if arrays != self._arrays:
-            self.clear()
-            take_step(StepLaunches(solver))
-            self._arrays = arrays
-            return
-        if self._graph is None:
-            with _undisturbed():
-                self._graph = capture(solver.model.device, lambda: take_step(StepLaunches(solver)))
-        assert self._graph is not None
-        wp.capture_launch(self._graph)
-        self.launches += 1
+def launch_step(graph: CapturedWork, solver: SolverParts) -> None:
+    """Take a step of the environments in ``progress.roster.who`` to ``end_poses``."""
+    # Lists that have grown since have moved, whoever made room in them.
+    arrays = (int(solver.load is not None), *(part.capacity for part in solver.lists))
+    graph.launch(arrays, lambda: take_step(StepLaunches(solver)))

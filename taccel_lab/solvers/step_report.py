@@ -265,12 +265,11 @@ class StepReport:
         return "\n".join(lines)
 
 
-def refused(report: StepReport, overlapping: np.ndarray, blocked: Iterable[int]) -> StepReport:
-    """Flag environments that were not stepped, ``overlapping`` (bool, [env_count]), and those that
-    failed as they are ``blocked``, by number."""
+def flagged_blocked(report: StepReport, blocked: Iterable[int]) -> StepReport:
+    """Flag environments, by number, that failed as something held is in a body's way."""
     blocked = list(blocked)
-    if not (overlapping.any() or blocked):
+    if not blocked:
         return report
-    status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
+    status = report.status.copy()
     status[blocked] = EnvStatus.BLOCKED
     return replace(report, status=status)

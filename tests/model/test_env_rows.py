@@ -13,7 +13,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.model.env_rows import copy_rows, device_mask, given_array, zero_rows
-from taccel_lab.model.launches import require_device
+from taccel_lab.model.launches import CapturedWork, require_device
 
 CPU = wp.get_device("cpu")
 
@@ -31,6 +31,30 @@ def test_rows_are_copied_and_cleared_where_asked(dtype: Any, shape: tuple[int, .
     np.testing.assert_array_equal(copied.numpy()[[0, 2]], values[[0, 2]])
     np.testing.assert_array_equal(array.numpy()[1], values[1])
     assert not copied.numpy()[1].any() and not array.numpy()[[0, 2]].any()
+
+
+def test_rows_of_several_types_are_copied_and_cleared_in_one_graph() -> None:
+    """Without overloads: in a graph of the CPU the last of a kernel's stands for all."""
+    kinds = (wp.vec3d, wp.int32)
+    sources = [wp.full((3, 4), 7, dtype=dtype, device="cpu") for dtype in kinds]
+    copied, cleared = ([wp.zeros_like(source) for source in sources] for _ in range(2))
+    mask = wp.array([1, 0, 1], dtype=wp.int32, device="cpu")
+
+    def work() -> None:
+        for source, copy, clear in zip(sources, copied, cleared, strict=True):
+            copy_rows(mask, source, copy)
+            zero_rows(mask, clear)
+
+    graph = CapturedWork(CPU)
+    for _ in range(3):
+        for copy, clear in zip(copied, cleared, strict=True):
+            copy.zero_()
+            clear.fill_(5)
+        graph.launch("these", work)
+        for copy, clear in zip(copied, cleared, strict=True):
+            assert (copy.numpy()[[0, 2]] == 7).all() and not copy.numpy()[1].any()
+            assert not clear.numpy()[[0, 2]].any() and (clear.numpy()[1] == 5).all()
+    assert graph.launches == 2
 
 
 @pytest.mark.parametrize(

@@ -129,13 +129,13 @@ class OverlapSearch:
         nodes = model.contact_plan.ball_face.numpy().reshape(-1, 2)[:, 0]
         return radii[model.surface.node_bodies.numpy()[nodes]]
 
-    def find(self, state: State, mask: wp.array) -> wp.array:
-        """Whether bodies overlap in the environments of ``mask``, both int32, [env_count].
+    def mark(self, x: wp.array, mask: wp.array) -> None:
+        """Leave in ``mask`` (int32, [env_count]) only the environments in which bodies overlap.
 
-        Environments whose positions are not finite are none of them.
+        ``x``: node positions [m], vec3d, [env_count, node_count]. Environments in which one is not
+        finite are none of them.
         """
         surface = self._model.surface
-        x = state.positions
         self._found.envs.zero_()
         self._found.jobs.zero_()
         wp.copy(self._searched, mask)
@@ -147,7 +147,7 @@ class OverlapSearch:
         self._launch(crossing_kernel, _CROSSING, [], x)
         # Last, as the others leave alone bodies that are known to overlap.
         self._launch(inside_kernel, _INSIDE, [], x)
-        return self._found.envs
+        wp.copy(mask, self._found.envs)
 
     def _launch(self, kernel: wp.Kernel, kind: int, inputs: list, x: wp.array) -> None:
         """A thread an environment and job of a kind, a block of them for what may be inside."""
@@ -198,7 +198,8 @@ def find_overlaps(model: Model, state: State) -> list[list[Overlap]]:
     """All pairs of bodies that may touch and overlap: one list for each environment."""
     check_state(state, model)
     search = OverlapSearch(model)
-    search.find(state, wp.full(model.env_count, 1, dtype=wp.int32, device=model.device))
+    everyone = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
+    search.mark(state.positions, everyone)
     return search.describe(state)
 
 

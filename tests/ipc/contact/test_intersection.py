@@ -62,7 +62,9 @@ def seen(model: Model, state: State, mask: np.ndarray | None = None) -> list[lis
     found = find_intersections(model, state)
     wanted = np.ones(model.env_count, dtype=bool) if mask is None else mask
     search = OverlapSearch(model)
-    overlapping = search.find(state, wp.array(wanted.astype(np.int32), dtype=wp.int32)).numpy() != 0
+    mask = wp.array(wanted.astype(np.int32), dtype=wp.int32)
+    search.mark(state.positions, mask)
+    overlapping = mask.numpy() != 0
     for env, told in enumerate(search.describe(state)):
         expected = named(found[env]) if wanted[env] else set()
         assert named(told) == expected and overlapping[env] == bool(expected)
@@ -214,7 +216,9 @@ def test_masks_and_places_that_are_not_finite() -> None:
     state = initial_state(model, everywhere(3, pose(0, 0, 0.5e-3)))
     assert all(seen(model, state, np.array([True, False, True])))
     moved(state, 0, (np.nan, 0, 0), env=2)
-    found = OverlapSearch(model).find(state, wp.full(3, 1, dtype=wp.int32)).numpy()
+    mask = wp.full(3, 1, dtype=wp.int32)
+    OverlapSearch(model).mark(state.positions, mask)
+    found = mask.numpy()
     assert found.tolist() == [1, 1, 0]
 
 

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Environments put back to where they start: a learning loop does it at every step, so that it is
+one graph, which asks nothing of the host but who begins and in which poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.ipc.potentials.joints import JointPotential
+from taccel_lab.model import Model
+from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.kinematics import place_at_start
+from taccel_lab.model.launches import CapturedWork
+from taccel_lab.state import State, initial_state
+
+
+class Starts:
+    """The initial state of a model, and the launches that take environments there."""
+
+    def __init__(self, model: Model, joints: JointPotential | None, captured: bool) -> None:
+        self._model, self._joints = model, joints
+        self._graph = CapturedWork(model.device, captured)
+        start = initial_state(model)
+        self._poses = start.poses
+        """Poses to start in, transformd, [env_count, kinematic_count]."""
+        self._start = replace(start.shared(), poses=self._poses)
+        self.mask = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
+        """Environments that the next ``put`` takes there."""
+
+    def choose(self, mask: np.ndarray | wp.array) -> None:
+        """Set ``mask``, bool of the host or int32 of the device, [env_count]."""
+        if isinstance(mask, wp.array):
+            wp.copy(self.mask, mask)
+        else:
+            self.mask.assign(mask.astype(np.int32))
+
+    def put(self, state: State, poses: wp.array | None) -> None:
+        """Take the environments of ``mask`` in ``state`` to the start, in ``poses`` (transformd,
+        [env_count, kinematic_count]), in those where they are when None."""
+        wp.copy(self._poses, state.poses if poses is None else poses)
+        arrays = [*state.motion(), state.unsearched]
+        self._graph.launch(
+            tuple(array and array.ptr for array in arrays), lambda: self._launch(state)
+        )
+        state.searched = False
+
+    def _launch(self, state: State) -> None:
+        state.restore(self._start, self.mask)
+        place_at_start(self._model, state.poses, state.positions, self.mask)
+        embed_vertices(self._model, state.positions)
+        if self._joints is not None:
+            self._joints.reset(self.mask)
