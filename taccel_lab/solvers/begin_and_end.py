@@ -40,6 +40,7 @@ def _overlaps(env: int, count: int, address: wp.uint64) -> bool:
 @wp.kernel
 def _begin_step_kernel(
     overlapping: wp.array(dtype=wp.uint64),
+    asked_poses: wp.array2d(dtype=wp.transformd),
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
@@ -110,6 +111,9 @@ def _begin_step_kernel(
     for body in range(poses.shape[1]):
         start = poses[env, body]
         end = end_poses[env, body]
+        if p.roster.reads[env] != 0:
+            end = asked_poses[env, body]
+            end_poses[env, body] = end
         start_poses[env, body] = start
         if p.roster.again[env] == 0:
             origin_poses[env, body] = start
@@ -189,7 +193,7 @@ def begin_step(run: StepLaunches) -> None:
     """Where everything is at the start; environments that cannot step stop."""
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.roster.reads)
-    poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
+    poses = [s.asked_poses, state.poses, s.end_poses, s.start_poses, s.origin_poses]
     run.decide(_begin_step_kernel, s.rows.overlapping, *poses)
     inputs = [state.positions, state.velocities, s.previous, s.origin, p.struct]
     launch(_begin_nodes_kernel, state.positions.shape, *inputs)

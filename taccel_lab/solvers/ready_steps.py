@@ -19,7 +19,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
 from taccel_lab.model.env_rows import checked_mask, device_mask
 from taccel_lab.solvers.config import Control
-from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import State
@@ -66,16 +65,14 @@ class ReadySteps:
             if (who & progress.underway).any():
                 env = int(np.flatnonzero(who & progress.underway)[0])
                 raise InputError(f"environment {env} has not finished its last step yet")
-            beginning = device_mask(who, count, solver.model.device)
-            dt = solver.take(control, state, beginning)
+            dt = solver.take(control, state, who)
             solver.begin(state)
-            solver.set_dt(dt, beginning if progress.underway.any() else None)
+            solver.set_dt(dt, who if progress.underway.any() else None)
             solver.follow_parameters()
             solver.search_overlaps(state)
-            progress.roster.again.zero_()
-            progress.flags.most_rounds.fill_(self.iterations)
+            solver.tell("again", np.zeros_like(who))
+            solver.limit_rounds(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
-            progress.flags.most_rounds.fill_(NO_LIMIT)
             progress.underway |= who
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)

@@ -70,7 +70,6 @@ class SolverIPC(SolverParts):
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graph = CapturedWork(model.device, self.config.capture)
-        """Whole steps."""
         self._everyone = np.ones(model.env_count, dtype=bool)
         self._nobody = np.zeros(model.env_count, dtype=bool)
         self._starts: Starts | None = None
@@ -79,7 +78,6 @@ class SolverIPC(SolverParts):
         """What is held in the way of kinematic bodies."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
-        self._searches = CapturedWork(model.device, self.config.capture)
         self._changes, self._moves = -1, model.moves
         """Counts of changes and moves of the model's parameters, as they were followed last."""
         self._torn = False
@@ -120,9 +118,8 @@ class SolverIPC(SolverParts):
         (``ipc.contact.overlap_search.require_separated`` says what is wrong). Those that fail are
         not tried in parts where ``ways`` has what is held in their way.
 
-        The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
-        anything is taken again. All other figures stay on the device until they are read from the
-        report.
+        The host waits once, for the statuses, 4 bytes an environment: they say what is taken again.
+        All other figures stay on the device until they are read from the report.
         """
         started = time.perf_counter()
         with self.at_work(state):
@@ -135,7 +132,8 @@ class SolverIPC(SolverParts):
             self.follow_parameters()
             self.search_overlaps(state)
             self.begin(state)
-            self.progress.roster.again.fill_(int(again))
+            self.tell("again", self._everyone if again else self._nobody)
+            self.limit_rounds(NO_LIMIT)
             report = self._attempt(who, dt, whole=True)
             report = self.find_blocked(state, report, who)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
@@ -157,16 +155,13 @@ class SolverIPC(SolverParts):
         """
         with self.at_work(state):
             check_state(state, self.model)
-            count, device = self.model.env_count, self.model.device
-            ours = on_device(mask)
-            chosen = device_mask(mask, count, device) if ours else checked_mask(mask, count)
-            where = None if poses is None else poses_array(self.model, poses)
             if self._starts is None:
                 self._starts = Starts(self.model, self.joints, self.config.capture)
-            self._starts.choose(chosen)
+            where = None if poses is None else poses_array(self.model, poses)
+            self._starts.choose(mask)
             if self.progress.underway.any():
                 # A mask of the host is not read back: the host would wait.
-                who = chosen.numpy() != 0 if ours else chosen
+                who = self._starts.mask.numpy() != 0 if on_device(mask) else np.asarray(mask)
                 self.progress.drop(who, self._starts.mask)
             state.complete(self.model)
             self._starts.put(state, where)
@@ -236,13 +231,12 @@ class SolverIPC(SolverParts):
             return
         mask = device_mask(self._everyone, self.model.env_count, self.model.device)
         self.progress.drop(self._everyone, mask)
-        self.progress.flags.most_rounds.fill_(NO_LIMIT)
         for part in self.lists:
             part.renew()
         self.pairs.forget(mask)
         self.graph.clear()
         self._masks.clear()
-        self._dt, self._changes = math.nan, -1
+        self._dt, self._changes, self._rounds = math.nan, -1, 0
         self._torn = False
 
     def begin(self, state: State) -> None:
@@ -279,10 +273,9 @@ class SolverIPC(SolverParts):
         if self._overlaps is None:
             from taccel_lab.ipc.contact.overlap_search import OverlapSearch
 
-            self._overlaps = OverlapSearch(self.model)
-        search, x, marks = self._overlaps, state.positions, state.unsearched
-        assert marks is not None
-        self._searches.launch((x.ptr, marks.ptr), lambda: search.mark(x, marks))
+            self._overlaps = OverlapSearch(self.model, self.config.capture)
+        assert state.unsearched is not None
+        self._overlaps.mark(state.positions, state.unsearched)
         state.searched = True
 
     def find_blocked(self, state: State, report: StepReport, who: np.ndarray) -> StepReport:
@@ -291,9 +284,23 @@ class SolverIPC(SolverParts):
         failed = who & ~report.converged & (report.status != EnvStatus.OVERLAP)
         return flagged_blocked(report, self.ways.of_step(state, self.end_poses, failed))
 
-    def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
+    def tell(self, name: str, mask: np.ndarray) -> None:
+        """Set a mask of ``progress.roster`` (bool, [env_count]), unless it is known to hold it."""
+        known = self._masks.get(name)
+        if known is not mask and (known is None or not np.array_equal(mask, known)):
+            getattr(self.progress.roster, name).assign(mask.astype(np.int32))
+            self._masks[name] = mask
+
+    def limit_rounds(self, most: int) -> None:
+        """Set the rounds after which a call ends, whoever is underway."""
+        if self._rounds != most:
+            self.progress.flags.most_rounds.fill_(most)
+            self._rounds = most
+
+    def take(self, control: Control | Any, state: State, mask: np.ndarray | None = None) -> float:
         """Check targets and loads of a step, then copy them to where the step reads them, in the
-        environments of ``mask`` (int32, [env_count]), in all when None; returns dt [s]."""
+        environments of ``mask`` (bool, [env_count]), in all when None; returns dt [s]. Targets are
+        copied in all: only steps that begin read them."""
         model = self.model
         check_state(state, model)
         if not isinstance(control, Control):
@@ -321,13 +328,14 @@ class SolverIPC(SolverParts):
         if drives is not None:
             state.complete(model)
             assert state.joints is not None
-            copy_rows(mask, drives, state.joints.targets)
-        copy_rows(mask, targets, self.end_poses)
+            those = None if mask is None else device_mask(mask, model.env_count, model.device)
+            copy_rows(those, drives, state.joints.targets)
+        wp.copy(self.asked_poses, targets)
         return dt
 
-    def set_dt(self, dt: float, mask: wp.array | None = None, whole: bool = True) -> None:
+    def set_dt(self, dt: float, mask: np.ndarray | None = None, whole: bool = True) -> None:
         """Set the length [s] of steps that begin from now on, ``whole`` ones or parts of one, in
-        the environments of ``mask`` (int32, [env_count]), in all when None."""
+        the environments of ``mask`` (bool, [env_count]), in all when None."""
         changed = [self.dts] if dt != self._dt else []
         self._dt = dt if mask is None or not changed else math.nan
         if whole and self.inertia is None and self.maxwell:
@@ -337,7 +345,7 @@ class SolverIPC(SolverParts):
                 array.fill_(dt)
             else:
                 one = wp.full(1, dt, dtype=wp.float64, device=self.model.device)
-                copy_rows(mask, one, array)
+                copy_rows(device_mask(mask, len(mask), self.model.device), one, array)
 
     # Parts of a step -----------------------------------------------------------------------------
 
@@ -383,10 +391,7 @@ class SolverIPC(SolverParts):
             self.share_energies()
             self.graph.clear()
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
-            known = self._masks.get(name)
-            if known is not mask and (known is None or not np.array_equal(mask, known)):
-                getattr(self.progress.roster, name).assign(mask.astype(np.int32))
-                self._masks[name] = mask
+            self.tell(name, mask)
         launch_step(self.graph, self)
         block = self.progress.report.copy()
         TURNS.wait_for(self.model.device)

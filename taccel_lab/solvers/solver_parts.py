@@ -228,11 +228,15 @@ class SolverParts:
         self._dt = 0.0
         """The same where all have one; not a number where they differ."""
         self._masks: dict[str, np.ndarray] = {}
-        """What masks of ``progress`` hold that the host says; those that are known."""
+        """What masks of ``progress.roster`` hold that the host says; those that are known."""
+        self._rounds = 0
+        """What ``progress.flags.most_rounds`` holds; 0 when that is not known."""
         self.trial_poses = wp.zeros_like(self.work.poses)
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
         self.end_poses = wp.zeros_like(self.trial_poses)
+        self.asked_poses = wp.zeros_like(self.trial_poses)
+        """``end_poses`` of steps that begin from now on."""
         self.origin_poses = wp.zeros_like(self.trial_poses)
         self.body_rows = wp.array(model.body_rows(), dtype=wp.vec2i, device=device)
         """Range of each body in ``reduced``, vec2i, shape [body_count]."""

@@ -5,6 +5,7 @@ one graph, which asks nothing of the host but who begins and in which poses."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,6 +13,7 @@ import warp as wp
 from taccel_lab.ipc.potentials.joints import JointPotential
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.env_rows import checked_mask, device_mask, on_device
 from taccel_lab.model.kinematics import place_at_start
 from taccel_lab.model.launches import CapturedWork
 from taccel_lab.state import State, initial_state
@@ -30,12 +32,17 @@ class Starts:
         self.mask = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
         """Environments that the next ``put`` takes there."""
 
-    def choose(self, mask: np.ndarray | wp.array) -> None:
-        """Set ``mask``, bool of the host or int32 of the device, [env_count]."""
-        if isinstance(mask, wp.array):
-            wp.copy(self.mask, mask)
+    def choose(self, mask: Any) -> None:
+        """Set ``mask``, as ``device_mask`` takes it.
+
+        Raises:
+            InputError: Of another shape, type or device.
+        """
+        count, device = len(self.mask), self.mask.device
+        if on_device(mask):
+            wp.copy(self.mask, device_mask(mask, count, device))
         else:
-            self.mask.assign(mask.astype(np.int32))
+            self.mask.assign(checked_mask(mask, count).astype(np.int32))
 
     def put(self, state: State, poses: wp.array | None) -> None:
         """Take the environments of ``mask`` in ``state`` to the start, in ``poses`` (transformd,

@@ -35,7 +35,7 @@ from taccel_lab.ipc.contact.overlap_kernels import (
     inside_kernel,
 )
 from taccel_lab.model import BodyKind, Model
-from taccel_lab.model.launches import launch, launch_blocks
+from taccel_lab.model.launches import CapturedWork, launch, launch_blocks
 from taccel_lab.state import State, check_state
 
 _INSIDE, _BELOW, _BALL, _CROSSING = range(4)
@@ -71,8 +71,10 @@ class Overlap:
 class OverlapSearch:
     """Overlaps of the bodies of a model that may touch."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, captured: bool = True) -> None:
+        """``captured``: whether a second search of the same arrays is launched as a graph."""
         self._model = model
+        self._graph = CapturedWork(model.device, captured)
         device = model.device
         faces = model.surface.faces.numpy().reshape(-1, 3)
         none = np.zeros((0, 2), dtype=np.int64)
@@ -135,6 +137,9 @@ class OverlapSearch:
         ``x``: node positions [m], vec3d, [env_count, node_count]. Environments in which one is not
         finite are none of them.
         """
+        self._graph.launch((x.ptr, mask.ptr), lambda: self._mark(x, mask))
+
+    def _mark(self, x: wp.array, mask: wp.array) -> None:
         surface = self._model.surface
         self._found.envs.zero_()
         self._found.jobs.zero_()
