@@ -51,7 +51,6 @@ def settle(env: int, p: Progress):
                 if p.balance.excess[env] <= enough:
                     stop(env, _CONVERGED, p)
             else:
-                p.balance.lag_change[env] = wp.max(p.balance.lag_change[env], p.balance.excess[env])
                 change = wp.min(p.balance.lag_change[env], enough / p.rules.relative_tolerance)
                 enough = wp.max(enough, wp.float64(FREEZE_BELOW) * change)
                 if p.balance.damping[env] < wp.float64(1.0):

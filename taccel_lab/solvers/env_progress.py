@@ -179,7 +179,7 @@ class Balance:
     rounding: wp.array(dtype=wp.float64)
     """Residual that rounding makes in joints [N]."""
     lag_change: wp.array(dtype=wp.float64)
-    """Largest ``excess`` since friction was last frozen anew."""
+    """``excess`` when friction was last frozen anew; infinite before."""
     damping: wp.array(dtype=wp.float64)
     """Longest step while freezing alternates."""
 
