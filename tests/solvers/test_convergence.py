@@ -270,8 +270,8 @@ def rub(
 
 @pytest.mark.thorough
 def test_edges_take_few_iterations() -> None:
-    """120 and 70; 123 and 86 where damped steps have projected matrices."""
-    for most, case in ((140, (8, 2e-3, 0.0)), (80, (10, 1.5e-3, 30.0))):
+    """91 and 67; 120 and 70 where friction's last change grows with a slip."""
+    for most, case in ((105, (8, 2e-3, 0.0)), (75, (10, 1.5e-3, 30.0))):
         taken = rub(*case)[1]
         assert taken.sum() <= most, taken
 
