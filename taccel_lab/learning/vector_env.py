@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``TactileVectorEnv``: a task as a ``gymnasium.vector.VectorEnv`` of torch tensors.
 
-Everything stays on the solver's device but the statuses of a step, 4 bytes an environment, which
-the solver reads, and which environments have ended, 1 byte each: these decide who steps next. After
-resets the solver also reads which environments overlap, 4 bytes each.
+Everything stays on the solver's device but the report of a step, 80 bytes an environment, which the
+solver reads, and which environments have ended, 1 byte each: these decide who steps next.
 
 An environment's draws depend on its own seed and on how many episodes it has begun, and neither on
 the others nor on the device: numbers are hashed from these, not taken from a stream.

@@ -118,8 +118,7 @@ class SolverIPC(SolverParts):
         (``ipc.contact.overlap_search.require_separated`` says what is wrong). Those that fail are
         not tried in parts where ``ways`` has what is held in their way.
 
-        The host waits once, for the statuses, 4 bytes an environment: they say what is taken again.
-        All other figures stay on the device until they are read from the report.
+        The host waits once, for the report, 80 bytes an environment: it says what is taken again.
         """
         started = time.perf_counter()
         with self.at_work(state):
@@ -393,9 +392,10 @@ class SolverIPC(SolverParts):
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
             self.tell(name, mask)
         launch_step(self.graph, self)
-        block = self.progress.report.copy()
+        kept = self.progress.report.copy()
+        self.progress.report.fetch()
         TURNS.wait_for(self.model.device)
-        return StepReport.of_block(block)
+        return StepReport.of_block(self.progress.report, kept)
 
     def _in_halves(
         self, failed: StepReport, dt: float, level: int, spent: np.ndarray

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step did, per environment: numbers first. They stay on the device until they are
-read; a step itself reads its statuses, which decide whether it is taken again in halves."""
+"""What a step did, per environment: numbers first. The host reads them once a step, as statuses
+decide whether it is taken again in halves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -66,17 +66,14 @@ class ReportBlock:
     def __init__(self, rows: wp.array) -> None:
         """``rows``: float64, see ``zeros``."""
         self._rows = rows
+        self._on_host = rows
+        """Where ``read`` finds them; ``fetch`` makes it where a GPU writes by itself."""
 
     @cached_property
     def arrays(self) -> dict[str, wp.array]:
         """Arrays of shape [env_count] by name, float64 or int32, on the memory of the block."""
         floats = {name: self._rows[i] for i, name in enumerate(_FLOATS)}
         return floats | {name: self._int_row(i) for i, name in enumerate(_INTS)}
-
-    @property
-    def status(self) -> wp.array:
-        """``EnvStatus`` alone, as of ``arrays``."""
-        return self._int_row(_INTS.index("status"))
 
     def _int_row(self, index: int) -> wp.array:
         """One row of integers, of which two take the place of one of floating point numbers."""
@@ -96,9 +93,18 @@ class ReportBlock:
         """The same on memory of its own; does not wait for the device."""
         return ReportBlock(wp.clone(self._rows))
 
+    def fetch(self) -> None:
+        """Begin to copy the figures to the host; does not wait for the device."""
+        if self._rows.device.is_cuda:
+            if self._on_host is self._rows:
+                self._on_host = wp.empty_like(self._rows, device="cpu", pinned=True)
+            wp.copy(self._on_host, self._rows)
+
     def read(self) -> dict[str, np.ndarray]:
-        """All arrays on the host, int64 or float64; waits for the device."""
-        rows = self._rows.numpy()
+        """All arrays as ``fetch`` found them, int64 or float64; waits for the device."""
+        if self._rows.device.is_cuda:
+            wp.synchronize_stream(self._rows.device)
+        rows = self._on_host.numpy()
         ints = rows[len(_FLOATS) :].view(np.int32).reshape(-1, rows.shape[1])
         found = {name: ints[i].astype(np.int64) for i, name in enumerate(_INTS)}
         return found | {name: rows[i].copy() for i, name in enumerate(_FLOATS)}
@@ -106,10 +112,8 @@ class ReportBlock:
 
 @dataclass(frozen=True, repr=False)
 class StepReport:
-    """Arrays by environment, of shape [env_count], unless said otherwise.
-
-    Of a step that went through at once, what is not read stays on the device: ``on`` has it there.
-    """
+    """Arrays by environment, of shape [env_count], unless said otherwise; ``on`` has them on the
+    device."""
 
     status: np.ndarray
     """``EnvStatus``; environments that did not converge were rolled back."""
@@ -148,25 +152,14 @@ class StepReport:
     """Wall time of the whole call, all environments."""
 
     @classmethod
-    def of_block(cls, block: ReportBlock) -> StepReport:
-        """Make the report of one attempt at a step. Reads the statuses, 4 bytes an environment, and
-        the rest of ``block``, which belongs to the report from now on, when it is first asked
-        for."""
-        report = object.__new__(cls)
-        status = block.status.numpy().copy()
-        substeps = (status == EnvStatus.CONVERGED).astype(np.int64)
-        report.__dict__.update(status=status, substeps=substeps, seconds=0.0, _block=block)
+    def of_block(cls, block: ReportBlock, kept: ReportBlock) -> StepReport:
+        """Make the report of one attempt at a step from a ``block`` that was fetched; waits for the
+        device. ``kept``, a copy of it there, belongs to the report from now on."""
+        found = block.read()
+        substeps = (found["status"] == EnvStatus.CONVERGED).astype(np.int64)
+        report = cls(**found, substeps=substeps, seconds=0.0)
+        object.__setattr__(report, "_block", kept)
         return report
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Fields that have not been read yet."""
-            block = self.__dict__.get("_block")
-            if block is None or name not in self.__dataclass_fields__:
-                raise AttributeError(f"a step report has no {name!r}")
-            self.__dict__.update(block.read() | self.__dict__)
-            return self.__dict__[name]
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
