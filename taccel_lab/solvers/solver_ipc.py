@@ -126,7 +126,8 @@ class SolverIPC(SolverParts):
                 raise InputError("some environments are in their own step: see ReadySteps")
             if again:
                 self._require_again(state)
-            who = self._everyone if who is None else checked_mask(who, self.model.env_count)
+            # A copy, as masks that the device holds are compared with the next ones.
+            who = self._everyone if who is None else checked_mask(who, self.model.env_count).copy()
             dt = self.take(control, state)
             self.follow_parameters()
             self.search_overlaps(state)
@@ -156,14 +157,13 @@ class SolverIPC(SolverParts):
             check_state(state, self.model)
             if self._starts is None:
                 self._starts = Starts(self.model, self.joints, self.config.capture)
-            where = None if poses is None else poses_array(self.model, poses)
+            start = state.poses if poses is None else poses_array(self.model, poses)
             self._starts.choose(mask)
             if self.progress.underway.any():
                 # A mask of the host is not read back: the host would wait.
                 who = self._starts.mask.numpy() != 0 if on_device(mask) else np.asarray(mask)
                 self.progress.drop(who, self._starts.mask)
-            state.complete(self.model)
-            self._starts.put(state, where)
+            self._starts.put(state, start)
 
     def refresh_forces(self, state: State, who: np.ndarray) -> None:
         """Compute contacts and forces of a state where ``who`` (bool, [env_count]) was put

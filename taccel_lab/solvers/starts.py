@@ -44,14 +44,14 @@ class Starts:
         else:
             self.mask.assign(checked_mask(mask, count).astype(np.int32))
 
-    def put(self, state: State, poses: wp.array | None) -> None:
-        """Take the environments of ``mask`` in ``state`` to the start, in ``poses`` (transformd,
-        [env_count, kinematic_count]), in those where they are when None."""
-        wp.copy(self._poses, state.poses if poses is None else poses)
-        arrays = [*state.motion(), state.unsearched]
-        self._graph.launch(
-            tuple(array and array.ptr for array in arrays), lambda: self._launch(state)
-        )
+    def put(self, state: State, poses: wp.array) -> None:
+        """Take the environments of ``mask`` in ``state`` to the start, in ``poses``: transformd,
+        [env_count, kinematic_count]."""
+        wp.copy(self._poses, poses)
+        state.complete(self._model)
+        assert state.unsearched is not None
+        arrays = tuple(array.ptr for array in (*state.motion(), state.unsearched))
+        self._graph.launch(arrays, lambda: self._launch(state))
         state.searched = False
 
     def _launch(self, state: State) -> None:

@@ -168,6 +168,15 @@ def test_environments_that_are_not_asked_for_keep_every_bit() -> None:
     stepped(solver, state, at(3e-5, -1e-4, 2))
 
 
+def test_a_mask_may_be_written_anew_in_place() -> None:
+    solver, state = pressed(2)
+    who = np.array([True, False])
+    for asked in ([True, False], [False, True], [True, True]):
+        who[:] = asked
+        report = solver.step(state, at(3e-5, -1e-4, 2), who=who)
+        assert (report.status == EnvStatus.CONVERGED).tolist() == asked
+
+
 def test_what_has_inertia_is_not_taken_again() -> None:
     time = TimeStepping(dt_s=0.01, quasi_static=False)
     solver, state = begun(scene(MESH, KinematicBody(Ball(RADIUS)), time=time), at(0, 1e-4))
