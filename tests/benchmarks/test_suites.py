@@ -232,6 +232,20 @@ def test_committed_results_follow_the_schema_and_no_two_rows_are_alike() -> None
             assert len({identity(document["suite"], row) for row in rows}) == len(rows)
 
 
+def test_meshes_of_ours_are_compared_with_nobody() -> None:
+    """Ours of the peg have a third fewer unknowns than the published ones."""
+    results = read_results()
+    changed = copy.deepcopy(results)
+    for document in itertools.chain(changed["speed"], changed["learning"]):
+        for row in [row for row in document["rows"] if row["scene"] == "peg"]:
+            faster = copy.deepcopy(row) | {"source": "generated"}
+            faster["fps"]["median"] *= 10
+            document["rows"].append(faster)
+    assert HEADLINE["headline"](changed) == HEADLINE["headline"](results)
+    assert SECTIONS["peers"](changed) == SECTIONS["peers"](results)
+    assert "peg, generated meshes" in SECTIONS["speed"](changed)
+
+
 def test_the_pages_are_up_to_date() -> None:
     results = read_results()
     for page, sections in PAGES.items():

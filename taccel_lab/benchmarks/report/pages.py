@@ -24,6 +24,7 @@ from taccel_lab.benchmarks.report.sections import (
     Section,
     has_speeds,
     read_peers,
+    scene_of,
 )
 from taccel_lab.benchmarks.results import FOLDER, SCHEMA
 from taccel_lab.benchmarks.runner import Runner
@@ -106,8 +107,8 @@ def draw_speed(results: Results) -> Figure:
     figure, axis = plt.subplots(figsize=(8.5, 6), layout="constrained")
     for document in results.get("speed", []):
         device = document["run"]["device"].replace("NVIDIA ", "")
-        for scene, lag in dict.fromkeys((row["scene"], row["lag"]) for row in document["rows"]):
-            rows = [r for r in document["rows"] if (r["scene"], r["lag"]) == (scene, lag)]
+        for scene in dict.fromkeys(map(scene_of, document["rows"])):
+            rows = [row for row in document["rows"] if scene_of(row) == scene]
             if len(rows) < 2:
                 continue
             x = [row["envs"] for row in rows]
@@ -120,7 +121,7 @@ def draw_speed(results: Results) -> Figure:
                 [low, high],
                 marker="o",
                 ms=4,
-                label=f"{scene}{f', lag {lag}' if lag else ''}, {device}",
+                label=f"{scene}, {device}",
             )
     for entry in read_peers()["peg"]:
         x = [int(count) for count in entry["fps"]]
