@@ -78,8 +78,8 @@ class SolverIPC(SolverParts):
         """What is held in the way of kinematic bodies."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
-        self._changes, self._moves = -1, model.moves
-        """Counts of changes and moves of the model's parameters, as they were followed last."""
+        self._changes = -1
+        """Count of changes of the model's parameters, as they were followed last."""
         self._torn = False
         """Whether a step is at work, or was interrupted."""
         self._latest: Callable[[], State | None] | None = None
@@ -253,9 +253,6 @@ class SolverIPC(SolverParts):
 
     def follow_parameters(self) -> None:
         """Update what depends on parameters of bodies that were set since the last step."""
-        if self._moves != self.model.moves:
-            self.graph.clear()
-            self._moves = self.model.moves
         if self._changes != self.model.changes:
             rounding = self.progress.search.energy_rounding
             rounding.zero_()

@@ -50,8 +50,8 @@ class Starts:
         wp.copy(self._poses, poses)
         state.complete(self._model)
         assert state.unsearched is not None
-        arrays = tuple(array.ptr for array in (*state.motion(), state.unsearched))
-        self._graph.launch(arrays, lambda: self._launch(state))
+        addresses = (array.ptr for array in (*state.motion(), state.unsearched))
+        self._graph.launch((self._model.moves, *addresses), lambda: self._launch(state))
         state.searched = False
 
     def _launch(self, state: State) -> None:

@@ -78,5 +78,6 @@ def _iterate(run: StepLaunches) -> None:
 def launch_step(graph: CapturedWork, solver: SolverParts) -> None:
     """Take a step of the environments in ``progress.roster.who`` to ``end_poses``."""
     # Lists that have grown since have moved, whoever made room in them.
-    arrays = (int(solver.load is not None), *(part.capacity for part in solver.lists))
+    rooms = (part.capacity for part in solver.lists)
+    arrays = (solver.model.moves, int(solver.load is not None), *rooms)
     graph.launch(arrays, lambda: take_step(StepLaunches(solver)))

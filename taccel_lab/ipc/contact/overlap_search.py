@@ -137,7 +137,7 @@ class OverlapSearch:
         ``x``: node positions [m], vec3d, [env_count, node_count]. Environments in which one is not
         finite are none of them.
         """
-        self._graph.launch((x.ptr, mask.ptr), lambda: self._mark(x, mask))
+        self._graph.launch((self._model.moves, x.ptr, mask.ptr), lambda: self._mark(x, mask))
 
     def _mark(self, x: wp.array, mask: wp.array) -> None:
         surface = self._model.surface
