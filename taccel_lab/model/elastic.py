@@ -15,7 +15,13 @@ from taccel_lab.bodies.material import MaterialModel, MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.model.carried import CarriedBlocks
-from taccel_lab.model.element_chunks import ChunkTables, chunk_lanes, chunk_sums
+from taccel_lab.model.element_chunks import (
+    ChunkTables,
+    chunk_lanes,
+    chunk_sums,
+    corner_uses,
+    edge_block_uses,
+)
 from taccel_lab.model.matrix_pattern import BlockGather, node_gather, pair_nodes
 from taccel_lab.model.surface import Put
 
@@ -277,13 +283,8 @@ def _element_chunks(
 ) -> tuple[ElementChunks, tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Chunks, the two nodes of each of their sums of blocks, and the node of each sum of forces."""
     count = len(free)
-    coupled = free | moving
-    first, second = (nodes.reshape(len(elements), -1) for nodes in pair_nodes(elements))
-    low, high = np.minimum(first, second), np.maximum(first, second)
-    wanted = (free[low] & coupled[high]) | (coupled[low] & free[high])
-    keys = np.where(wanted, low.astype(np.int64) * count + high, -1)
-    blocks = chunk_sums(lanes, keys, first > second, size=9)
-    forces = chunk_sums(lanes, elements.astype(np.int64), np.zeros(elements.shape, bool), size=3)
+    blocks = chunk_sums(lanes, edge_block_uses(elements, free, free | moving), size=9)
+    forces = chunk_sums(lanes, corner_uses(elements), size=3)
     chunks = ElementChunks(
         lanes=put(lanes, wp.int32),
         blocks=blocks.tables(put),

@@ -42,7 +42,7 @@ class ChunkSums:
     source_starts: np.ndarray
     """Range of each sum in ``sources``, int32, shape [sum_count + 1]."""
     sources: np.ndarray
-    """2 (place on the stage) + transposed, int32; see ``stage_stride``."""
+    """4 (place on the stage) + 2 negated + transposed, int32; see ``stage_stride``."""
     keys: np.ndarray
     """What each sum is of, as given to ``chunk_sums``, int64, shape [sum_count]."""
 
@@ -81,20 +81,68 @@ def stage_stride(size: int, entries: int) -> int:
     return size * entries | 1
 
 
-def chunk_sums(lanes: np.ndarray, keys: np.ndarray, transposed: np.ndarray, size: int) -> ChunkSums:
-    """Add up entries of the same key within each chunk.
+@dataclass(frozen=True)
+class EntryUses:
+    """Sums that the entries of elements count in: use u of an element adds its ``entries[u]``."""
 
-    ``lanes``: see ``chunk_lanes``. ``keys``: of each entry of each element, negative where it is
-    not wanted, int64, shape [element_count, entries]; ``transposed``: which of them count the other
-    way round, bool, same shape. ``size``: numbers of an entry.
+    keys: np.ndarray
+    """What each use adds to, negative for nothing, int64, shape [element_count, use_count]."""
+    entries: np.ndarray
+    """Int, shape [use_count]."""
+    transposed: np.ndarray
+    """Whether it counts the other way round, bool, shape [element_count, use_count]."""
+    negated: np.ndarray
+    """Whether it is subtracted, bool, shape [use_count]."""
+
+
+EDGES, EDGE_USES = 6, 18
+"""Edges of a tet, and uses of their blocks."""
+
+
+def edge_block_uses(elements: np.ndarray, free: np.ndarray, coupled: np.ndarray) -> EntryUses:
+    """Uses of the blocks d^2E / dx_i dx_j, i < j, of the edges of linear tets.
+
+    A rigid translation costs nothing, so that the block of a corner is minus the sum of those of
+    its edges: a tet lays down six blocks in place of ten. ``elements``: nodes, int, shape
+    [element_count, 4]. ``free``, ``coupled``: nodes with a row in the matrix, and those with a part
+    in it, bool, [node_count]; a sum has at least one of each. Keys are low node_count + high.
+    """
+    i, j = np.triu_indices(4, 1)
+    first = elements[:, np.concatenate([i, i, j])].astype(np.int64)
+    second = elements[:, np.concatenate([j, i, j])]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    wanted = (free[low] & coupled[high]) | (coupled[low] & free[high])
+    return EntryUses(
+        keys=np.where(wanted, low * len(free) + high, -1),
+        entries=np.tile(np.arange(EDGES), 3),
+        transposed=(first > second) | (np.arange(EDGE_USES) >= 2 * EDGES),
+        negated=np.arange(EDGE_USES) >= EDGES,
+    )
+
+
+def corner_uses(elements: np.ndarray) -> EntryUses:
+    """Uses of the forces on the corners of linear tets: each at its node."""
+    corners = elements.shape[1]
+    return EntryUses(
+        keys=elements.astype(np.int64),
+        entries=np.arange(corners),
+        transposed=np.zeros(elements.shape, dtype=bool),
+        negated=np.zeros(corners, dtype=bool),
+    )
+
+
+def chunk_sums(lanes: np.ndarray, uses: EntryUses, size: int) -> ChunkSums:
+    """Add up what is of the same key within each chunk.
+
+    ``lanes``: see ``chunk_lanes``. ``size``: numbers of an entry.
     """
     slots = np.flatnonzero(lanes >= 0)
-    wanted = keys[lanes[slots]]
-    rows, entries = np.nonzero(wanted >= 0)
-    key, lane = wanted[rows, entries], slots[rows]
-    turned = transposed[lanes[lane], entries]
-    place = stage_stride(size, keys.shape[1]) * (lane % CHUNK) + size * entries
-    code = 2 * place + turned
+    wanted = uses.keys[lanes[slots]]
+    rows, use = np.nonzero(wanted >= 0)
+    key, lane = wanted[rows, use], slots[rows]
+    stride = stage_stride(size, int(uses.entries.max()) + 1)
+    place = stride * (lane % CHUNK) + size * uses.entries[use]
+    code = 4 * place + 2 * uses.negated[use] + uses.transposed[lanes[lane], use]
     chunk = lane // CHUNK
     order = np.lexsort((code, key, chunk))
     key, chunk, code = key[order], chunk[order], code[order]

@@ -166,7 +166,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         env = env_at(place, active)
         if env < 0:
             return
-        stage = stage_forces()
+        stage = stage_forces(lane, d.force_sums)
         tet = d.lanes[lane]
         if tet >= 0:
             rest = env % d.volumes.shape[0]
@@ -188,7 +188,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         env = env_at(place, active)
         if env < 0:
             return
-        stage = stage_blocks()
+        stage = stage_blocks(lane, d.block_sums)
         tet = d.lanes[lane]
         if tet >= 0:
             rest = env % d.volumes.shape[0]
@@ -196,19 +196,12 @@ def create_linear_kernels(law: Law) -> ElementKernels:
             i = modulus_index(env, tet, d)
             h = blocks_of(env, tet, f, d.volumes[rest, tet], i, psd_modes[env], d)
             # A rigid translation costs nothing: corner 0 has minus the sums of the others.
-            h_10 = -(h.h_11 + h.h_12 + h.h_13)
-            h_20 = -(wp.transpose(h.h_12) + h.h_22 + h.h_23)
-            h_30 = -(wp.transpose(h.h_13 + h.h_23) + h.h_33)
-            put_block(stage, lane, 0, -(h_10 + h_20 + h_30))
-            put_block(stage, lane, 1, wp.transpose(h_10))
-            put_block(stage, lane, 2, wp.transpose(h_20))
-            put_block(stage, lane, 3, wp.transpose(h_30))
-            put_block(stage, lane, 4, h.h_11)
-            put_block(stage, lane, 5, h.h_12)
-            put_block(stage, lane, 6, h.h_13)
-            put_block(stage, lane, 7, h.h_22)
-            put_block(stage, lane, 8, h.h_23)
-            put_block(stage, lane, 9, h.h_33)
+            put_block(stage, lane, 0, -(h.h_11 + wp.transpose(h.h_12 + h.h_13)))
+            put_block(stage, lane, 1, -(h.h_12 + h.h_22 + wp.transpose(h.h_23)))
+            put_block(stage, lane, 2, -(h.h_13 + h.h_23 + h.h_33))
+            put_block(stage, lane, 3, h.h_12)
+            put_block(stage, lane, 4, h.h_13)
+            put_block(stage, lane, 5, h.h_23)
         sum_blocks(stage, env, lane, d.block_sums, parts)
 
     return ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)
