@@ -28,6 +28,10 @@ from taccel_lab.model.env_lists import Envs, env_at
 
 wp.set_module_options({"enable_backward": False})
 
+PAIR_THREADS = 64
+"""Threads of a block in kernels over pairs: of 256 with their 90 to 180 registers a multiprocessor
+of an H200 has room for one, of 64 for half as many threads again."""
+
 POINT_TRIANGLE = 0
 POINT_EDGE = 1
 POINT_POINT = 2

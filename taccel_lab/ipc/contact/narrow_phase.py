@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.contact.collision_lists import (
+    PAIR_THREADS,
     CollisionLists,
     ContactGeometry,
     add_collision,
@@ -27,7 +28,7 @@ from taccel_lab.ipc.distance.closest_pairs import (
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_mollifier_threshold
 from taccel_lab.model.env_lists import Envs, env_at
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": PAIR_THREADS})
 
 
 @wp.struct

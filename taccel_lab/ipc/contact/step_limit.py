@@ -13,6 +13,7 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
 from taccel_lab.ipc.contact.collision_lists import (
+    PAIR_THREADS,
     ContactGeometry,
     ball_inset,
     contact_geometry,
@@ -31,7 +32,7 @@ from taccel_lab.model.env_lists import EnvMask, Envs, env_at, place_count
 from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.launches import launch
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": PAIR_THREADS})
 
 
 SLACKNESS = 0.1
