@@ -24,15 +24,19 @@ from taccel_lab.ipc.broad_phase.boxes import (
     rounded_out,
     widened_margin,
 )
+from taccel_lab.ipc.broad_phase.hit_queue import any_lane, batch, hit_at, open_queue, put_hit
 from taccel_lab.ipc.broad_phase.sieve import edges_may_meet, node_may_meet
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 from taccel_lab.model.env_lists import EnvMask, Envs, env_at
-from taccel_lab.model.launches import launch
+from taccel_lab.model.launches import WARP_THREADS, launch
 
 _SEARCH_THREADS = 64
 """Threads of a block: one that waits for its longest query holds up few. A fifth quicker than 256
 where an H200 searches 4,096 pegs."""
+_SEARCH_BLOCKS = 10
+"""Blocks that a multiprocessor shall have room for, which takes a third of the registers away: all
+wait for trees and positions, and the search takes a quarter less."""
 wp.set_module_options({"enable_backward": False, "block_dim": _SEARCH_THREADS})
 
 _BIG = wp.constant(wp.float64(1.0e30))
@@ -209,7 +213,7 @@ def is_absent(
     return present[env, node_bodies[node]] == 0 or present[env, target] == 0
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(_SEARCH_THREADS, _SEARCH_BLOCKS))
 def _search_kernel(
     active: Envs,
     jobs: wp.array(dtype=wp.vec3i),
@@ -231,42 +235,62 @@ def _search_kernel(
     """The path of a node, face or edge against the primitives of a body."""
     place, i = wp.tid()
     env = env_at(place, active)
-    item = jobs[i][0]
-    frame = jobs[i][1]
-    what = jobs[i][2]
-    nodes = job_nodes[i]
     if env < 0:
         return
-    if is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present):
-        return
+    own = wp.min(i, jobs.shape[0] - 1)
+    frame = jobs[own][1]
+    what = jobs[own][2]
+    nodes = job_nodes[own]
+    going = i == own and not is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present)
     low = wp.vec3d(_BIG, _BIG, _BIG)
     high = -low
-    travel = wp.float64(0.0)
-    start = frames.starts[env, frame]
-    end = frames.ends[env, frame]
     x = positions[env]
     dx = displacements[env]
-    corner_count = int(3)
-    for k in range(corner_count):
-        if k == 0 or nodes[k] != nodes[k - 1]:
-            low, high, travel = include(low, high, travel, x[nodes[k]], dx[nodes[k]], start, end)
-    margin = widened_margin(margins[env], travel, frames.bends[env, frame])
+    margin = wp.float64(0.0)
+    if going:
+        travel = wp.float64(0.0)
+        start = frames.starts[env, frame]
+        end = frames.ends[env, frame]
+        corner_count = int(3)
+        for k in range(corner_count):
+            if k == 0 or nodes[k] != nodes[k - 1]:
+                node = nodes[k]
+                low, high, travel = include(low, high, travel, x[node], dx[node], start, end)
+        margin = widened_margin(margins[env], travel, frames.bends[env, frame])
     box = rounded_out(low, high, margin)
     query = wp.bvh_query_aabb(trees.ids[what, frame], box.lower, box.upper)
     hit = int(0)
-    while wp.bvh_query_next(query, hit):
-        found = trees.starts[what, frame] + hit
-        if what == wp.static(EDGE_EDGE):
-            if edges_may_meet(edges[item], edges[found], margins[env], x, dx):
-                append(env, item, found, edge_edge_room, edge_edges)
-        else:
-            node = item
-            face = found
-            if what == wp.static(FACE_VERTEX):
-                node = found
-                face = item
-            if node_may_meet(node, faces[face], margins[env], x, dx):
-                append(env, node, face, node_face_room, node_faces)
+    queue = open_queue()
+    waiting = int(0)
+    more = any_lane(going)
+    while more:
+        found = int(-1)
+        if going:
+            going = wp.bvh_query_next(query, hit)
+            if going:
+                found = hit
+        waiting = put_hit(queue, waiting, own, found)
+        more = any_lane(going)
+        if waiting >= batch() or not more:
+            first = wp.max(waiting - batch(), 0)
+            pair = hit_at(queue, first, waiting)
+            waiting = first
+            more = more or waiting > 0
+            if pair[0] >= 0:
+                job = jobs[pair[0]]
+                item = job[0]
+                found = trees.starts[job[2], job[1]] + pair[1]
+                if job[2] == wp.static(EDGE_EDGE):
+                    if edges_may_meet(edges[item], edges[found], margins[env], x, dx):
+                        append(env, item, found, edge_edge_room, edge_edges)
+                else:
+                    node = item
+                    face = found
+                    if job[2] == wp.static(FACE_VERTEX):
+                        node = found
+                        face = item
+                    if node_may_meet(node, faces[face], margins[env], x, dx):
+                        append(env, node, face, node_face_room, node_faces)
 
 
 def run_search(
@@ -283,4 +307,5 @@ def run_search(
         surface = model.surface
         inputs = [active, search.jobs, search.nodes, search.trees, surface.faces, surface.edges]
         inputs += [surface.node_bodies, model.present, *path, frames, *outputs]
-        launch(_search_kernel, (model.env_count, len(search.jobs)), *inputs)
+        lanes = WARP_THREADS * -(-len(search.jobs) // WARP_THREADS)
+        launch(_search_kernel, (model.env_count, lanes), *inputs)
