@@ -62,9 +62,23 @@
 #else
     if (lane % @CHUNK@ != @CHUNK@ - 1)
         return;
+@NINE@
     const int* const starts = tables.source_starts.data + first;
     const int* const sources = tables.sources.data;
     for (int sum = 0; sum < end - first; ++sum) {
+        if (@SIZE@ == 9) {
+            const double zeros[9] = {};
+            Nine total(zeros, false);
+            for (int k = starts[sum]; k < starts[sum + 1]; ++k) {
+                const Nine part(staged + (sources[k] >> 2), sources[k] & 1);
+                if (sources[k] & 2)
+                    total.subtract(part);
+                else
+                    total.add(part);
+            }
+            total.write(to + 9 * sum);
+            continue;
+        }
         double total[@SIZE@] = {};
         for (int k = starts[sum]; k < starts[sum + 1]; ++k) {
             const int code = sources[k];

@@ -32,6 +32,9 @@ STAGED_THREADS = 64
 """Threads of a block: two warps, of which each multiprocessor has room for six blocks on an H200,
 as many as registers allow."""
 
+NINE = native("element_parts", "nine")
+"""A block of nine numbers, for snippets on the CPU."""
+
 
 def _native(name: str, size: int, entries: int, uses: int) -> str:
     """A snippet for elements that lay down ``entries`` entries of ``size`` doubles, which count in
@@ -40,6 +43,7 @@ def _native(name: str, size: int, entries: int, uses: int) -> str:
         "chunk_stage",
         name,
         MEMORY=native("chunk_stage", "memory"),
+        NINE=NINE,
         CHUNK=CHUNK,
         STRIDE=stage_stride(size, entries),
         SIZE=size,

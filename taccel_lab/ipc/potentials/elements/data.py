@@ -21,7 +21,7 @@ from taccel_lab.ipc.device.sums import add_row_sums
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import gather_carried
-from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
+from taccel_lab.ipc.potentials.elements.chunk_stage import NINE, STAGED_THREADS
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
@@ -109,7 +109,7 @@ def _block_part(env: int, code: int, parts: wp.array2d(dtype=wp.mat33d)) -> wp.m
     return block
 
 
-@wp.func_native(native("element_parts", "add_parts"))
+@wp.func_native(native("element_parts", "add_parts", NINE=NINE))
 def _add_parts(
     env: int,
     block: int,
