@@ -108,12 +108,12 @@ def edge_block_uses(elements: np.ndarray, free: np.ndarray, coupled: np.ndarray)
     in it, bool, [node_count]; a sum has at least one of each. Keys are low node_count + high.
     """
     i, j = np.triu_indices(4, 1)
-    first = elements[:, np.concatenate([i, i, j])].astype(np.int64)
-    second = elements[:, np.concatenate([j, i, j])]
+    first = elements[:, np.concatenate([i, i, j])].astype(np.int32)
+    second = elements[:, np.concatenate([j, i, j])].astype(np.int32)
     low, high = np.minimum(first, second), np.maximum(first, second)
     wanted = (free[low] & coupled[high]) | (coupled[low] & free[high])
     return EntryUses(
-        keys=np.where(wanted, low * len(free) + high, -1),
+        keys=np.where(wanted, low * np.int64(len(free)) + high, -1),
         entries=np.tile(np.arange(EDGES), 3),
         transposed=(first > second) | (np.arange(EDGE_USES) >= 2 * EDGES),
         negated=np.arange(EDGE_USES) >= EDGES,
@@ -138,12 +138,15 @@ def chunk_sums(lanes: np.ndarray, uses: EntryUses, size: int) -> ChunkSums:
     """
     slots = np.flatnonzero(lanes >= 0)
     wanted = uses.keys[lanes[slots]]
-    rows, use = np.nonzero(wanted >= 0)
-    key, lane = wanted[rows, use], slots[rows]
+    # In half words, as there are hundreds of thousands.
+    row, use = (index.astype(np.int32) for index in np.nonzero(wanted >= 0))
+    key, lane = wanted[row, use], slots.astype(np.int32)[row]
     stride = stage_stride(size, int(uses.entries.max()) + 1)
-    place = stride * (lane % CHUNK) + size * uses.entries[use]
-    code = 4 * place + 2 * uses.negated[use] + uses.transposed[lanes[lane], use]
+    signs = 4 * size * uses.entries + 2 * uses.negated
+    code = 4 * stride * (lane % CHUNK) + signs.astype(np.int32)[use]
+    code += uses.transposed[lanes[lane], use]
     chunk = lane // CHUNK
+    del wanted, row, use, lane
     order = np.lexsort((code, key, chunk))
     key, chunk, code = key[order], chunk[order], code[order]
     new = np.ones(len(key), dtype=bool)
