@@ -33,18 +33,21 @@ def _count_search_kernel(
     searched: wp.array(dtype=wp.int32),
     node_faces: ListRoom,
     edge_edges: ListRoom,
+    trees: ListRoom,
     covered: wp.array(dtype=wp.float64),
     p: Progress,
 ):
-    """Count a search; stop environments whose pairs did not fit: the host makes room."""
+    """Count a search; stop environments whose pairs did not fit, or that need trees: the host makes
+    room."""
     env = wp.tid()
     if searched[env] == 0:
         return
     p.counts.searches[env] += 1
-    # Both, as a list that was too short is emptied.
+    # All, as a list that was too short is emptied.
     first = overflows(env, node_faces)
     second = overflows(env, edge_edges)
-    if first or second:
+    third = overflows(env, trees)
+    if first or second or third:
         covered[env] = wp.float64(0.0)
         stop(env, _CONTACT_OVERFLOW, p)
 
@@ -55,7 +58,9 @@ def find_pairs(run: StepLaunches, mask: EnvMask, poses: wp.array, reach: wp.arra
     s, state = run.s, run.state
 
     def count() -> None:
+        # Where gels touch no gels, the first stands for the third as well.
         rooms = [part.room for part in s.candidates.lists]
+        rooms += rooms[: 3 - len(rooms)]
         run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered)
 
     s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)

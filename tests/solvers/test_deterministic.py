@@ -107,7 +107,7 @@ def disorder(patch: pytest.MonkeyPatch, seed: int) -> None:
 
     def shuffled_search(self: Candidates, *inputs: Any) -> None:
         search(self, *inputs)
-        for part in self.lists:
+        for part in (self.node_faces, self.edge_edges):
             fits = np.minimum(part.counts.numpy(), part.rooms).astype(np.int32)
             permute([part.pairs], part.starts, wp.array(fits, dtype=wp.int32, device="cpu"), rng)
 

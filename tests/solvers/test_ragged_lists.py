@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.ipc.device import ragged_lists
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import KinematicBody, box_mesh
+from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody, box_mesh
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import State
 from tests.solvers.steps import assert_same, begun, left, stepped
@@ -120,3 +120,37 @@ def test_beyond_the_limit_or_without_memory_one_environment_is_given_up(
         assert all(part.rooms[CROWDED] == ROOM for part in solver.lists)
         assert_as_alone(solver, state, ENVS - 1)
     assert_as_alone(solver, state, 0)
+
+
+def squeezed(*lowest: float) -> tuple[SolverIPC, State, list[list[int]]]:
+    """Two gels on mounts from 1 mm apart to ``lowest`` [m] in each environment, in three steps; and
+    the rooms for trees among gels after each."""
+    names = ("low", "high")
+    mesh = block_mesh((4, 4, 2), (2e-3, 2e-3, 1e-3), jitter=0.2)
+    gels = [
+        SoftBody(mesh, Material(1e5, 0.4), name=n, mount=f"{n} mount", element=Element.LINEAR)
+        for n in names
+    ]
+    made = Scene(gels, [KinematicBody(None, name=f"{n} mount") for n in names], len(lowest))
+
+    def at(part: float) -> np.ndarray:
+        gaps = [1e-3 + part * (end - 1e-3) for end in lowest]
+        above = [pose(0, 0, gap, (1, 0, 0), 180) for gap in gaps]
+        return np.stack([[pose(0, 0, 0), high] for high in above])
+
+    solver, state = begun(made, at(0.0), dhat_m=DHAT)
+    rooms = []
+    for part in (0.3, 0.98, 1.0):
+        stepped(solver, state, at(part))
+        rooms.append(solver.candidates.lists[2].rooms.tolist())
+    return solver, state, rooms
+
+
+def test_trees_among_gels_are_made_when_the_first_come_near_each_other() -> None:
+    solver, state, rooms = squeezed(1e-3, -5e-5, 1e-3)
+    assert rooms == [[0, 0, 0], [1, 1, 1], [1, 1, 1]]
+    assert solver.collisions.counts.numpy()[1] > 10
+    for env, lowest in ((1, -5e-5), (2, 1e-3)):
+        alone, own, its_rooms = squeezed(lowest)
+        assert its_rooms[-1] == [int(env == 1)]
+        assert_same(left(solver, state, env), left(alone, own, 0))

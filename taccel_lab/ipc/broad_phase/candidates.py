@@ -107,9 +107,10 @@ class Candidates:
         self._reach = wp.zeros(env_count, dtype=wp.float64, device=device)
 
     @property
-    def lists(self) -> list[PairList]:
-        """Both lists."""
-        return [self.node_faces, self.edge_edges]
+    def lists(self) -> list[GrowingList]:
+        """What may be too short: both lists, and the trees among gels, if any."""
+        lists: list[GrowingList] = [self.node_faces, self.edge_edges]
+        return lists if self._soft is None else [*lists, self._soft]
 
     def update(
         self,
@@ -153,7 +154,7 @@ class Candidates:
         if self.model.largest_thickness_m > 0:
             reach = self._reach
             launch(_widen_kernel, len(reach), margins, self.model.largest_thickness_m, reach)
-        clear_all(active, self.lists)
+        clear_all(active, [self.node_faces, self.edge_edges])
         self._search(active, positions, displacements, reach)
 
     def _search(

@@ -4,17 +4,21 @@
 One tree over the swept boxes of all their faces and one over their edges, with a group for each
 environment; the trees keep their shape and are refitted, as connectivity does not change. Boxes
 around whole bodies come first: where none is near another, and none may touch itself, the trees are
-not even refitted.
+not even refitted. Until a body first is, there are none: of a peg between two gels they would take
+a quarter of the memory. That they are missing is told, and made up for, as that a list is too
+short.
 """
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.boxes import append, find_body_boxes, rounded_out
 from taccel_lab.ipc.broad_phase.sieve import edges_may_meet, node_may_meet
-from taccel_lab.ipc.device.ragged_lists import ListRoom
+from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom
 from taccel_lab.model import Model
 from taccel_lab.model.env_lists import EnvMask
 from taccel_lab.model.launches import launch
@@ -64,8 +68,10 @@ def _near_kernel(
     upper: wp.array2d(dtype=wp.vec3d),
     near: wp.array2d(dtype=wp.int32),
     any_near: wp.array(dtype=wp.int32),
+    trees: ListRoom,
 ):
-    """Whether a body comes near a soft body that it may touch, itself included."""
+    """Whether a body comes near a soft body that it may touch, itself included; then its
+    environment needs trees."""
     env, body = wp.tid()
     near[env, body] = 0
     if active[env] == 0:
@@ -79,6 +85,7 @@ def _near_kernel(
             if gap <= margins[env]:
                 near[env, body] = 1
                 any_near[0] = 1
+                trees.counts[env] = 1
 
 
 @wp.kernel
@@ -153,15 +160,18 @@ def _edge_kernel(
                     append(env, mine, other, room, pairs)
 
 
-class SoftTrees:
-    """Refitted trees of the soft bodies that may touch one another; not built otherwise."""
+class SoftTrees(GrowingList):
+    """Refitted trees of the soft bodies that may touch one another, as a list of one entry in each
+    environment that needs them: there is room in all once one has."""
+
+    columns: ClassVar = {}
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self._faces = self._nodes_of(model.surface.faces, model.contact_plan.soft_faces)
         self._edges = self._nodes_of(model.surface.edges, model.contact_plan.soft_edges)
-        self._face_boxes = self._boxes(len(model.contact_plan.soft_faces))
-        self._edge_boxes = self._boxes(len(model.contact_plan.soft_edges))
+        self._boxes: list[tuple[wp.array, wp.array]] = []
+        """Lower and upper corners of the boxes of faces, and of edges."""
         self._trees: list[wp.Bvh] = []
         soft = [body.nodes for body in model.bodies[: len(model.scene.soft_bodies)]]
         device, shape = model.device, (model.env_count, len(soft))
@@ -170,18 +180,19 @@ class SoftTrees:
         self._upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._near = wp.zeros(shape, dtype=wp.int32, device=device)
         self._any_near = wp.zeros(1, dtype=wp.int32, device=device)
+        super().__init__(model.env_count, device, room=0, limit=1)
+
+    def _affordable(self) -> int:
+        return self.most_entries
+
+    def _allocate(self, rooms: int | np.ndarray) -> None:
+        """Have trees built by the next search once an environment needs them."""
+        super()._allocate(int(np.any(rooms)))
 
     def _nodes_of(self, primitives: wp.array, items: wp.array) -> wp.array:
         """Nodes of the primitives that are searched, int32, shape [count, 3 or 2]."""
         nodes = primitives.numpy()[items.numpy()]
         return wp.array(nodes, dtype=wp.int32, device=self.model.device)
-
-    def _boxes(self, count: int) -> tuple[wp.array, wp.array]:
-        shape, device = (self.model.env_count, count), self.model.device
-        return (
-            wp.zeros(shape, dtype=wp.vec3, device=device),
-            wp.zeros(shape, dtype=wp.vec3, device=device),
-        )
 
     def _find_near(
         self, active: EnvMask, positions: wp.array, displacements: wp.array, margins: wp.array
@@ -190,21 +201,27 @@ class SoftTrees:
         boxes = (self._lower, self._upper)
         find_body_boxes(active, self._body_nodes, positions, displacements, *boxes)
         inputs = [active, self.model.contact_plan.may_touch, margins, self._lower, self._upper]
-        launch(_near_kernel, self._near.shape, *inputs, self._near, self._any_near)
+        launch(_near_kernel, self._near.shape, *inputs, self._near, self._any_near, self.room)
 
-    def _refit(self, positions: wp.array, displacements: wp.array) -> None:
-        device = self.model.device
-        for primitives, boxes in ((self._faces, self._face_boxes), (self._edges, self._edge_boxes)):
+    def _fit_boxes(self, positions: wp.array, displacements: wp.array) -> None:
+        for primitives, boxes in zip((self._faces, self._edges), self._boxes, strict=True):
             launch(_boxes_kernel, boxes[0].shape, primitives, positions, displacements, *boxes)
-        if self._trees:
-            for tree in self._trees:
-                tree.refit()
-            return
-        # The first boxes decide the shape of the trees.
-        for lower, upper in (self._face_boxes, self._edge_boxes):
-            envs = np.repeat(np.arange(lower.shape[0]), lower.shape[1])
-            groups = wp.array(envs, dtype=wp.int32, device=device)
-            self._trees.append(wp.Bvh(lower.flatten(), upper.flatten(), groups=groups))
+
+    def _build(self, positions: wp.array, displacements: wp.array) -> None:
+        """Make boxes and trees: the first boxes decide the shape of the trees."""
+        device, envs = self.device, self.model.env_count
+        shapes = [(envs, len(items)) for items in (self._faces, self._edges)]
+        self._boxes = [
+            (wp.zeros(s, dtype=wp.vec3, device=device), wp.zeros(s, dtype=wp.vec3, device=device))
+            for s in shapes
+        ]
+        self._fit_boxes(positions, displacements)
+        trees = []
+        for (lower, upper), shape in zip(self._boxes, shapes, strict=True):
+            groups = np.repeat(np.arange(envs, dtype=np.int32), shape[1])
+            of_items = wp.array(groups, dtype=wp.int32, device=device)
+            trees.append(wp.Bvh(lower.flatten(), upper.flatten(), groups=of_items))
+        self._trees = trees
 
     def search(
         self,
@@ -215,13 +232,18 @@ class SoftTrees:
         node_face: list,
         edge_edge: list,
     ) -> None:
-        """Append to the lists (room, pairs) what may come within ``margins`` [m], [env_count]."""
-        if not self._trees:
-            self._refit(positions, displacements)
+        """Append to the lists (room, pairs) what may come within ``margins`` [m], [env_count]; only
+        note where there should be trees while there are none."""
         self._find_near(active, positions, displacements, margins)
+        if not self.capacity:
+            return
+        if not self._trees:
+            self._build(positions, displacements)
 
         def search_trees() -> None:
-            self._refit(positions, displacements)
+            self._fit_boxes(positions, displacements)
+            for tree in self._trees:
+                tree.refit()
             self._search(positions, displacements, margins, node_face, edge_edge)
 
         wp.capture_if(self._any_near, on_true=search_trees)
