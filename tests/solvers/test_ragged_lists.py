@@ -122,9 +122,9 @@ def test_beyond_the_limit_or_without_memory_one_environment_is_given_up(
     assert_as_alone(solver, state, 0)
 
 
-def squeezed(*lowest: float) -> tuple[SolverIPC, State, list[list[int]]]:
-    """Two gels on mounts from 1 mm apart to ``lowest`` [m] in each environment, in three steps; and
-    the rooms for trees among gels after each."""
+def squeezed(*lowest: float) -> tuple[SolverIPC, State, list[list[int]], StepReport]:
+    """Two gels on mounts from 1 mm apart to ``lowest`` [m] in each environment, in three steps; the
+    rooms for trees among gels after each, and the last report."""
     names = ("low", "high")
     mesh = block_mesh((4, 4, 2), (2e-3, 2e-3, 1e-3), jitter=0.2)
     gels = [
@@ -139,18 +139,27 @@ def squeezed(*lowest: float) -> tuple[SolverIPC, State, list[list[int]]]:
         return np.stack([[pose(0, 0, 0), high] for high in above])
 
     solver, state = begun(made, at(0.0), dhat_m=DHAT)
-    rooms = []
+    rooms, reports = [], []
     for part in (0.3, 0.98, 1.0):
-        stepped(solver, state, at(part))
+        reports.append(solver.step(state, at(part)))
         rooms.append(solver.candidates.lists[2].rooms.tolist())
-    return solver, state, rooms
+    return solver, state, rooms, reports[-1]
 
 
 def test_trees_among_gels_are_made_when_the_first_come_near_each_other() -> None:
-    solver, state, rooms = squeezed(1e-3, -5e-5, 1e-3)
-    assert rooms == [[0, 0, 0], [1, 1, 1], [1, 1, 1]]
+    solver, state, rooms, report = squeezed(1e-3, -5e-5, 1e-3)
+    assert report.converged.all() and rooms == [[0, 0, 0], [1, 1, 1], [1, 1, 1]]
     assert solver.collisions.counts.numpy()[1] > 10
     for env, lowest in ((1, -5e-5), (2, 1e-3)):
-        alone, own, its_rooms = squeezed(lowest)
+        alone, own, its_rooms, _ = squeezed(lowest)
         assert its_rooms[-1] == [int(env == 1)]
         assert_same(left(solver, state, env), left(alone, own, 0))
+
+
+def test_without_memory_for_trees_those_are_given_up_that_need_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: 20_000)
+    _, _, rooms, report = squeezed(1e-3, -5e-5)
+    assert rooms[-1] == [0, 0]
+    assert report.status.tolist() == [EnvStatus.CONVERGED, EnvStatus.CONTACT_OVERFLOW]

@@ -160,6 +160,11 @@ def _edge_kernel(
                     append(env, mine, other, room, pairs)
 
 
+_ITEM_BYTES = 160
+"""Memory of a face or an edge: its box, two nodes of the tree, and as much again while it is sorted
+as a tree is built."""
+
+
 class SoftTrees(GrowingList):
     """Refitted trees of the soft bodies that may touch one another, as a list of one entry in each
     environment that needs them: there is room in all once one has."""
@@ -181,9 +186,12 @@ class SoftTrees(GrowingList):
         self._near = wp.zeros(shape, dtype=wp.int32, device=device)
         self._any_near = wp.zeros(1, dtype=wp.int32, device=device)
         super().__init__(model.env_count, device, room=0, limit=1)
+        self.entry_bytes = _ITEM_BYTES * (len(self._faces) + len(self._edges))
 
     def _affordable(self) -> int:
-        return self.most_entries
+        """There is room in all environments, or in none."""
+        found = super()._affordable()
+        return found if found >= self.model.env_count else 0
 
     def _allocate(self, rooms: int | np.ndarray) -> None:
         """Have trees built by the next search once an environment needs them."""

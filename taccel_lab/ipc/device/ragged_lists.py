@@ -289,7 +289,7 @@ class GrowingList:
         if free is None:
             return self.most_entries
         # The arrays move one after the other: one old one is there beside its successor.
-        widest = max(map(wp.types.type_size_in_bytes, self.columns.values()))
+        widest = max(map(wp.types.type_size_in_bytes, self.columns.values()), default=0)
         more = int(_SHARE * free - self.capacity * widest) // self.entry_bytes
         return min(self.capacity + max(more, 0), self.most_entries)
 
