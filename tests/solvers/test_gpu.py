@@ -18,13 +18,23 @@ import torch
 import warp as wp
 
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.linear.system import METHODS
-from taccel_lab.scene import AffineBody, Element, Plane, RevoluteJoint, Scene, box_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Plane,
+    RevoluteJoint,
+    Scene,
+    box_mesh,
+    sphere_mesh,
+)
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
 from tests.solvers.driven_grasp import base_poses, driven_grasp
 from tests.solvers.steps import Begun, assert_same, begun, left, stepped
-from tests.support.blocks import cube
+from tests.support.blocks import block_mesh, cube, pose, scene
 from tests.support.grasps import FALLING, mount_poses, mounted_gels
 from tests.support.intersection import find_intersections
 
@@ -127,6 +137,28 @@ def test_a_step_is_captured_while_another_thread_uses_torchs_usual_stream() -> N
             over.set()
         assert learning.result() > 0
     assert_same(others, [first] * 4)
+
+
+def pairs_of(device: str) -> list[list[tuple[int, int]]]:
+    """Pairs that a search finds, of nodes and faces, then of edges, in each environment: a ball of
+    fine faces right above a gel, and away from it."""
+    ball = KinematicBody(sphere_mesh(2e-3, 3e-4))
+    model = scene(block_mesh((6, 6, 2), (6e-3, 6e-3, 1e-3)), ball, env_count=3).finalize(device)
+    poses = np.stack([pose(0, 0, height)[None] for height in (2.05e-3, 2.4e-3, 9e-3)])
+    state, candidates = initial_state(model, poses), Candidates(model)
+    everyone = wp.full(3, 1, dtype=wp.int32, device=device)
+    rest = wp.zeros_like(state.positions)
+    candidates.update(everyone, state.positions, rest, state.poses, state.poses, 3e-4)
+    lists = (candidates.node_faces, candidates.edge_edges)
+    return [sorted(map(tuple, p.of(e, p.pairs).tolist())) for p in lists for e in range(3)]
+
+
+def test_a_search_finds_the_pairs_of_the_cpu() -> None:
+    """Each once, of edges with no other near them and with more than a warp has lanes."""
+    expected = pairs_of("cpu")
+    firsts = np.array(expected[3])[:, 0]
+    assert np.bincount(firsts).max() > 32 and expected[5] == []
+    assert pairs_of("cuda:0") == expected
 
 
 def test_lists_grow() -> None:

@@ -5,8 +5,8 @@ One tree over the swept boxes of all their faces and one over their edges, with 
 environment; the trees keep their shape and are refitted, as connectivity does not change. Boxes
 around whole bodies come first: where none is near another, and none may touch itself, the trees are
 not even refitted. Until a body first is, there are none: of a peg between two gels they would take
-a quarter of the memory. That they are missing is told, and made up for, as that a list is too
-short.
+a quarter of the memory. The first environment that needs them takes its step again, as one whose
+lists were too short.
 """
 
 from __future__ import annotations
