@@ -24,6 +24,8 @@ from tests.support.variants import variants
 
 STEPS = range(1, 6)
 PEGS = 5
+NEVER = 30
+"""Step of a contact that comes too late."""
 FALLING = TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81))
 HAND = KinematicBody(None, name="hand")
 RUBS = {"friction_coefficient": 0.5}
@@ -77,23 +79,35 @@ def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray, lists: str) -> No
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("first_contact", [1, 5])
-def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> None:
-    """Also where the graph is recorded while they are out of reach, and searches no tree."""
+@pytest.mark.parametrize("first_contacts", [(1,), (5,), (2, 4, *[NEVER] * 16)])
+def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contacts: tuple[int, ...]) -> None:
+    """Also where the graph is recorded while they are out of reach, and searches no tree; and
+    where environments get trees one after the other."""
     shape = ((3, 3, 2), (5e-3, 5e-3, 3e-3))
     gels = [
         soft_block(*shape, name="lower", **RUBS),
         soft_block(*shape, Material(5e4, 0.4), name="upper", mount="hand", **RUBS),
     ]
-    heights = np.concatenate([np.linspace(1e-3, 2e-4, first_contact), -1e-4 * np.arange(1, 7)])
+    ways = [
+        np.concatenate([np.linspace(1e-3, 2e-4, first), -1e-4 * np.arange(1, 7)])
+        for first in first_contacts
+    ]
+    # Who touches first waits for the last one.
+    steps = 6 + max(first for first in first_contacts if first != NEVER)
+    ways = [np.pad(way, (0, max(steps - len(way), 0)), "edge")[:steps] for way in ways]
     targets = [
-        np.array([[[3e-4 + 1e-4 * k, 2e-4, z, 1.0, 0, 0, 0]]]) for k, z in enumerate(heights)
+        np.array([[[3e-4 + 1e-4 * k, 2e-4, z, 1.0, 0, 0, 0]] for z in heights])
+        for k, heights in enumerate(np.transpose(ways))
     ]
     ends = []
     for capture in (False, True):
-        solver, state = begun(Scene(gels, [HAND]), targets[0], dhat_m=5e-5, capture=capture)
-        forces = [stepped(solver, state, target).contact_force_n[0] for target in targets[1:]]
-        assert (np.array(forces[: first_contact - 1]) == 0).all() and min(forces[-6:]) > 0
+        scene = Scene(gels, [HAND], len(ways))
+        solver, state = begun(scene, targets[0], dhat_m=5e-5, capture=capture)
+        forces = np.array([stepped(solver, state, t).contact_force_n for t in targets[1:]])
+        for first, own in zip(first_contacts, forces.T, strict=True):
+            assert (own[: first - 1] == 0).all() and (own[first - 1 :] > 0).all()
+        rooms = solver.candidates.lists[2].rooms
+        assert rooms.tolist() == [int(first != NEVER) for first in first_contacts]
         assert solver.graph.launches == (len(targets) - 2 if capture else 0)
         ends.append(state.positions.numpy())
     np.testing.assert_array_equal(*ends)

@@ -16,11 +16,13 @@ import warp as wp
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.benchmarks.measure import MemoryMeter
 from taccel_lab.benchmarks.stress.gaps import edge_edge_distances
 from taccel_lab.bodies.crossings import point_triangle_distances
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
+from taccel_lab.ipc.device import ragged_lists
 from taccel_lab.model import Model
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, Surface
@@ -197,6 +199,110 @@ def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
         for both, alone in zip(together[env], turned(angle)[0], strict=True):
             assert len(both) > 0
             np.testing.assert_array_equal(both, alone)
+
+
+# Trees among gels ---------------------------------------------------------------------------------
+
+MANY = 18
+MARGIN = 1e-4
+
+
+class Gels:
+    """Two gels on mounts, face to face and each environment a little aside of the one before it."""
+
+    def __init__(self) -> None:
+        names = ("low", "high")
+        gels = [
+            SoftBody(MESH, Material(1e5, 0.4), name=n, mount=f"{n} mount", element=Element.LINEAR)
+            for n in names
+        ]
+        mounts = [KinematicBody(None, name=f"{n} mount") for n in names]
+        self.model = Scene(gels, mounts, MANY).finalize()
+        self.candidates = Candidates(self.model)
+        self.trees = self.candidates.lists[2]
+        self.positions = np.zeros((MANY, self.model.node_count, 3))
+
+    def search(self, *near: int) -> None:
+        """With the gels of ``near`` within the margin, and 0.5 mm apart elsewhere."""
+        gaps = np.where(np.isin(np.arange(MANY), near), 0.5 * MARGIN, 5 * MARGIN)
+        above = [pose(5e-5 * env, 0, gap, (1, 0, 0), 180) for env, gap in enumerate(gaps)]
+        state = initial_state(self.model, np.stack([[pose(0, 0, 0), high] for high in above]))
+        everyone, still = wp.full(MANY, 1, dtype=wp.int32), wp.zeros_like(state.positions)
+        path = (state.positions, still, state.poses, state.poses)
+        self.candidates.update(everyone, *path, MARGIN)
+        self.positions = state.positions.numpy()
+
+    def listed(self, env: int) -> list[np.ndarray]:
+        """Pairs of an environment in their order."""
+        lists = (self.candidates.node_faces, self.candidates.edge_edges)
+        return [part.of(env, part.pairs).copy() for part in lists]
+
+    def nearest(self, env: int) -> list[Pairs]:
+        """All pairs of both gels that are within the margin."""
+        x, surface = self.positions[env], self.model.surface
+        faces, edges, bodies = (
+            array.numpy() for array in (surface.faces, surface.edges, surface.node_bodies)
+        )
+        nodes = np.unique(faces)
+        n, f = np.nonzero(bodies[nodes][:, None] != bodies[faces[:, 0]])
+        n = nodes[n]
+        a, b = np.nonzero(bodies[edges[:, 0]][:, None] < bodies[edges[:, 0]])
+        found = []
+        for first, second, distances in (
+            (n, f, point_triangle_distances(x[n], x[faces[f]])),
+            (a, b, edge_edge_distances(x[edges[a]], x[edges[b]])),
+        ):
+            pairs = np.column_stack([first, second])[distances < MARGIN]
+            found.append(set(map(tuple, pairs.tolist())))
+        return found
+
+
+def test_environments_whose_gels_come_near_each_other_have_trees() -> None:
+    """Who comes later gets its own, and nothing changes elsewhere; the third of 18 is no
+    exception any more, and all get them."""
+    gels, near, before = Gels(), [], {}
+    for env, held in ((5, [5]), (11, [5, 11]), (2, range(MANY))):
+        near.append(env)
+        gels.search(*near)
+        assert np.flatnonzero(gels.trees.rooms).tolist() == list(held)
+        assert gels.trees.capacity == len(held)
+        for e in range(MANY):
+            pairs = found(gels.candidates, e)
+            assert pairs == (gels.nearest(e) if e in near else [set(), set()])
+            assert e not in near or min(map(len, pairs)) > 10
+        at_once = Gels()
+        at_once.search(*near)
+        for expected in (before, {e: at_once.listed(e) for e in near}):
+            for e, pairs in expected.items():
+                for one, other in zip(gels.listed(e), pairs, strict=True):
+                    np.testing.assert_array_equal(one, other)
+        before = {e: gels.listed(e) for e in near}
+
+
+def test_trees_among_gels_take_the_memory_of_those_that_have_them() -> None:
+    peaks = []
+    for near in ([], [5], range(MANY)):
+        with MemoryMeter() as meter:
+            gels = Gels()
+            gels.search(*near)
+        peaks.append(meter.allocations().peak_bytes)
+        assert (gels.trees.rooms[list(near)] == 1).all()
+    assert peaks[1] - peaks[0] < (peaks[2] - peaks[0]) / 9
+
+
+def test_one_of_two_gets_the_trees_that_there_is_memory_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gels = Gels()
+
+    def free(device: wp.Device) -> int:
+        return (2 - gels.trees.capacity) * gels.trees.entry_bytes
+
+    monkeypatch.setattr(ragged_lists, "free_memory", free)
+    gels.search(5, 11)
+    assert np.flatnonzero(gels.trees.rooms).tolist() == [11]
+    assert found(gels.candidates, 11) == gels.nearest(11)
+    assert found(gels.candidates, 5) == [set(), set()]
 
 
 # Pairs that are kept ------------------------------------------------------------------------------
