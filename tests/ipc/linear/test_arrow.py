@@ -8,11 +8,11 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.ipc.linear.arrow.elimination import eliminate
 from taccel_lab.ipc.linear.arrow.program import (
     ROOMS_KIB,
     STATIC_BYTES,
     arrow_program,
-    eliminate,
     plan_arrow,
 )
 from taccel_lab.ipc.linear.arrow.solver import Arrow

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.linear.arrow.program import least_degree_order
+from taccel_lab.ipc.linear.arrow.elimination import least_degree_order
 from taccel_lab.ipc.linear.cpu import RELAXATION
 from taccel_lab.ipc.linear.problem.packed_rows import VERIFY_BELOW
 from taccel_lab.ipc.linear.problem.scatter import find_block

@@ -3,50 +3,106 @@
 //: load_matrix
 // Element (i, j) of block code >> 1 lies at (j, i) where the code is odd.
 @NAMES@
-    int* const copied = reinterpret_cast<int*>(program);
-    const int* const source = listed.data;
-    if (copied != source) {
-        #pragma unroll 4
-        for (int e = lane; e < layout.word_count; e += lanes)
-            copied[e] = source[e];
+    // Of what it reads a lane asks for all that it can hold before it waits for the first.
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 900
+    constexpr int held = 8;
+#else
+    constexpr int held = 16;
+#endif
+    struct alignas(8) Pair { int first, second; };
+    Pair* const copied = reinterpret_cast<Pair*>(program);
+    const Pair* const source = reinterpret_cast<const Pair*>(listed.data);
+    const int pair_count = copied == source ? 0 : layout.word_count / 2;
+    #pragma unroll 1
+    for (int start = lane; start < pair_count; start += held * lanes) {
+        Pair read[held];
+        #pragma unroll
+        for (int k = 0; k < held; ++k)
+            if (start + k * lanes < pair_count)
+                read[k] = source[start + k * lanes];
+        #pragma unroll
+        for (int k = 0; k < held; ++k)
+            if (start + k * lanes < pair_count)
+                copied[start + k * lanes] = read[k];
     }
     const int* const code = codes.data;
     const double* const value = values.data;
-    const int end = 9 * layout.blocks;
-    #pragma unroll 8
-    for (int e = lane; e < end; e += lanes) {
-        const int own = code[e / 9];
-        const int part = e % 9;
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        factor[e] = own < 0 ? 0.0 : value[9 * (own >> 1) + turned];
+    // A lane has the same element of all its blocks.
+#if defined(__CUDA_ARCH__)
+    constexpr int parts = 9;
+#else
+    constexpr int parts = 1;
+#endif
+    const int beside = lanes / parts;
+    for (int part = lane % parts; part < 9 && lane < parts * beside; part += parts) {
+        const int turned = 3 * (part % 3) + part / 3;
+        #pragma unroll 1
+        for (int start = lane / parts; start < layout.blocks; start += held * beside) {
+            double read[held];
+            #pragma unroll
+            for (int k = 0; k < held; ++k) {
+                const int block = start + k * beside;
+                const int own = block < layout.blocks ? code[block] : -1;
+                read[k] = own < 0 ? 0.0 : value[9 * (own >> 1) + (own & 1 ? turned : part)];
+            }
+            #pragma unroll
+            for (int k = 0; k < held; ++k)
+                if (start + k * beside < layout.blocks)
+                    factor[9 * (start + k * beside) + part] = read[k];
+        }
+    }
+    const int width = 3 * layout.m;
+    double* const schur = numbers + layout.schur;
+    for (int e = lane; e < width * width; e += lanes) {
+        const int i = e / width;
+        const int j = e % width;
+        const int own = border_codes.data[i / 3 * layout.m + j / 3];
+        const int turned = own & 1 ? 3 * (j % 3) + i % 3 : 3 * (i % 3) + j % 3;
+        schur[e] = own < 0 ? 0.0 : value[9 * (own >> 1) + turned];
     }
     if (lane == 0)
         numbers[layout.flag] = numbers[layout.flag + 1] = 0.0;
     WP_TILE_SYNC();
-    // Every block is listed twice: one of them is that of a border row and a gel column.
+    // Every block is listed twice, as it is and transposed, and a lane takes a whole one: where it
+    // goes is read through four lists.
     #pragma unroll 1
-    for (int e = lane; e < 9 * extra_count; e += lanes) {
-        const int own = extra_codes.data[e / 9];
-        const int part = e % 9;
-        const int i = extra_places.data[own >> 1][own & 1];
-        const int j = extra_places.data[own >> 1][1 - (own & 1)];
-        const int c = border_places.data[i];
-        const bool inner = border_places.data[j] < 0;
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        if (c >= 0 && inner)
-            factor[9 * (words[layout.starts + places.data[j]] + 1 + c) + part] +=
-                extra_values.data[9 * (own >> 1) + turned];
-        if (c < 0 && inner)
+    for (int e = lane; e < extra_count; e += lanes) {
+        const int own = extra_codes.data[e];
+        const int turned = own & 1;
+        const auto& place = extra_places.data[own >> 1];
+        const int row = turned ? place[1] : place[0];
+        const int column = turned ? place[0] : place[1];
+        const int c = border_places.data[row];
+        const int d = border_places.data[column];
+        if (c < 0 && d < 0)
             numbers[layout.flag] = 1.0;
+        if (c < 0)
+            continue;
+        const double* const block = extra_values.data + 9 * (own >> 1);
+        const int down = turned ? 1 : 3;
+        const int across = turned ? 3 : 1;
+        const int step = d < 0 ? 3 : width;
+        double* const target = d < 0
+            ? factor + 9 * (words[layout.starts + places.data[column]] + 1 + c)
+            : schur + 3 * c * width + 3 * d;
+        #pragma unroll
+        for (int i = 0; i < 3; ++i)
+            #pragma unroll
+            for (int j = 0; j < 3; ++j)
+                target[i * step + j] += block[i * down + j * across];
     }
 
 //: factor_columns
 @NAMES@
     double* const roots = numbers + layout.roots;
+    double* const z = numbers + layout.z;
     const int* const pair_starts = words + layout.pair_starts;
     const int* const pairs = words + layout.pairs;
     const int* const owners = words + layout.owners;
     const int* const level_starts = words + layout.level_starts;
+    const int* const step_starts = words + layout.step_starts;
+    const int* const targets = words + layout.targets;
+    const int* const entries = words + layout.entries;
     const auto inverse_root = [](double value) {
 #if defined(__CUDA_ARCH__)
         return ::rsqrt(value);
@@ -61,14 +117,17 @@
     // Words never change: the first that a lane needs after a barrier are read before it.
     int first = level_starts[0];
     int end = level_starts[1];
-    int begin = pair_starts[first + lane / 9];
-    int stop = pair_starts[first + lane / 9 + 1];
+    int begin = 0, stop = 0, target = 0, last_target = 0;
     #pragma unroll 1
     for (int level = 0; level < layout.level_count; ++level) {
         const int next_end = level_starts[level + 2];
-        unsigned owner = owners[first + lane / 3];
+        const int count = end - first;
+        // A lane takes a row of a block where there is one for each; else the root is found once.
+        const int rows = 3 * count > lanes ? 3 : 1;
+        unsigned owner = owners[first + lane * rows / 3];
+        // Nothing is subtracted from the first level.
         #pragma unroll 1
-        for (int task = 9 * first + lane; task < 9 * end; task += lanes) {
+        for (int task = 9 * first + lane; level > 0 && task < 9 * end; task += lanes) {
             const int block = task / 9;
             if (task >= 9 * first + lanes) {
                 begin = pair_starts[block];
@@ -89,17 +148,40 @@
             if (stop > begin)
                 factor[task] -= total + more + last;
         }
+        // The load is one more row of the factor. The last lanes are the first without a task.
+        #pragma unroll 1
+        for (int task = 3 * target + lanes - 1 - lane; task < 3 * last_target; task += lanes) {
+            const unsigned row = targets[task / 3];
+            const int next = targets[task / 3 + 1] & 0xffff;
+            double total = 0.0, more = 0.0, last = 0.0;
+            #pragma unroll 2
+            for (int e = row & 0xffffu; e < next; ++e) {
+                const unsigned entry = entries[e];
+                const double* const a = factor + 9 * (entry >> 16) + 3 * (task % 3);
+                const double* const u = z + 3 * (entry & 0xffffu);
+                total += a[0] * u[0];
+                more += a[1] * u[1];
+                last += a[2] * u[2];
+            }
+            z[3 * (row >> 16) + task % 3] -= total + more + last;
+        }
         WP_TILE_SYNC();
+        target = step_starts[level];
+        last_target = step_starts[level + 1];
         if (9 * end + lane < 9 * next_end) {
             begin = pair_starts[end + lane / 9];
             stop = pair_starts[end + lane / 9 + 1];
         }
         #pragma unroll 1
-        for (int task = 3 * first + lane; task < 3 * end; task += lanes) {
-            const int block = task / 3;
-            if (task >= 3 * first + lanes)
+        for (int task = lane; task < 3 / rows * count; task += lanes) {
+            const int block = first + task * rows / 3;
+            if (task >= lanes)
                 owner = owners[block];
             const int diagonal = owner & 0xffffu;
+            const int row = rows == 1 ? task % 3 : 0;
+            // Of a diagonal block that is the load's: the block itself is still read by others.
+            double* a = block == diagonal ? z + 3 * (owner >> 16) : factor + 9 * block + 3 * row;
+            double a0 = a[0], a1 = a[1], a2 = a[2];
             const double* const d = factor + 9 * diagonal;
             const double least = @LEAST_TURNED@ * (turned(d[0], 0.0) + turned(d[4], 0.0) + turned(d[8], 0.0));
             const double d00 = turned(d[0], least);
@@ -117,19 +199,28 @@
             const double r10 = -l10 * r00 * r11;
             const double r21 = -l21 * r11 * r22;
             const double r20 = -(l20 * r00 + l21 * r10) * r22;
+            int left = rows;
             if (block == diagonal) {
-                // One row for each of three lanes. The block itself is still read by others.
-                double* const root = roots + 9 * (owner >> 16);
-                const int i = task % 3;
-                root[3 * i] = i == 0 ? r00 : i == 1 ? r10 : r20;
-                root[3 * i + 1] = i == 0 ? 0.0 : i == 1 ? r11 : r21;
-                root[3 * i + 2] = i == 2 ? r22 : 0.0;
-            } else {
-                double* const a = factor + 3 * task;
-                const double a0 = a[0], a1 = a[1], a2 = a[2];
+                #pragma unroll 1
+                for (int i = row; i < row + rows; ++i) {
+                    double* const root = roots + 9 * (owner >> 16) + 3 * i;
+                    root[0] = i == 0 ? r00 : i == 1 ? r10 : r20;
+                    root[1] = i == 0 ? 0.0 : i == 1 ? r11 : r21;
+                    root[2] = i == 2 ? r22 : 0.0;
+                }
+                left = row == 0 ? 1 : 0;
+            }
+            while (left > 0) {
                 a[0] = r00 * a0;
                 a[1] = r10 * a0 + r11 * a1;
                 a[2] = r20 * a0 + r21 * a1 + r22 * a2;
+                left -= 1;
+                a += 3;
+                if (left > 0) {
+                    a0 = a[0];
+                    a1 = a[1];
+                    a2 = a[2];
+                }
             }
         }
         first = end;
@@ -139,107 +230,142 @@
 
 //: finish_factor
 @NAMES@
-    const int width = 3 * layout.m;
+    const int n = layout.n;
+    const int m = layout.m;
+    const int width = 3 * m;
     const int* const starts = words + layout.starts;
-    const int triangle = width * (width + 1) / 2;
+    // Of the Schur complement blocks (i, j), i >= j, and of the load a row of three for each j.
+    const int blocks = m * (m + 1) / 2;
+    const int products = 9 * blocks + width;
     double* const sums = numbers + layout.sums;
-    // Row i of the lower triangle starts at i (i + 1) / 2.
+    double* const z = numbers + layout.z;
     #pragma unroll 1
-    for (int task = lane; task < @SCHUR_CHUNKS@ * triangle; task += lanes) {
-        const int chunk = task / triangle;
-        const int e = task % triangle;
-        int i = 0;
-        for (int step = width; step > 0; step >>= 1)
-            while (i + step < width && (i + step) * (i + step + 1) / 2 <= e)
-                i += step;
-        const int j = e - i * (i + 1) / 2;
-        double total = 0.0, more = 0.0, last = 0.0;
-        #pragma unroll 4
-        for (int column = chunk; column < layout.n; column += @SCHUR_CHUNKS@) {
-            const double* const base = factor + 9 * (starts[column] + 1);
-            const double* const a = base + 3 * i;
-            const double* const b = base + 3 * j;
-            total += a[0] * b[0];
-            more += a[1] * b[1];
-            last += a[2] * b[2];
+    for (int task = lane; task < @SCHUR_CHUNKS@ * (blocks + m); task += lanes) {
+        const int chunk = task / (blocks + m);
+        const int own = task % (blocks + m);
+        const bool loads = own >= blocks;
+        int i = 0, j = own - blocks;
+        if (!loads) {
+            while ((i + 1) * (i + 2) / 2 <= own)
+                ++i;
+            j = own - i * (i + 1) / 2;
         }
-        sums[task] = total + more + last;
+        double total[9] = {};
+        #pragma unroll 2
+        for (int column = chunk; column < n; column += @SCHUR_CHUNKS@) {
+            const double* const base = factor + 9 * (starts[column] + 1);
+            const double* const a = loads ? z + 3 * column : base + 9 * i;
+            const double* const b = base + 9 * j;
+            #pragma unroll
+            for (int r = 0; r < 3; ++r) {
+                if (r > 0 && loads)
+                    break;
+                #pragma unroll
+                for (int c = 0; c < 3; ++c)
+                    total[3 * r + c] += a[3 * r] * b[3 * c] + a[3 * r + 1] * b[3 * c + 1]
+                        + a[3 * r + 2] * b[3 * c + 2];
+            }
+        }
+        double* const sum = sums + chunk * products + (loads ? 9 * blocks + 3 * j : 9 * own);
+        #pragma unroll
+        for (int e = 0; e < 9; ++e)
+            if (e < 3 || !loads)
+                sum[e] = total[e];
     }
     WP_TILE_SYNC();
     // From here on nothing needs the factor as it is: A = L D L^T with unit L.
     const double* const roots = numbers + layout.roots;
     const int* const owners = words + layout.owners;
     #pragma unroll 1
-    for (int task = lane; task < 3 * layout.blocks; task += lanes) {
-        const int block = task / 3;
+    for (int block = lane; block < layout.blocks; block += lanes) {
         const unsigned owner = owners[block];
-        const double* const root = roots + 9 * (owner >> 16);
-        double* const a = factor + 3 * task;
-        double row[3];
-        if (block == static_cast<int>(owner & 0xffffu)) {
-            // Inverse of the diagonal block, from the roots alone.
-            const int i = task % 3;
-            row[0] = root[i];
-            row[1] = root[3 + i];
-            row[2] = root[6 + i];
-        } else {
-            row[0] = a[0];
-            row[1] = a[1];
-            row[2] = a[2];
+        double root[9];
+        #pragma unroll
+        for (int k = 0; k < 9; ++k)
+            root[k] = roots[9 * (owner >> 16) + k];
+        double* const a = factor + 9 * block;
+        const bool diagonal = block == static_cast<int>(owner & 0xffffu);
+        #pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            // Of a diagonal block the inverse, from the roots alone.
+            const double a0 = diagonal ? root[i] : a[3 * i];
+            const double a1 = diagonal ? root[3 + i] : a[3 * i + 1];
+            const double a2 = diagonal ? root[6 + i] : a[3 * i + 2];
+            #pragma unroll
+            for (int c = 0; c < 3; ++c)
+                a[3 * i + c] = a0 * root[c] + a1 * root[3 + c] + a2 * root[6 + c];
         }
-        for (int c = 0; c < 3; ++c)
-            a[c] = row[0] * root[c] + row[1] * root[3 + c] + row[2] * root[6 + c];
+        if (diagonal) {
+            double* const u = z + 3 * (owner >> 16);
+            const double u0 = u[0], u1 = u[1], u2 = u[2];
+            #pragma unroll
+            for (int c = 0; c < 3; ++c)
+                u[c] = u0 * root[c] + u1 * root[3 + c] + u2 * root[6 + c];
+        }
     }
     double* const schur = numbers + layout.schur;
     #pragma unroll 1
-    for (int e = lane; e < width * width; e += lanes) {
+    for (int e = lane; e < width * width + width; e += lanes) {
+        const bool loads = e >= width * width;
         const int i = e / width;
         const int j = e % width;
-        const int own = border_codes.data[i / 3 * layout.m + j / 3];
-        double value = 0.0;
-        if (own >= 0)
-            value = values.data[
-                9 * (own >> 1) + (own & 1 ? 3 * (j % 3) + i % 3 : 3 * (i % 3) + j % 3)];
-        const int high = i > j ? i : j;
-        const int low = i > j ? j : i;
+        // Element (i, j) is that of a block of the lower triangle, or of its transposed.
+        const bool above = i / 3 < j / 3;
+        const int high = above ? j : i;
+        const int low = above ? i : j;
+        const int row = high / 3;
+        const int at = loads ? 9 * blocks + j
+            : 9 * (row * (row + 1) / 2 + low / 3) + 3 * (high % 3) + low % 3;
+        double total = 0.0;
+        #pragma unroll
         for (int chunk = 0; chunk < @SCHUR_CHUNKS@; ++chunk)
-            value -= sums[chunk * triangle + high * (high + 1) / 2 + low];
-        schur[e] = value;
+            total += sums[chunk * products + at];
+        (loads ? z[3 * n + j] : schur[e]) -= total;
     }
     WP_TILE_SYNC();
-    #pragma unroll 1
-    for (int e = lane; e < 9 * extra_count; e += lanes) {
-        const int own = extra_codes.data[e / 9];
-        const int part = e % 9;
-        const int i = border_places.data[extra_places.data[own >> 1][own & 1]];
-        const int j = border_places.data[extra_places.data[own >> 1][1 - (own & 1)]];
-        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
-        if (i >= 0 && j >= 0)
-            schur[(3 * i + part / 3) * width + 3 * j + part % 3] +=
-                extra_values.data[9 * (own >> 1) + turned];
-    }
-    // Gauss-Jordan, from one copy to the other and back, negative pivots as above.
+    // Gauss-Jordan by blocks, from one copy to the other and back, negative pivots as above.
     double* old = schur;
     double* next = schur + width * width;
     #pragma unroll 1
-    for (int pivot = 0; pivot < width; ++pivot) {
-        WP_TILE_SYNC();
-        const double scale = old[pivot * width + pivot];
-        const double inverse = 1.0 / (scale < 0.0 ? -scale : scale);
-        if (scale < 0.0)
-            numbers[layout.flag + 1] = 1.0;
+    for (int pivot = 0; pivot < width; pivot += 3) {
+        const auto magnitude = [](double value) { return value < 0.0 ? -value : value; };
         #pragma unroll 1
         for (int e = lane; e < width * width; e += lanes) {
             const int i = e / width;
             const int j = e % width;
-            const double across = j == pivot ? 1.0 : old[pivot * width + j];
-            const double down = old[i * width + pivot];
-            const double rest = j == pivot ? 0.0 : old[e];
-            next[e] = i == pivot ? across * inverse : rest - down * across * inverse;
+            const double* const d = old + pivot * width + pivot;
+            // d = L D L^T of the pivot, and what L and D take from its row and column.
+            const double d0 = d[0];
+            const double v0 = 1.0 / magnitude(d0);
+            const double l1 = d[width] * v0;
+            const double l2 = d[2 * width] * v0;
+            const double d1 = d[width + 1] - l1 * d[width];
+            const double v1 = 1.0 / magnitude(d1);
+            const double l3 = (d[2 * width + 1] - l2 * d[width]) * v1;
+            const double d2 = d[2 * width + 2] - l2 * d[2 * width] - l3 * l3 * magnitude(d1);
+            const double v2 = 1.0 / magnitude(d2);
+            if (d0 < 0.0 || d1 < 0.0 || d2 < 0.0)
+                numbers[layout.flag + 1] = 1.0;
+            const bool in_row = i >= pivot && i < pivot + 3;
+            const bool in_column = j >= pivot && j < pivot + 3;
+            // The column of the pivot is that of the unit matrix.
+            double b[3], a[3];
+            #pragma unroll
+            for (int k = 0; k < 3; ++k) {
+                b[k] = in_column ? (j == pivot + k ? 1.0 : 0.0) : old[(pivot + k) * width + j];
+                a[k] = in_row ? (i == pivot + k ? -1.0 : 0.0) : old[i * width + pivot + k];
+            }
+            b[1] -= l1 * b[0];
+            b[2] -= l2 * b[0] + l3 * b[1];
+            a[1] -= l1 * a[0];
+            a[2] -= l2 * a[0] + l3 * a[1];
+            const double rest = in_row || in_column ? 0.0 : old[e];
+            next[e] = rest - (a[0] * v0 * b[0] + a[1] * v1 * b[1] + a[2] * v2 * b[2]);
         }
         double* const swap = old;
         old = next;
         next = swap;
+        WP_TILE_SYNC();
     }
 
 //: names
@@ -259,18 +385,18 @@
     const int* const targets = words + layout.targets;
     const int* const entries = words + layout.entries;
     // Words never change: the first that a lane needs after a barrier are read before it.
-    int first = step_starts[0], end = step_starts[1], next_end = step_starts[2];
+    int step = first_solve ? layout.forward_steps : 0;
+    int first = step_starts[step], end = step_starts[step + 1], next_end = step_starts[step + 2];
     unsigned target = targets[first + lane / 3];
     int stop = targets[first + lane / 3 + 1] & 0xffff;
     double* y = z;
     int across = 1, down = 3;
     #pragma unroll 1
-    for (int step = 0; step <= layout.step_count; ++step) {
+    for (; step <= layout.step_count; ++step) {
         if (step == layout.forward_steps) {
             const int* const starts = words + layout.starts;
-            if (width > 0) {
+            if (width > 0 && !first_solve) {
                 double* const sums = numbers + layout.sums;
-                double* const rest = sums + @BORDER_CHUNKS@ * width;
                 #pragma unroll 1
                 for (int task = lane; task < @BORDER_CHUNKS@ * width; task += lanes) {
                     const int i = task / @BORDER_CHUNKS@;
@@ -295,10 +421,13 @@
                         total -= sums[i * @BORDER_CHUNKS@ + (k + i) % @BORDER_CHUNKS@];
                         more += sums[i * @BORDER_CHUNKS@ + (k + 1 + i) % @BORDER_CHUNKS@];
                     }
-                    rest[i] = total - more;
+                    z[3 * n + i] = total - more;
                 }
                 WP_TILE_SYNC();
-                const double* const inverse = numbers + layout.schur + width % 2 * width * width;
+            }
+            if (width > 0) {
+                const double* const rest = z + 3 * n;
+                const double* const inverse = numbers + layout.schur + layout.m % 2 * width * width;
                 #pragma unroll 1
                 for (int i = lane; i < width; i += lanes) {
                     double total = 0.0, more = 0.0;
@@ -320,7 +449,9 @@
                 const int c = task % 3;
                 const double* const own = factor + 9 * starts[column];
                 const double* const u = z + 3 * column;
-                double total = own[3 * c] * u[0] + own[3 * c + 1] * u[1] + own[3 * c + 2] * u[2];
+                double total = u[c];
+                if (!first_solve)
+                    total = own[3 * c] * u[0] + own[3 * c + 1] * u[1] + own[3 * c + 2] * u[2];
                 double more = 0.0, last = 0.0;
                 #pragma unroll 4
                 for (int k = 0; k < width; k += 3) {

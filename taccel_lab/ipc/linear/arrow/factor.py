@@ -2,9 +2,10 @@
 """Block-arrow factorisation and solves by one thread block.
 
 A level of the factorisation costs two barriers and some tens of reads, of shared memory where there
-is room. At the end blocks are scaled to A = L D L^T with unit L. So a level of a solve costs one
-barrier: who knows its value at last takes it from those that need it; in the other direction D
-comes first.
+is room. The right-hand side is one more row of the factor: when that is known, so is the first
+solve's way forward. At the end blocks are scaled to A = L D L^T with unit L. So a level of a solve
+costs one barrier: who knows its value at last takes it from those that need it; in the other
+direction D comes first.
 
 ``memory`` and ``program`` are the addresses of the numbers and of the words, of either kind of
 memory; see ``ArrowLayout`` for what is where.
@@ -39,6 +40,7 @@ def load_matrix(
     listed: wp.array(dtype=wp.int32),
     codes: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float64),
+    border_codes: wp.array(dtype=wp.int32),
     places: wp.array(dtype=wp.int32),
     border_places: wp.array(dtype=wp.int32),
     extra_count: int,
@@ -46,9 +48,9 @@ def load_matrix(
     extra_places: wp.array(dtype=wp.vec2i),
     extra_values: wp.array(dtype=wp.float64),
 ) -> None:
-    """The ``listed`` program, and blocks of the matrix at their places in the factor, without the
-    border among itself. The flag says whether extra blocks between gel rows were left out. Ends
-    without a barrier: nothing of the first level subtracts anything."""
+    """Copy the ``listed`` program, and the matrix to its places in the factor; of the border among
+    itself to the Schur complement. The flag says whether extra blocks between gel rows were left
+    out. Ends without a barrier: nothing is subtracted from the first level."""
     ...
 
 
@@ -56,7 +58,8 @@ def load_matrix(
 def factor_columns(
     memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
 ) -> None:
-    """Cholesky factor of all columns; inverses of its diagonal blocks go to the roots."""
+    """Find the Cholesky factor of all columns, and z as one more row of it; inverses of its
+    diagonal blocks go to the roots."""
     ...
 
 
@@ -67,25 +70,24 @@ def finish_factor(
     lane: int,
     lanes: int,
     layout: ArrowLayout,
-    values: wp.array(dtype=wp.float64),
-    border_codes: wp.array(dtype=wp.int32),
-    border_places: wp.array(dtype=wp.int32),
-    extra_count: int,
-    extra_codes: wp.array(dtype=wp.int32),
-    extra_places: wp.array(dtype=wp.vec2i),
-    extra_values: wp.array(dtype=wp.float64),
 ) -> None:
     """Scale the factor, diagonal blocks to the inverses of D, and invert the Schur complement of
-    the border, in the half of its copies where ``solve_factored`` looks for it, after barriers of
-    its own."""
+    the border, in the half of its copies where ``solve_factored`` looks for it; z as after the way
+    forward, times the inverses of D. Ends with a barrier."""
     ...
 
 
 @wp.func_native(native("arrow", "solve_factored", NAMES=NAMES, BORDER_CHUNKS=BORDER_CHUNKS))
 def solve_factored(
-    memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
+    memory: wp.uint64,
+    program: wp.uint64,
+    lane: int,
+    lanes: int,
+    layout: ArrowLayout,
+    first_solve: int,
 ) -> None:
-    """x = (factored matrix)^-1 z, by places; z is overwritten. Ends with a barrier."""
+    """Solve x = (factored matrix)^-1 z, by places; z is overwritten. The first solve begins where
+    ``finish_factor`` left z. Ends with a barrier."""
     ...
 
 

@@ -149,6 +149,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
             lists.program,
             lists.codes,
             values[env],
+            lists.border_codes,
             lists.places,
             lists.border_places,
             extra_count,
@@ -157,20 +158,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
             extra_values[9 * first : 9 * end],
         )
         factor_columns(memory, program, lane, lanes, layout)
-        finish_factor(
-            memory,
-            program,
-            lane,
-            lanes,
-            layout,
-            values[env],
-            lists.border_codes,
-            lists.border_places,
-            extra_count,
-            extra.codes[2 * first : 2 * end],
-            extra_places[first:end],
-            extra_values[9 * first : 9 * end],
-        )
+        finish_factor(memory, program, lane, lanes, layout)
         exact = get_number(memory, layout.flag) == zero
         p = work.p[env]
         p_scalars = work.p_scalars[env]
@@ -185,7 +173,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         going = int(1)
         while going == 1:
             going = int(0)
-            solve_factored(memory, program, lane, lanes, layout)
+            solve_factored(memory, program, lane, lanes, layout, int(count == 0))
             share = wp.vec3d()
             for place in range(lane, n, lanes):
                 x_row = get_vector(memory, layout.x, place)

@@ -15,8 +15,9 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.block_ops import MAX_LANES, Team, launch_team, team
+from taccel_lab.ipc.linear.arrow.elimination import border_codes
 from taccel_lab.ipc.linear.arrow.kernel import ArrowLists, ArrowWork, solve_kernel
-from taccel_lab.ipc.linear.arrow.program import Placement, border_codes, plan_arrow
+from taccel_lab.ipc.linear.arrow.program import Placement, plan_arrow
 from taccel_lab.ipc.linear.problem.arrays import LinearProblem
 from taccel_lab.ipc.linear.problem.extra_rows import ExtraRowLists
 from taccel_lab.ipc.linear.problem.packed_rows import row_slices
