@@ -193,7 +193,7 @@ def begin_step(run: StepLaunches) -> None:
     """Where everything is at the start; environments that cannot step stop."""
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.roster.reads)
-    poses = [s.asked_poses, state.poses, s.end_poses, s.start_poses, s.origin_poses]
+    poses = [s.orders.targets, state.poses, s.end_poses, s.start_poses, s.origin_poses]
     run.decide(_begin_step_kernel, s.rows.overlapping, *poses)
     inputs = [state.positions, state.velocities, s.previous, s.origin, p.struct]
     launch(_begin_nodes_kernel, state.positions.shape, *inputs)

@@ -332,8 +332,10 @@ class EnvProgress:
         carriers: list[int],
         radii_m: np.ndarray,
         rules: Rules,
+        told: dict[str, wp.array],
         device: wp.Device,
     ) -> None:
+        """Make them; ``told`` are the masks of the roster that the host sets (``step_orders``)."""
         self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
         self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
         self.curvature, self.search = Curvature(), Search()
@@ -344,13 +346,17 @@ class EnvProgress:
         reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
         sums = (env_count, body_count)
-        given = reported | {
-            "carriers": wp.array(carriers, dtype=wp.int32, device=device),
-            "radii": wp.array(radii, dtype=wp.float64, device=device),
-            "turns": wp.zeros(radii.shape, dtype=wp.float64, device=device),
-            "body_residuals": wp.zeros(sums, dtype=wp.float64, device=device),
-            "body_forces": wp.zeros(sums, dtype=wp.float64, device=device),
-        }
+        given = (
+            reported
+            | told
+            | {
+                "carriers": wp.array(carriers, dtype=wp.int32, device=device),
+                "radii": wp.array(radii, dtype=wp.float64, device=device),
+                "turns": wp.zeros(radii.shape, dtype=wp.float64, device=device),
+                "body_residuals": wp.zeros(sums, dtype=wp.float64, device=device),
+                "body_forces": wp.zeros(sums, dtype=wp.float64, device=device),
+            }
+        )
         self.struct = Progress()
         """The parts for kernels."""
         for part, member in Progress.vars.items():

@@ -70,16 +70,17 @@ class ReadySteps:
             solver.set_dt(dt, who if progress.underway.any() else None)
             solver.follow_parameters()
             solver.search_overlaps(state)
-            solver.tell("again", np.zeros_like(who))
+            solver.orders.tell("again", np.zeros_like(who))
             solver.limit_rounds(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
             progress.underway |= who
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)
-            status[progress.again] = EnvStatus.RUNNING
-            ended = progress.underway & (status != EnvStatus.RUNNING)
+            running = int(EnvStatus.RUNNING)
+            status[progress.again] = running
+            ended = progress.underway & (status != running)
             report = solver.find_blocked(state, replace(report, status=status), ended)
-            progress.underway &= report.status == EnvStatus.RUNNING
+            progress.underway &= report.status == running
             solver.end(state)
         return replace(
             report,

@@ -38,7 +38,7 @@ from taccel_lab.solvers.starts import Starts
 from taccel_lab.solvers.step_graph import launch_step
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus, StepReport, flagged_blocked
-from taccel_lab.state import State, check_state, poses_array
+from taccel_lab.state import State, as_poses, check_state, poses_array
 
 wp.set_module_options({"enable_backward": False})
 
@@ -132,7 +132,7 @@ class SolverIPC(SolverParts):
             self.follow_parameters()
             self.search_overlaps(state)
             self.begin(state)
-            self.tell("again", self._everyone if again else self._nobody)
+            self.orders.tell("again", self._everyone if again else self._nobody)
             self.limit_rounds(NO_LIMIT)
             report = self._attempt(who, dt, whole=True)
             report = self.find_blocked(state, report, who)
@@ -234,7 +234,7 @@ class SolverIPC(SolverParts):
             part.renew()
         self.pairs.forget(mask)
         self.graph.clear()
-        self._masks.clear()
+        self.orders.repeat()
         self._dt, self._changes, self._rounds = math.nan, -1, 0
         self._torn = False
 
@@ -277,15 +277,8 @@ class SolverIPC(SolverParts):
     def find_blocked(self, state: State, report: StepReport, who: np.ndarray) -> StepReport:
         """Flag environments of ``who`` (bool, [env_count]) whose step from ``state`` failed as
         something held is in its way."""
-        failed = who & ~report.converged & (report.status != EnvStatus.OVERLAP)
+        failed = who & ~report.converged & (report.status != int(EnvStatus.OVERLAP))
         return flagged_blocked(report, self.ways.of_step(state, self.end_poses, failed))
-
-    def tell(self, name: str, mask: np.ndarray) -> None:
-        """Set a mask of ``progress.roster`` (bool, [env_count]), unless it is known to hold it."""
-        known = self._masks.get(name)
-        if known is not mask and (known is None or not np.array_equal(mask, known)):
-            getattr(self.progress.roster, name).assign(mask.astype(np.int32))
-            self._masks[name] = mask
 
     def limit_rounds(self, most: int) -> None:
         """Set the rounds after which a call ends, whoever is underway."""
@@ -302,7 +295,9 @@ class SolverIPC(SolverParts):
         if not isinstance(control, Control):
             control = Control(target_poses=control)
         poses = control.target_poses
-        targets = state.poses if poses is None else poses_array(model, poses)
+        targets = state.poses
+        if poses is not None:
+            targets = poses_array(model, poses) if on_device(poses) else as_poses(model, poses)
         dt = model.scene.time.dt_s
         if control.dt_s is not None:
             if self.inertia is None and not self.maxwell:
@@ -326,7 +321,7 @@ class SolverIPC(SolverParts):
             assert state.joints is not None
             those = None if mask is None else device_mask(mask, model.env_count, model.device)
             copy_rows(those, drives, state.joints.targets)
-        wp.copy(self.asked_poses, targets)
+        self.orders.aim(targets)
         return dt
 
     def set_dt(self, dt: float, mask: np.ndarray | None = None, whole: bool = True) -> None:
@@ -367,12 +362,12 @@ class SolverIPC(SolverParts):
         """Find the environments whose attempt has to be repeated, by its ``status``; bool,
         [env_count]. They are those whose lists of contacts were too short, which are longer now,
         and those that met an impact, which forget the step before."""
-        short = status == EnvStatus.CONTACT_OVERFLOW
+        short = status == int(EnvStatus.CONTACT_OVERFLOW)
         if short.any():
             short &= ~grow_all(self.lists)
             if short.any():
                 self.graph.clear()
-        impacts = status == EnvStatus.IMPACT
+        impacts = status == int(EnvStatus.IMPACT)
         if impacts.any():
             assert self.work.history is not None
             self.work.history.forget(impacts)
@@ -387,12 +382,12 @@ class SolverIPC(SolverParts):
             self.share_energies()
             self.graph.clear()
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
-            self.tell(name, mask)
+            self.orders.tell(name, mask)
+        self.orders.send()
         launch_step(self.graph, self)
-        kept = self.progress.report.copy()
         self.progress.report.fetch()
         TURNS.wait_for(self.model.device)
-        return StepReport.of_block(self.progress.report, kept)
+        return StepReport.of_block(self.progress.report)
 
     def _in_halves(
         self, failed: StepReport, dt: float, level: int, spent: np.ndarray

@@ -35,6 +35,7 @@ from taccel_lab.solvers.env_progress import (
     list_places,
     make_rules,
 )
+from taccel_lab.solvers.step_orders import StepOrders
 from taccel_lab.state import State, StepHistory, no_viscous_strain
 
 wp.set_module_options({"enable_backward": False})
@@ -227,16 +228,14 @@ class SolverParts:
         steps; of quasi-static steps, which may have any, that of the whole step."""
         self._dt = 0.0
         """The same where all have one; not a number where they differ."""
-        self._masks: dict[str, np.ndarray] = {}
-        """What masks of ``progress.roster`` hold that the host says; those that are known."""
         self._rounds = 0
         """What ``progress.flags.most_rounds`` holds; 0 when that is not known."""
         self.trial_poses = wp.zeros_like(self.work.poses)
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
         self.end_poses = wp.zeros_like(self.trial_poses)
-        self.asked_poses = wp.zeros_like(self.trial_poses)
-        """``end_poses`` of steps that begin from now on."""
+        self.orders = StepOrders(model.env_count, len(model.kinematic), device)
+        """Masks of ``progress.roster``, and ``end_poses`` of steps that begin from now on."""
         self.origin_poses = wp.zeros_like(self.trial_poses)
         self.body_rows = wp.array(model.body_rows(), dtype=wp.vec2i, device=device)
         """Range of each body in ``reduced``, vec2i, shape [body_count]."""
@@ -258,6 +257,7 @@ class SolverParts:
             carriers if any(i >= 0 for i in carriers) else [],
             model.kinematic_radii_m,
             rules,
+            self.orders.masks,
             device,
         )
         self.few_places, self.some_places = list_places(model)

@@ -68,6 +68,8 @@ class ReportBlock:
         self._rows = rows
         self._on_host = rows
         """Where ``read`` finds them; ``fetch`` makes it where a GPU writes by itself."""
+        self.fetches = 0
+        """How often the figures were fetched: what a report is of is there until the next time."""
 
     @cached_property
     def arrays(self) -> dict[str, wp.array]:
@@ -95,6 +97,7 @@ class ReportBlock:
 
     def fetch(self) -> None:
         """Begin to copy the figures to the host; does not wait for the device."""
+        self.fetches += 1
         if self._rows.device.is_cuda:
             if self._on_host is self._rows:
                 self._on_host = wp.empty_like(self._rows, device="cpu", pinned=True)
@@ -105,9 +108,10 @@ class ReportBlock:
         if self._rows.device.is_cuda:
             wp.synchronize_stream(self._rows.device)
         rows = self._on_host.numpy()
-        ints = rows[len(_FLOATS) :].view(np.int32).reshape(-1, rows.shape[1])
-        found = {name: ints[i].astype(np.int64) for i, name in enumerate(_INTS)}
-        return found | {name: rows[i].copy() for i, name in enumerate(_FLOATS)}
+        ints = rows[len(_FLOATS) :].view(np.int32).reshape(-1, rows.shape[1]).astype(np.int64)
+        floats = rows[: len(_FLOATS)].copy()
+        found: dict[str, np.ndarray] = dict(zip(_INTS, ints, strict=False))
+        return found | dict(zip(_FLOATS, floats, strict=True))
 
 
 @dataclass(frozen=True, repr=False)
@@ -152,14 +156,25 @@ class StepReport:
     """Wall time of the whole call, all environments."""
 
     @classmethod
-    def of_block(cls, block: ReportBlock, kept: ReportBlock) -> StepReport:
+    def of_block(cls, block: ReportBlock) -> StepReport:
         """Make the report of one attempt at a step from a ``block`` that was fetched; waits for the
-        device. ``kept``, a copy of it there, belongs to the report from now on."""
+        device."""
         found = block.read()
-        substeps = (found["status"] == EnvStatus.CONVERGED).astype(np.int64)
+        substeps = (found["status"] == int(EnvStatus.CONVERGED)).astype(np.int64)
         report = cls(**found, substeps=substeps, seconds=0.0)
-        object.__setattr__(report, "_block", kept)
+        object.__setattr__(report, "_block", block)
+        object.__setattr__(report, "_fetch", block.fetches)
         return report
+
+    def _kept(self) -> ReportBlock | None:
+        """The figures on the device on memory of their own, if they are there still."""
+        block: ReportBlock | None = self.__dict__.get("_block")
+        if block is None or "_fetch" not in self.__dict__:
+            return block
+        kept = block.copy() if block.fetches == self.__dict__["_fetch"] else None
+        object.__setattr__(self, "_block", kept)
+        del self.__dict__["_fetch"]
+        return kept
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
@@ -168,11 +183,10 @@ class StepReport:
         """Return the arrays by name on a device, int32 or float64 of Warp; torch takes them through
         DLPack (``wp.to_torch``).
 
-        Those of a step that was taken at once are on the device already. They are not copied, and
-        the solver does not change them. A step that was taken in parts has been put together on
-        the host.
+        Those of the latest step are on the device already, if it was taken at once. They are the
+        report's from then on: the solver does not change them. Others come from the host.
         """
-        block = self.__dict__.get("_block")
+        block = self._kept()
         found: dict[str, wp.array] = {} if block is None else dict(block.arrays)
         for field in fields(self):
             if field.name != "seconds" and field.name not in found:
@@ -194,7 +208,7 @@ class StepReport:
     @property
     def converged(self) -> np.ndarray:
         """Whether each environment reached its tolerance."""
-        return self.status == EnvStatus.CONVERGED
+        return self.status == int(EnvStatus.CONVERGED)
 
     def retaken(self, later: StepReport, who: np.ndarray) -> StepReport:
         """Merge what ``later`` says of the environments ``who`` that took it again."""
