@@ -19,6 +19,7 @@ from taccel_lab.learning.catalogue import make_vec
 from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import named, run_task
 from taccel_lab.tasks.grasp_scene import GRASPERS
+from taccel_lab.tasks.result import success_interval
 from tests.support.variants import variants
 from tests.tasks.changed import parameters
 from tests.test_architecture import HEAVY
@@ -63,9 +64,13 @@ def test_the_baseline_goes_in_and_jams_as_in_the_task() -> None:
 
 @pytest.mark.slow
 def test_the_baselines_rate_is_the_tasks() -> None:
-    """53 of 64, see docs/tasks.md; of seed 1 the step that meets the rim has two solutions."""
-    failed = np.flatnonzero(~baseline(range(64))[0])
-    assert sorted({*failed} - {1}) == [8, 10, 25, 34, 43, 51, 53, 56, 60, 63]
+    """53 of 64 as measured, see docs/tasks.md, with its interval; where a step that meets the rim
+    has two solutions, the last digits decide which is found."""
+    missed = [not trial.success for trial in run_task(named("peg-insertion"), range(64)).trials]
+    failed = ~baseline(range(64))[0]
+    assert np.count_nonzero(failed != missed) <= 2
+    _, low, high = success_interval(53, 64)
+    assert low <= 1 - failed.mean() <= high
 
 
 @pytest.mark.thorough
