@@ -384,6 +384,7 @@ class SolverIPC(SolverParts):
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
             self.orders.tell(name, mask)
         self.orders.send()
+        self.progress.report.outdate()
         launch_step(self.graph, self)
         self.progress.report.fetch()
         TURNS.wait_for(self.model.device)
@@ -432,6 +433,8 @@ class SolverIPC(SolverParts):
     def _evaluate_forces(self, who: np.ndarray) -> None:
         """Forces of the user's state where ``who``, bool, [env_count]."""
         run, work = StepLaunches(self), self.work
+        # The smallest gap, for one, is found anew.
+        self.progress.report.outdate()
         mask = run.p.phases.active
         mask.assign(who.astype(np.int32))
         self.rows.read(mask)

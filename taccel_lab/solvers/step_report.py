@@ -68,8 +68,8 @@ class ReportBlock:
         self._rows = rows
         self._on_host = rows
         """Where ``read`` finds them; ``fetch`` makes it where a GPU writes by itself."""
-        self.fetches = 0
-        """How often the figures were fetched: what a report is of is there until the next time."""
+        self.version = 0
+        """Number of the figures on the device; a report's are there while it is the same."""
 
     @cached_property
     def arrays(self) -> dict[str, wp.array]:
@@ -95,9 +95,12 @@ class ReportBlock:
         """The same on memory of its own; does not wait for the device."""
         return ReportBlock(wp.clone(self._rows))
 
+    def outdate(self) -> None:
+        """Tell reports so far that the figures on the device are not theirs any more."""
+        self.version += 1
+
     def fetch(self) -> None:
         """Begin to copy the figures to the host; does not wait for the device."""
-        self.fetches += 1
         if self._rows.device.is_cuda:
             if self._on_host is self._rows:
                 self._on_host = wp.empty_like(self._rows, device="cpu", pinned=True)
@@ -163,17 +166,17 @@ class StepReport:
         substeps = (found["status"] == int(EnvStatus.CONVERGED)).astype(np.int64)
         report = cls(**found, substeps=substeps, seconds=0.0)
         object.__setattr__(report, "_block", block)
-        object.__setattr__(report, "_fetch", block.fetches)
+        object.__setattr__(report, "_version", block.version)
         return report
 
     def _kept(self) -> ReportBlock | None:
         """The figures on the device on memory of their own, if they are there still."""
         block: ReportBlock | None = self.__dict__.get("_block")
-        if block is None or "_fetch" not in self.__dict__:
+        if block is None or "_version" not in self.__dict__:
             return block
-        kept = block.copy() if block.fetches == self.__dict__["_fetch"] else None
+        kept = block.copy() if block.version == self.__dict__["_version"] else None
         object.__setattr__(self, "_block", kept)
-        del self.__dict__["_fetch"]
+        del self.__dict__["_version"]
         return kept
 
     def __getstate__(self) -> dict[str, Any]:

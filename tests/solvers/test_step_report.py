@@ -5,7 +5,7 @@ environments, and steps that are taken again to other targets."""
 from __future__ import annotations
 
 import pickle
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.scene import Ball, KinematicBody, TimeStepping
-from taccel_lab.solvers import EnvStatus, StepReport
+from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.solvers.step_report import ReportBlock
 from tests.solvers.steps import Begun, assert_same, begun, left, stepped
 from tests.support.blocks import block_mesh, everywhere, pose, scene
@@ -75,6 +75,17 @@ def test_torch_shares_the_memory() -> None:
     np.testing.assert_array_equal(tensor.numpy(), report.residual_n)
     done = wp.to_torch(found["status"]) == int(EnvStatus.CONVERGED)
     assert done.all() and done.dtype == torch.bool
+
+
+def test_forces_of_what_failed_leave_the_report_as_it_is() -> None:
+    """They are found once it is read, with the gap of where the environment is back again."""
+    solver, state = made()
+    stepped(solver, state, ball_at(1.45e-3, 1.4e-3))
+    config = replace(solver.config, max_newton_iterations=1, max_substep_halvings=0)
+    report = SolverIPC(solver.model, config).step(state, ball_at(1.55e-3, 1.55e-3))
+    assert not report.converged.any()
+    for name, array in report.on("cpu").items():
+        np.testing.assert_array_equal(array.numpy(), getattr(report, name))
 
 
 def test_a_step_in_parts_says_the_same_on_the_device() -> None:
