@@ -233,6 +233,13 @@ class CapturedWork:
         return captured.graph
 
 
+def part_of(memory: wp.array, first: int, dtype: type, shape: tuple[int, ...]) -> wp.array:
+    """Array on part of another one's memory, from byte ``first`` on, which it keeps alive."""
+    part = wp.array(ptr=memory.ptr + first, dtype=dtype, shape=shape, device=memory.device)
+    part._ref = memory
+    return part
+
+
 _ALIGNMENT = 256
 
 
@@ -249,9 +256,6 @@ class Scratch:
         size = math.prod(shape) * wp.types.type_size_in_bytes(dtype)
         if self._owner is None or self._used + size > self._owner.capacity:
             return wp.zeros(shape, dtype=dtype, device=device)
-        pointer = self._owner.ptr + self._used
+        first = self._used
         self._used += -(-size // _ALIGNMENT) * _ALIGNMENT
-        part = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=device)
-        # Keeps the memory alive.
-        part._ref = self._owner
-        return part
+        return part_of(self._owner, first, dtype, shape)

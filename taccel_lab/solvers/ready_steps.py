@@ -70,9 +70,9 @@ class ReadySteps:
             solver.set_dt(dt, who if progress.underway.any() else None)
             solver.follow_parameters()
             solver.search_overlaps(state)
-            solver.orders.tell("again", np.zeros_like(who))
+            solver.orders.tell("again", solver.nobody)
             solver.limit_rounds(self.iterations)
-            report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
+            report = solver.attempt_once(who | progress.again, who, solver.everyone)
             progress.underway |= who
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)

@@ -70,8 +70,9 @@ class SolverIPC(SolverParts):
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graph = CapturedWork(model.device, self.config.capture)
-        self._everyone = np.ones(model.env_count, dtype=bool)
-        self._nobody = np.zeros(model.env_count, dtype=bool)
+        self.everyone = np.ones(model.env_count, dtype=bool)
+        """Masks of all environments and of none, bool, [env_count]; not to be changed."""
+        self.nobody = np.zeros(model.env_count, dtype=bool)
         self._starts: Starts | None = None
         """Made by the first reset."""
         self.ways = BlockedWays(model)
@@ -127,12 +128,12 @@ class SolverIPC(SolverParts):
             if again:
                 self._require_again(state)
             # A copy, as masks that the device holds are compared with the next ones.
-            who = self._everyone if who is None else checked_mask(who, self.model.env_count).copy()
+            who = self.everyone if who is None else checked_mask(who, self.model.env_count).copy()
             dt = self.take(control, state)
             self.follow_parameters()
             self.search_overlaps(state)
             self.begin(state)
-            self.orders.tell("again", self._everyone if again else self._nobody)
+            self.orders.tell("again", self.everyone if again else self.nobody)
             self.limit_rounds(NO_LIMIT)
             report = self._attempt(who, dt, whole=True)
             report = self.find_blocked(state, report, who)
@@ -228,8 +229,8 @@ class SolverIPC(SolverParts):
         """Forget what a step that was interrupted has left: steps underway, pairs, rooms."""
         if not self._torn:
             return
-        mask = device_mask(self._everyone, self.model.env_count, self.model.device)
-        self.progress.drop(self._everyone, mask)
+        mask = device_mask(self.everyone, self.model.env_count, self.model.device)
+        self.progress.drop(self.everyone, mask)
         for part in self.lists:
             part.renew()
         self.pairs.forget(mask)
@@ -349,12 +350,12 @@ class SolverIPC(SolverParts):
         """
         report: StepReport | None = None
         self.set_dt(dt, whole=whole)
-        reads, writes = (who, self._everyone) if whole else (self._nobody, self._nobody)
+        reads, writes = (who, self.everyone) if whole else (self.nobody, self.nobody)
         while True:
             part = self.attempt_once(who, reads, writes)
             report = part if report is None else report.retaken(part, who)
             who = self.prepare_again(part.status)
-            reads = self._nobody
+            reads = self.nobody
             if not who.any():
                 return report
 

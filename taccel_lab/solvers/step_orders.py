@@ -8,6 +8,8 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
+from taccel_lab.model.launches import part_of
+
 
 class StepOrders:
     """Masks and targets on one block of memory; on a GPU another one of the host holds the same."""
@@ -30,22 +32,15 @@ class StepOrders:
         self._waiting: set[str] = set()
         """What the device has not been told yet, of ``_ends``."""
         self._known: dict[str, np.ndarray] = {}
-        """Masks that were told last."""
+        """Masks of the latest ``tell``, by name."""
         self.masks = {
-            name: self._part(4 * env_count * i, wp.int32, (env_count,))
+            name: part_of(self._device, 4 * env_count * i, wp.int32, (env_count,))
             for i, name in enumerate(self.MASKS)
         }
         """Masks on the device, int32, [env_count], by name."""
         shape = (env_count, kinematic_count)
-        self.targets = self._part(8 * mask_numbers, wp.transformd, shape)
+        self.targets = part_of(self._device, 8 * mask_numbers, wp.transformd, shape)
         """Targets on the device, transformd, [env_count, kinematic_count]."""
-
-    def _part(self, first: int, dtype: type, shape: tuple[int, ...]) -> wp.array:
-        device = self._device.device
-        part = wp.array(ptr=self._device.ptr + first, dtype=dtype, shape=shape, device=device)
-        # Keeps the memory alive.
-        part._ref = self._device
-        return part
 
     def tell(self, name: str, mask: np.ndarray) -> None:
         """Say who is in a mask (bool, [env_count]), which nobody changes afterwards."""

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from taccel_lab.model.launches import part_of
+
 
 class EnvStatus(IntEnum):
     """How a step ended in one environment."""
@@ -79,11 +81,9 @@ class ReportBlock:
 
     def _int_row(self, index: int) -> wp.array:
         """One row of integers, of which two take the place of one of floating point numbers."""
-        env_count, device = self._rows.shape[1], self._rows.device
-        first = self._rows.ptr + 8 * env_count * len(_FLOATS) + 4 * env_count * index
-        row = wp.array(ptr=first, dtype=wp.int32, shape=env_count, device=device)
-        row._ref = self._rows
-        return row
+        env_count = self._rows.shape[1]
+        first = 8 * env_count * len(_FLOATS) + 4 * env_count * index
+        return part_of(self._rows, first, wp.int32, (env_count,))
 
     @classmethod
     def zeros(cls, env_count: int, device: wp.Device) -> ReportBlock:

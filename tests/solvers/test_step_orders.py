@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the host tells a step arrives on the device, and is told once."""
+"""Orders of a step: masks and targets reach the device together, alone, and after a loss."""
 
 from __future__ import annotations
 
