@@ -366,8 +366,6 @@ class SolverIPC(SolverParts):
         short = status == int(EnvStatus.CONTACT_OVERFLOW)
         if short.any():
             short &= ~grow_all(self.lists)
-            if short.any():
-                self.graph.clear()
         impacts = status == int(EnvStatus.IMPACT)
         if impacts.any():
             assert self.work.history is not None

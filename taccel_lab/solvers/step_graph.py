@@ -77,7 +77,7 @@ def _iterate(run: StepLaunches) -> None:
 
 def launch_step(graph: CapturedWork, solver: SolverParts) -> None:
     """Take a step of the environments in ``progress.roster.who`` to ``end_poses``."""
-    # Lists that have grown since have moved, whoever made room in them.
-    rooms = (part.capacity for part in solver.lists)
-    arrays = (solver.model.moves, int(solver.load is not None), *rooms)
+    # Arrays of lists may have got other memory since, whoever made room in them.
+    moves = (part.moves for part in solver.lists)
+    arrays = (solver.model.moves, int(solver.load is not None), *moves)
     graph.launch(arrays, lambda: take_step(StepLaunches(solver)))

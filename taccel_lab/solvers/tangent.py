@@ -87,10 +87,7 @@ class Tangent:
         self.solver, self.state, self.who = solver, state, who
         self.active = wp.array(who.astype(np.int32), dtype=wp.int32, device=model.device)
         self._exact = wp.full(model.env_count, PSD_NONE, dtype=wp.int32, device=model.device)
-        room = [part.capacity for part in solver.lists]
         solver.find_contacts(self.active, state)
-        if [part.capacity for part in solver.lists] != room:
-            solver.graph.clear()
         shape = (model.env_count, model.node_count, 3)
         solver.displacements.assign(np.zeros(shape) if moves is None else moves)
 

@@ -49,9 +49,11 @@ def _boxes_kernel(
     lower: wp.array2d(dtype=wp.vec3),
     upper: wp.array2d(dtype=wp.vec3),
 ):
-    """Box of the path of each face or edge, given by its nodes, in those environments."""
+    """Box of the path of each face or edge, given by its nodes, in those environments; -1: none."""
     slot, i = wp.tid()
     env = environments[slot]
+    if env < 0:
+        return
     low = positions[env, primitives[i, 0]]
     high = low
     for k in range(primitives.shape[1]):
@@ -175,6 +177,7 @@ class SoftTrees(GrowingList):
     environment that needs them: its boxes, and a group of the trees."""
 
     columns: ClassVar = {}
+    spare: ClassVar = 1.0
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -188,6 +191,9 @@ class SoftTrees(GrowingList):
         self._upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._near = wp.zeros(shape, dtype=wp.int32, device=device)
         self._any_near = wp.zeros(1, dtype=wp.int32, device=device)
+        self._trees: list[wp.Bvh] = []
+        self._boxes: list[tuple[wp.array, wp.array]] = []
+        """Lower and upper corners of the boxes of faces, and of edges, vec3, [capacity, count]."""
         super().__init__(model.env_count, device, room=0, limit=1)
         self.entry_bytes = _ITEM_BYTES * (len(self._faces) + len(self._edges))
 
@@ -196,19 +202,25 @@ class SoftTrees(GrowingList):
         nodes = primitives.numpy()[items.numpy()]
         return wp.array(nodes, dtype=wp.int32, device=self.model.device)
 
-    def _allocate(self, rooms: int | np.ndarray) -> None:
-        """Make boxes and trees anew, for the environments that there is room in.
+    def _allocate(self, rooms: int | np.ndarray, most: int = 0) -> None:
+        """Make boxes and trees for the environments that there is room in, anew if they are too
+        few.
 
         The host makes them here, and no search does: it may be part of a graph that is captured.
         """
-        super()._allocate(np.minimum(rooms, self.limit))
-        # The old ones go first: there is not always memory for both.
-        self._trees: list[wp.Bvh] = []
-        self._boxes: list[tuple[wp.array, wp.array]] = []
-        """Lower and upper corners of the boxes of faces, and of edges, vec3, [capacity, count]."""
-        envs = np.flatnonzero(self.rooms).astype(np.int32)
+        moves = self.moves
+        super()._allocate(np.minimum(rooms, self.limit), most)
+        envs = np.full(self.capacity, -1, dtype=np.int32)
+        needing = np.flatnonzero(self.rooms)
+        envs[: len(needing)] = needing
+        if self.moves == moves and self.capacity:
+            self._environments.assign(envs)
+            return
         self._environments = wp.array(envs, dtype=wp.int32, device=self.device)
-        """Environment of each row of boxes, and of each group, int32, shape [capacity]."""
+        """Environment of each row of boxes, and of each group, -1 for those to spare, int32, shape
+        [capacity]."""
+        # The old ones go first: there is not always memory for both.
+        self._trees, self._boxes = [], []
         if self.capacity:
             self._build()
 

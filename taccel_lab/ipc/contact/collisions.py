@@ -215,6 +215,8 @@ class Collisions(GrowingList):
         sorted by kind and stencil."""
         at_first = initial_capacity(model.env_count) if room is None else room
         self._in_order = in_order
+        self._found: CollisionLists | None = None
+        """What searches write: ``lists``, unless these are sorted from it."""
         super().__init__(model.env_count, model.device, at_first, limit)
         if in_order:
             self.entry_bytes *= 2
@@ -242,19 +244,21 @@ class Collisions(GrowingList):
         surface.dhat, surface.guard = self.dhat, self.guard
         return surface
 
-    def _allocate(self, rooms: int | np.ndarray) -> None:
-        super()._allocate(rooms)
+    def _allocate(self, rooms: int | np.ndarray, most: int = 0) -> None:
+        moves = self.moves
+        super()._allocate(rooms, most)
         self.lists = CollisionLists()
         """All of it for kernels."""
         self.lists.room = self.room
         for name in self.columns:
             setattr(self.lists, name, getattr(self, name))
-        self._found = self.lists
-        if self._in_order:
-            self._found = CollisionLists()
-            self._found.room = self.room
+        if not self._in_order:
+            self._found = self.lists
+        elif self._found is None or self.moves > moves:
+            self._found = found = CollisionLists()
+            found.room = self.room
             for name, dtype in self.columns.items():
-                setattr(self._found, name, wp.zeros(self.capacity, dtype, device=self.device))
+                setattr(found, name, wp.zeros(self.capacity, dtype, device=self.device))
 
     def update(self, active: EnvMask, positions: wp.array, candidates: Candidates) -> None:
         """``collect`` by a host that makes room where it is short."""

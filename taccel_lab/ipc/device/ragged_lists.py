@@ -10,13 +10,18 @@ The entries of an environment follow those of the one before it. An environment 
 gets it alone: the memory of a list is the sum of what each environment has needed, not the largest
 need times their number. The memory left on the device is queried first: where it does not
 suffice, that environment is given up, and the others go on.
+
+Of thousands of environments some one needs more room every few steps, and a graph that was captured
+is worth nothing once its arrays have moved. So arrays grow beyond what is needed, and rooms within
+them: entries then move, and the arrays stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
+from weakref import WeakMethod
 
 import numpy as np
 import warp as wp
@@ -151,20 +156,6 @@ def _words(array: wp.array) -> wp.array:
     return wp.array(ptr=array.ptr, shape=(len(array), words), dtype=wp.int32, device=array.device)
 
 
-def move_entries(
-    old: wp.array, counts: wp.array, old_starts: wp.array, starts: wp.array
-) -> wp.array:
-    """An array with the entries of ``old`` (their numbers ``counts``, [env_count]) at other places;
-    ``old_starts``, ``starts``: see ``ListRoom``."""
-    end = int(starts[-1:].numpy()[0])
-    new = wp.zeros(end, dtype=old.dtype, device=old.device)
-    if len(old) and end:
-        lanes = lane_count(old.device, len(counts), len(old))
-        inputs = [lanes, counts, old_starts, starts, _words(old), _words(new)]
-        launch(_move_entries_kernel, (len(counts), lanes), *inputs)
-    return new
-
-
 def plan_rooms(rooms: np.ndarray, peaks: np.ndarray, limit: int, most: int) -> np.ndarray:
     """Entries that each environment shall have room for, int64, [env_count], when some have less
     than their ``peaks``, the most that they ever listed.
@@ -205,6 +196,8 @@ class GrowingList:
 
     columns: ClassVar[dict[str, type]]
     """Arrays by name, with the type of an entry; all of shape [capacity]."""
+    spare: ClassVar[float] = 0.125
+    """Room to spare in arrays that grow, as a part of what is needed: rooms grow into it later."""
     most_entries: ClassVar[int] = MOST_ENTRIES
     """Most entries of all environments together."""
 
@@ -221,31 +214,64 @@ class GrowingList:
         """Memory of an entry; who keeps arrays of the same length adds theirs."""
         self.starts = wp.zeros(env_count + 1, dtype=wp.int32, device=device)
         """Place of the first entry of each environment, and the end, int32, [env_count + 1]."""
+        self.room = ListRoom()
+        """Room of the list, for kernels."""
+        self.room.counts, self.room.starts, self.room.peaks = self.counts, self.starts, self.peaks
+        self.capacity = 0
+        """Entries that the arrays hold: the room of all environments, and some to spare."""
+        self.moves = 0
+        """How often arrays, of the list or beside it, got other memory."""
+        self._followers: list[WeakMethod[Callable[[wp.array], None]]] = []
         for name, dtype in self.columns.items():
             setattr(self, name, wp.zeros(0, dtype=dtype, device=device))
         self._allocate(min(room, limit))
 
-    def _allocate(self, rooms: int | np.ndarray) -> None:
-        """Give each environment room for ``rooms`` entries; what is listed and still fits stays."""
+    def _allocate(self, rooms: int | np.ndarray, most: int = 0) -> None:
+        """Give each environment room for ``rooms`` entries; what is listed and still fits stays.
+
+        Arrays that are too short get room to spare, as long as they do not exceed ``most``."""
         self.rooms = np.broadcast_to(np.asarray(rooms, dtype=np.int64), self.counts.shape).copy()
         """Entries there is room for, int64, shape [env_count]."""
-        self.capacity = int(self.rooms.sum())
-        """Entries there is room for, in all environments together."""
         self.largest_room = int(self.rooms.max(initial=0))
         """Entries there is room for where there is most."""
-        starts = np.concatenate([[0], np.cumsum(self.rooms)])
-        old_starts = self.starts
-        self.starts = wp.array(starts.astype(np.int32), dtype=wp.int32, device=self.device)
+        needed = int(self.rooms.sum())
+        if needed > self.capacity:
+            most = min(most, len(self.rooms) * self.limit)
+            self.capacity = max(needed, min(needed + int(self.spare * needed), most))
+            self.moves += 1
+        before = wp.clone(self.starts)
+        self.starts.assign(np.concatenate([[0], np.cumsum(self.rooms)]).astype(np.int32))
         for name in self.columns:
-            moved = move_entries(getattr(self, name), self.counts, old_starts, self.starts)
-            setattr(self, name, moved)
-        self.room = ListRoom()
-        """Room of the list as it is now, for kernels."""
-        self.room.counts, self.room.starts, self.room.peaks = self.counts, self.starts, self.peaks
+            setattr(self, name, self.moved(getattr(self, name), self.counts, before))
+        for follower in self._followers:
+            if fit := follower():
+                fit(before)
+
+    def follow(self, fit: Callable[[wp.array], None]) -> None:
+        """Call a method, now and whenever entries move, with the ``starts`` as they were: it fits
+        arrays beside the list to its ``capacity``. Nobody is kept alive for it."""
+        fit(self.starts)
+        self._followers.append(WeakMethod(fit))
+
+    def moved(self, entries: wp.array, counts: wp.array, before: wp.array) -> wp.array:
+        """Move ``entries`` from where the starts were ``before`` to where they are now, in the same
+        memory if that holds ``capacity`` of them. ``counts``: entries of each environment,
+        [env_count]."""
+        moved = wp.zeros(self.capacity, dtype=entries.dtype, device=self.device)
+        if len(entries):
+            lanes = lane_count(self.device, len(counts), len(entries))
+            inputs = [lanes, counts, before, self.starts, _words(entries), _words(moved)]
+            launch(_move_entries_kernel, (len(counts), lanes), *inputs)
+        if len(entries) != self.capacity:
+            return moved
+        wp.copy(entries, moved)
+        return entries
 
     def renew(self) -> None:
         """Empty, with arrays made anew: whoever was moving entries was interrupted."""
         self.counts.zero_()
+        self.starts.zero_()
+        self.capacity = 0
         self._allocate(self.rooms)
 
     def clear(self, active: EnvMask) -> None:
@@ -275,9 +301,10 @@ class GrowingList:
     def _grow(self, peaks: np.ndarray) -> np.ndarray:
         if not (peaks > self.rooms).any():
             return np.zeros(len(peaks), dtype=bool)
-        rooms = plan_rooms(self.rooms, peaks, self.limit, self._affordable())
+        most = self._affordable()
+        rooms = plan_rooms(self.rooms, peaks, self.limit, most)
         if (rooms > self.rooms).any():
-            self._allocate(rooms)
+            self._allocate(rooms, most)
         refused = peaks > rooms
         # Who was rejected has to ask again.
         self.peaks.assign(np.minimum(peaks, rooms).astype(np.int32))

@@ -311,6 +311,14 @@ class ContactPotential(EnergyTerm):
         self.energies = wp.zeros(0, dtype=wp.float64, device=model.device)
         """Energy of each collision [J], float64, where it is in the list."""
         collisions.entry_bytes += 8
+        collisions.follow(self._fit)
+
+    def _fit(self, before: wp.array) -> None:
+        """Make room for the energies of as many collisions as there may be."""
+        if len(self.energies) != self.collisions.capacity:
+            self.energies = wp.zeros(
+                self.collisions.capacity, dtype=wp.float64, device=self.model.device
+            )
 
     @property
     def room(self) -> ListRoom:
@@ -324,9 +332,6 @@ class ContactPotential(EnergyTerm):
 
     def write_energies(self, active: EnvMask, positions: wp.array) -> None:
         """Fill ``energies`` of the current collision set [J]."""
-        c = self.collisions
-        if len(self.energies) != c.capacity:
-            self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
         self._launch(_contact_energy_kernel, active, positions, self.energies)
 
     def add_gradient(

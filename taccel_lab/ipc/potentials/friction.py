@@ -27,7 +27,7 @@ from taccel_lab.ipc.contact.friction import (
     tangential,
     way_in,
 )
-from taccel_lab.ipc.device.ragged_lists import ListRoom, entry_types, list_end, move_entries
+from taccel_lab.ipc.device.ragged_lists import ListRoom, entry_types, list_end
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.distance.derivatives import pair_normal
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
@@ -346,36 +346,31 @@ class FrictionPotential(EnergyTerm):
         """Frozen collisions, int32, shape [env_count]."""
         self.energies = wp.zeros(0, dtype=wp.float64, device=model.device)
         """Energy of each frozen collision [J], float64, where it is in the list."""
-        self._starts = wp.zeros(model.env_count + 1, dtype=wp.int32, device=model.device)
+        room = ListRoom()
+        room.counts, room.starts, room.peaks = self.counts, collisions.starts, collisions.peaks
+        self.frozen.room = room
         for name, dtype in _FROZEN.items():
             setattr(self.frozen, name, wp.zeros(0, dtype=dtype, device=model.device))
         collisions.entry_bytes += 8 + sum(map(wp.types.type_size_in_bytes, _FROZEN.values()))
-        self.fit()
+        collisions.follow(self._fit)
 
     @property
     def room(self) -> ListRoom:
         """Where the frozen collisions are."""
         return self.frozen.room
 
-    def fit(self) -> None:
+    def _fit(self, before: wp.array) -> None:
         """Make room for as many as there may be collisions; what is frozen stays."""
         c, frozen = self.collisions, self.frozen
-        if self._starts is c.starts:
-            return
         for name in _FROZEN:
-            old = getattr(frozen, name)
-            setattr(frozen, name, move_entries(old, self.counts, self._starts, c.starts))
-        self._starts = c.starts
-        room = ListRoom()
-        room.counts, room.starts, room.peaks = self.counts, c.starts, c.peaks
-        frozen.room = room
-        self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
+            setattr(frozen, name, c.moved(getattr(frozen, name), self.counts, before))
+        if len(self.energies) != c.capacity:
+            self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
     def lag(self, active: EnvMask, positions: wp.array, previous: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``, in a step that
         began at ``previous``."""
         c = self.collisions
-        self.fit()
         inputs = [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen]
         self._launch(_lag_kernel, active, *inputs)
 

@@ -265,7 +265,8 @@ def test_environments_whose_gels_come_near_each_other_have_trees() -> None:
         near.append(env)
         gels.search(*near)
         assert np.flatnonzero(gels.trees.rooms).tolist() == list(held)
-        assert gels.trees.capacity == len(held)
+        # Trees to spare are those that the next ones get.
+        assert len(held) <= gels.trees.capacity <= min(2 * len(held), MANY)
         for e in range(MANY):
             pairs = found(gels.candidates, e)
             assert pairs == (gels.nearest(e) if e in near else [set(), set()])
@@ -287,7 +288,8 @@ def test_trees_among_gels_take_the_memory_of_those_that_have_them() -> None:
             gels.search(*near)
         peaks.append(meter.allocations().peak_bytes)
         assert (gels.trees.rooms[list(near)] == 1).all()
-    assert peaks[1] - peaks[0] < (peaks[2] - peaks[0]) / 9
+    # One is to spare.
+    assert peaks[1] - peaks[0] < (peaks[2] - peaks[0]) * 2.2 / MANY
 
 
 def test_one_of_two_gets_the_trees_that_there_is_memory_for(

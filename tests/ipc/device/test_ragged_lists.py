@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 import warp as wp
@@ -98,12 +100,62 @@ def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
             assert not pairs.fit()
         assert (pairs.rooms >= np.maximum(burst, before)).all()
         starts = pairs.starts.numpy()
-        assert starts[0] == 0 and starts[-1] == pairs.capacity == len(pairs.pairs)
+        assert starts[0] == 0 and starts[-1] <= pairs.capacity == len(pairs.pairs)
         np.testing.assert_array_equal(np.diff(starts), pairs.rooms)
         # Each environment has its own pairs, in the order in which they came.
         for env, count in enumerate(burst):
             expected = np.column_stack([np.full(count, env), np.arange(count)])
             np.testing.assert_array_equal(pairs.of(env, pairs.pairs), expected)
+
+
+class Beside:
+    """An array beside a list, of entries of its own number."""
+
+    def __init__(self, pairs: PairList, counts: np.ndarray) -> None:
+        self.pairs = pairs
+        self.counts = wp.array(counts, dtype=wp.int32, device=CPU)
+        self.owners = wp.zeros(0, dtype=wp.int32, device=CPU)
+        pairs.follow(self.fit)
+
+    def fit(self, before: wp.array) -> None:
+        self.owners = self.pairs.moved(self.owners, self.counts, before)
+
+    def write(self) -> None:
+        rooms = self.pairs.rooms
+        owners = np.full(self.pairs.capacity, -1)
+        owners[: rooms.sum()] = np.repeat(np.arange(len(rooms)), rooms)
+        self.owners.assign(owners)
+
+    def holds(self) -> bool:
+        starts = self.pairs.starts.numpy()
+        return all(
+            (self.owners.numpy()[starts[env] :][:count] == env).all()
+            for env, count in enumerate(self.counts.numpy())
+        )
+
+
+def test_rooms_grow_within_the_arrays() -> None:
+    """Captured graphs know these; who has entries beside keeps them, and nothing else."""
+    asked, counts = np.full(64, 16), np.arange(64) % 17
+    pairs = PairList(64, CPU, 24, 1000)
+    append(pairs, asked)
+    beside = Beside(pairs, counts)
+    places = []
+    for env, most in ((3, 30), (50, 25), (9, 32), (9, 300)):
+        beside.write()
+        asked[env] = most
+        pairs.clear(wp.full(64, 1, dtype=wp.int32, device=CPU))
+        append(pairs, asked)
+        assert pairs.fit() and pairs.rooms[env] >= most and beside.holds()
+        for other in range(64):
+            listed = pairs.of(other, pairs.pairs)[: 24 if other == env else asked[other]]
+            assert len(listed) >= 16 and (listed[:, 0] == other).all()
+        assert len(pairs.pairs) == len(beside.owners) == pairs.capacity
+        places.append((pairs.starts.ptr, pairs.pairs.ptr, beside.owners.ptr, pairs.moves))
+    assert places[0] == places[1] == places[2] != places[3]
+    kept_alive = weakref.ref(beside)
+    del beside
+    assert kept_alive() is None and not pairs.grow().any()
 
 
 def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -251,16 +251,19 @@ class ExtraRowLists:
         self._ends = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
         entry_bytes = _ENTRY_BYTES + _SLICE_BYTES * in_slices + 8 * problem.in_any_order
         problem.extra.entry_bytes += entry_bytes
-        self._allocate()
+        rows = self.rows = ExtraRows()
+        rows.starts = self._empty(problem.env_count + 1, wp.vec3i)
+        rows.totals = self._empty((problem.env_count, 3))
+        rows.row_segments = self._empty(problem.shape, wp.vec2i)
+        self._allocate(0, 0)
+        problem.extra.follow(self._fit)
 
-    def _allocate(self) -> None:
+    def _empty(self, shape: int | tuple[int, int], dtype: type = wp.int32) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self._problem.device)
+
+    def _fit(self, before: wp.array) -> None:
+        """Make room for the list as long as it is now."""
         problem, extra = self._problem, self._problem.extra
-        self._listed = extra.starts
-
-        def empty(shape: int | tuple[int, int], dtype: type = wp.int32) -> wp.array:
-            return wp.zeros(shape, dtype=dtype, device=problem.device)
-
-        self._order, self._owners = empty(extra.capacity), empty(extra.capacity)
         entries, n = 2 * extra.rooms, problem.pattern.free_count
         segments = np.minimum(entries, entries // SEGMENT_LENGTH + np.minimum(n, entries))
         # Three slices hold as many segments as they are wide: each environment begins a slice.
@@ -271,25 +274,25 @@ class ExtraRowLists:
         packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * longest) * self._in_slices
         starts = np.zeros((problem.env_count + 1, 3), dtype=np.int64)
         starts[1:] = np.cumsum(np.stack([extra.rooms, segments, packed], axis=1), axis=0)
-        blocks, segment_count, packed_count = map(int, starts[-1])
-        rows = self.rows = ExtraRows()
-        rows.starts = wp.array(starts.astype(np.int32), dtype=wp.vec3i, device=problem.device)
-        rows.totals = empty((problem.env_count, 3))
-        rows.columns, rows.codes = empty(2 * blocks), empty(2 * blocks)
-        if problem.in_any_order:
-            self._came = empty(2 * blocks)
+        self.rows.starts.assign(starts.astype(np.int32))
+        needed = starts[-1, 1:]
+        held = (len(self.rows.segments), len(self.rows.packed_columns))
+        if extra.capacity > len(self._order) or (needed > held).any():
+            self._allocate(*(needed + (extra.spare * needed).astype(np.int64)).tolist())
+            extra.moves += 1
+
+    def _allocate(self, segment_count: int, packed_count: int) -> None:
+        empty, rows, capacity = self._empty, self.rows, self._problem.extra.capacity
+        self._order, self._owners = empty(capacity), empty(capacity)
+        rows.columns, rows.codes = empty(2 * capacity), empty(2 * capacity)
+        if self._problem.in_any_order:
+            self._came = empty(2 * capacity)
         rows.segments = empty(segment_count, wp.vec3i)
         rows.parts = empty(segment_count, wp.vec3d)
         rows.part_scalars = scalars(rows.parts)
-        rows.row_segments = empty((problem.env_count, n), wp.vec2i)
-        rows.slices = empty(3 * segment_count // WIDTH, wp.vec2i)
+        rows.slices = empty(3 * -(-segment_count // WIDTH), wp.vec2i)
         rows.packed_columns = empty(packed_count)
         rows.packed = empty(3 * packed_count, wp.float64)
-
-    def fit(self) -> None:
-        """Make room for the list as long as it is now."""
-        if self._problem.extra.starts is not self._listed:
-            self._allocate()
 
     @property
     def values(self) -> wp.array:
@@ -300,7 +303,6 @@ class ExtraRowLists:
         """Sum blocks of the same place and list them by rows."""
         problem = self._problem
         extra = problem.extra
-        self.fit()
         inputs = [self._team.lanes, SEGMENT_LENGTH, CROWD, active, self._row_places, extra.counts]
         inputs += [extra.places, self.values, self._order, self._owners, self._sizes, self._ends]
         launch_team(_merge_kernel, problem.env_count, self._team, *inputs, self.rows)
