@@ -196,7 +196,7 @@ def _undisturbed() -> Iterator[None]:
 
 class CapturedWork:
     """Launches that are captured as a graph, and launched as a whole after that; with new arrays
-    once as they come, which loads their kernels."""
+    once as they come, unless their kernels are known to be loaded."""
 
     def __init__(self, device: wp.Device, wanted: bool = True) -> None:
         """``wanted``: False launches always as they come."""
@@ -204,6 +204,8 @@ class CapturedWork:
         self._graph: wp.Graph | None = None
         self._arrays: Hashable = None
         """What the graph was captured with, or is to be."""
+        self._kernels: Hashable = None
+        """Which kernels are loaded."""
         self.launches = 0
         """Graphs launched so far."""
 
@@ -211,14 +213,19 @@ class CapturedWork:
         """Forget the graph: arrays that it uses have moved."""
         self._graph, self._arrays = None, None
 
-    def launch(self, arrays: Hashable, work: Callable[[], None]) -> None:
+    def launch(self, arrays: Hashable, work: Callable[[], None], kernels: Hashable = None) -> None:
         """Launch ``work``, the same at every call that gives the same ``arrays``: addresses, or
-        what else tells those that it uses. It allocates nothing that lasts."""
+        what else tells those that it uses. It allocates nothing that lasts.
+
+        ``kernels``: what tells the kernels that it launches, where arrays change seldom; as a
+        capture takes as long as hundreds of launches."""
         if not self._wanted or arrays != self._arrays:
             self.clear()
-            work()
+            if not self._wanted or kernels is None or kernels != self._kernels:
+                work()
+                self._arrays, self._kernels = arrays, kernels
+                return
             self._arrays = arrays
-            return
         if self._graph is None:
             with _undisturbed():
                 self._graph = self._capture(work)
