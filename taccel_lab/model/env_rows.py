@@ -137,8 +137,8 @@ def chosen_env(envs: wp.array(dtype=wp.int32), row: int) -> int:
     return envs[row]
 
 
-def chosen_envs(who: Any, env_count: int, device: wp.Device) -> wp.array:
-    """The environments of a mask of the host one after the other, int32, on the device.
+def chosen_numbers(who: Any, env_count: int) -> np.ndarray:
+    """The environments of a mask of the host one after the other, int32.
 
     How many they are decides what is launched, so that a mask of the device will not do.
 
@@ -147,8 +147,7 @@ def chosen_envs(who: Any, env_count: int, device: wp.Device) -> wp.array:
     """
     if on_device(who):
         raise InputError("which environments are read is said by a mask of numpy, not the device's")
-    value = checked_mask(who, env_count)
-    return wp.array(np.flatnonzero(value), dtype=wp.int32, device=device)
+    return np.flatnonzero(checked_mask(who, env_count)).astype(np.int32)
 
 
 def on_device(value: Any) -> bool:

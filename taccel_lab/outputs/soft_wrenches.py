@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.device.sums import block_total
-from taccel_lab.model.env_rows import chosen_env, chosen_envs
+from taccel_lab.model.env_rows import chosen_env, chosen_numbers
 from taccel_lab.model.launches import WARP_THREADS, launch_blocks
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.contact_wrenches import vec6d
@@ -85,7 +85,10 @@ class SoftWrenchReader:
         """Wrenches of the last step, which led to ``state``; see ``Outputs.soft_wrenches``."""
         solver, model = self._solver, self._solver.model
         solver.require_latest(state)
-        envs = self._everyone if who is None else chosen_envs(who, model.env_count, model.device)
+        envs = self._everyone
+        if who is not None:
+            chosen = chosen_numbers(who, model.env_count)
+            envs = wp.array(chosen, dtype=wp.int32, device=model.device)
         count = model.env_count if who is None else len(envs)
         poses = self._frames.read(state) if self._on_affine else state.poses
         wrenches = wp.empty((count, len(self._mounts)), dtype=vec6d, device=model.device)

@@ -3,7 +3,8 @@
 
 The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
 environments without a host round trip: nothing waits for the device or looks at its values, so that
-reads can be captured in a CUDA graph. Only what is read is computed, in chunks of environments.
+reads can be captured in a CUDA graph, as images are. Only what is read is computed, in chunks of
+environments.
 """
 
 # Warp's type stubs describe neither arrays of vectors nor what kernels take.
@@ -11,7 +12,6 @@ reads can be captured in a CUDA graph. Only what is read is computed, in chunks 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.guards import require_known
-from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.model.launches import require_device
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.gel_frames import GelFrames
@@ -31,6 +30,7 @@ from taccel_lab.signals.dots import DotPainter, PaintedDots, profile_options, pr
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.seen_surface import FINE, SeenSurface
+from taccel_lab.signals.shown_rows import CapturedReads, ShownRows
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State, check_state
 
@@ -83,6 +83,7 @@ class SignalTactile:
         solver: SolverIPC | None = None,
         gel: int = 0,
         fine: FineSurface | None = None,
+        capture: bool | None = None,
     ) -> None:
         """
         Args:
@@ -106,6 +107,7 @@ class SignalTactile:
             gel: Index of this gel among the soft bodies of the solver's scene.
             fine: Shows an object's surface where it touches, finer than the mesh, in images and
                 heights, contact and pressure; of the same solver, gel and grid.
+            capture: Whether images, but those of ``fine``, are read as graphs; on GPUs when None.
         """
         if env_count < 1:
             raise InputError(f"env_count must be at least 1, got {env_count}")
@@ -150,11 +152,10 @@ class SignalTactile:
         self._positions: Any = None
         self._no_frames = wp.empty(0, dtype=wp.transformd, device=self.device)
         self._frames: Any = self._no_frames
-        self._all_envs = wp.empty(0, dtype=wp.int32, device=self.device)
-        self._envs: Any = self._all_envs
-        self._numbers = wp.array(np.arange(env_count), dtype=wp.int32, device=self.device)
-        self._count = env_count
-        """Environments that are shown."""
+        self._carried = wp.empty(env_count, dtype=wp.transformd, device=self.device)
+        self._shown = ShownRows(env_count, self.device, self.chunk_envs)
+        wanted = self.device.is_cuda if capture is None else capture
+        self._reads = CapturedReads(self.device, wanted and fine is None)
 
     def __repr__(self) -> str:
         return f"signals on {self.device}, env_count = {self.env_count}, of a {self._mesh!r}"
@@ -249,6 +250,10 @@ class SignalTactile:
                 check_state(positions, self._solver.model)
             if world_from_gel is None and self._gel_frames is not None:
                 world_from_gel = self._gel_frames.of(self._gel, positions)
+                if world_from_gel is not None and self._gel_frames.carriers[self._gel] >= 0:
+                    # It is another array each time, and graphs know one.
+                    wp.copy(self._carried, world_from_gel)
+                    world_from_gel = self._carried
             where: Any = positions.positions
         else:
             where = positions
@@ -270,10 +275,7 @@ class SignalTactile:
             )
         self._positions = where
         self._frames = self._no_frames if world_from_gel is None else world_from_gel
-        self._envs, self._count = self._all_envs, self.env_count
-        if who is not None:
-            self._envs = chosen_envs(who, self.env_count, self.device)
-            self._count = len(self._envs)
+        self._shown.show(who)
         self._fresh.clear()
         self._surface.forget()
 
@@ -316,7 +318,8 @@ class SignalTactile:
             if name not in self._arrays:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
-            self._projection.update(self._positions, self._frames, self._envs, self._count)
+            envs, count = self._shown.envs(), self._shown.count
+            self._projection.update(self._positions, self._frames, envs, count)
         of_surface = _IMAGES if self._surface.fine is None else (*_IMAGES, *FINE)
         images = [name for name in stale if name in of_surface]
         if images:
@@ -326,15 +329,14 @@ class SignalTactile:
             self._render_contact(fields)
         self._fresh.update(stale)
         arrays = [self._arrays[name] for name in names]
-        if self._count < self.env_count:
-            arrays = [array[: self._count] for array in arrays]
+        if self._shown.count < self.env_count:
+            arrays = [array[: self._shown.count] for array in arrays]
         return tuple(arrays)
 
     def rest_samples(self) -> wp.array:
         """Slope along x, along y and height [m] at rest of the points that pixels of the first
         chunk show now, vec3f, [row or 1, height_px, width_px]; the same array at each call."""
-        part, _ = next(self._chunks())
-        return self._look(part)[1]
+        return self._look(next(self._shown.chunks(self._shown.count)))[1]
 
     def rasterized_count(self) -> int:
         """Count environments of the latest chunk that were folded or left pixels beside the pad,
@@ -386,9 +388,10 @@ class SignalTactile:
         fields = self._contact_fields(names[0])
         if self._state is None:
             raise InputError(f"{names[0]} needs the state of the solver: update(state)")
-        if self._count:
+        if self._shown.count:
             fields.read_nodes(self._state, set(names))
-        for part, envs in self._chunks():
+        for part in self._shown.chunks(self._shown.count):
+            envs = self._shown.numbers(part)
             outputs = {name: self._arrays[name][part] for name in names}
             if self._surface.looking is None:
                 fields.render(self._state, self._frames, envs, outputs)
@@ -407,22 +410,31 @@ class SignalTactile:
             self._over[name] = self._contact_fields(name).make(name, shape)
         return self._over[name]
 
-    def _chunks(self) -> Iterator[tuple[slice, wp.array]]:
-        """Rows that are computed at a time, and the numbers of their environments."""
-        for first in range(0, self._count, self.chunk_envs):
-            part = slice(first, min(first + self.chunk_envs, self._count))
-            yield part, (self._envs if len(self._envs) else self._numbers)[part]
-
     def _look(self, part: slice) -> tuple[wp.array, wp.array]:
         """What pixels show of a chunk, now and at rest."""
-        envs = self._all_envs
-        if len(self._envs) or self._surface.fine is not None:
-            envs = (self._envs if len(self._envs) else self._numbers)[part]
+        listed = self._surface.fine is not None
+        envs = self._shown.numbers(part) if listed else self._shown.envs(part)
         return self._surface.chunk(self._positions, self._state, self._frames, envs, part)
 
     def _render(self, names: list[str]) -> None:
-        """Bring images up to date, chunk by chunk."""
-        for part, envs in self._chunks():
+        """Bring images up to date, as a graph if they are captured."""
+        count, rows = self._shown.count, self._shown.rounded
+        if not (count and self._reads.captures):
+            self._render_rows(names, count)
+            return
+
+        def work() -> None:
+            # What an earlier read has sampled is not part of the graph, nor is this for later ones.
+            self._surface.forget()
+            self._render_rows(names, rows)
+
+        arrays = [self._positions, self._frames]
+        self._reads.launch((*names, rows, self._shown.listed), arrays, work)
+        self._surface.forget()
+
+    def _render_rows(self, names: list[str], rows: int) -> None:
+        """Bring the first rows of images up to date, chunk by chunk."""
+        for part in self._shown.chunks(rows):
             outputs = {name: self._arrays[name][part] for name in names}
             samples, _ = self._look(part)
             self._surface.show_contact(outputs)
@@ -431,4 +443,5 @@ class SignalTactile:
                 found = outputs.get("rgb"), outputs.get("rgb_levels")
                 self._painter.render(samples, *found)
                 if self._dots is not None:
+                    envs = self._shown.numbers(part)
                     self._dots.paint(self._positions, self._frames, envs, *found)
