@@ -86,5 +86,6 @@ class CapturedReads:
     def launch(self, what: Hashable, arrays: list[Any], work: Callable[[], None]) -> None:
         """Launch ``work`` as ``CapturedWork`` does: ``what`` tells the launches, ``arrays`` are
         those that it reads, wherever these are."""
-        graph = self._graphs.setdefault(what, CapturedWork(self._device))
-        graph.launch(tuple((array.ptr, array.strides) for array in arrays), work)
+        if what not in self._graphs:
+            self._graphs[what] = CapturedWork(self._device)
+        self._graphs[what].launch(tuple((array.ptr, array.strides) for array in arrays), work)

@@ -429,7 +429,7 @@ class SignalTactile:
             self._render_rows(names, rows)
 
         arrays = [self._positions, self._frames]
-        self._reads.launch((*names, rows, self._shown.listed), arrays, work)
+        self._reads.launch((frozenset(names), rows, self._shown.listed), arrays, work)
         self._surface.forget()
 
     def _render_rows(self, names: list[str], rows: int) -> None:
