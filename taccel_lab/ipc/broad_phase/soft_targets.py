@@ -177,6 +177,7 @@ class SoftTrees(GrowingList):
     environment that needs them: its boxes, and a group of the trees."""
 
     columns: ClassVar = {}
+    # They come one by one, and each time all trees are made anew.
     spare: ClassVar = 1.0
 
     def __init__(self, model: Model) -> None:
