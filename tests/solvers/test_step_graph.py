@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import warp as wp
 
 from taccel_lab.benchmarks.learning import Learning, LearningLoop
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
+from taccel_lab.ipc.device.ragged_lists import GrowingList
 from taccel_lab.model.build import build_model
 from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, TimeStepping
 from taccel_lab.solvers import SolverIPC, env_progress
@@ -83,6 +85,37 @@ def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray, lists: str) -> No
     # The first step comes as it is, and what has moved is captured at once.
     in_one_go = lists in ("long enough", "moved by others")
     assert not in_one_go or solver.graph.launches == len(STEPS) - 1
+
+
+def interrupted_after(moves: int) -> Callable[..., wp.array]:
+    """``GrowingList.moved``, until that many arrays have moved."""
+    moved, left = GrowingList.moved, iter(range(moves))
+
+    def interrupted(*arguments: Any) -> wp.array:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return moved(*arguments)
+
+    return interrupted
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("moves", [0, 1, 5, 11])
+def test_growth_that_is_interrupted_leaves_no_trace(
+    eager: np.ndarray, moves: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some entries have moved by then, and some have not."""
+    solver, state = make()
+    for step in STEPS:
+        if step == 3:
+            for part in solver.lists:
+                part._allocate(2)
+            solver.pairs.forget(wp.full(2, 1, dtype=wp.int32))
+            with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+                patch.setattr(GrowingList, "moved", interrupted_after(moves))
+                solver.step(state, carried(step))
+        stepped(solver, state, carried(step))
+    np.testing.assert_array_equal(bits(solver, state), eager)
 
 
 @pytest.mark.thorough
