@@ -37,15 +37,13 @@ class ShownRows:
         Raises:
             InputError: Not such a mask.
         """
-        self.count = self._env_count
+        numbers = None if who is None else chosen_numbers(who, self._env_count)
+        self.listed = numbers is not None
+        """Whether those that are shown have a list."""
+        self.count = self._env_count if numbers is None else len(numbers)
         """Environments that are shown."""
-        self.listed = who is not None
-        """Whether these have a list."""
-        if who is not None:
-            numbers = chosen_numbers(who, self._env_count)
-            self.count = len(numbers)
-            if self.count:
-                self._chosen.assign(np.pad(numbers, (0, self._env_count - self.count), "edge"))
+        if numbers is not None and self.count:
+            self._chosen.assign(np.pad(numbers, (0, self._env_count - self.count), "edge"))
 
     @property
     def rounded(self) -> int:
