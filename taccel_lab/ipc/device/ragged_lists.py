@@ -315,10 +315,12 @@ class GrowingList:
         free = free_memory(self.device)
         if free is None:
             return self.most_entries
-        # The arrays move one after the other: one old one is there beside its successor.
+        # Arrays move one after the other, in place, too: one is there beside its successor.
         widest = max(map(wp.types.type_size_in_bytes, self.columns.values()), default=0)
-        more = int(_SHARE * free - self.capacity * widest) // self.entry_bytes
-        return min(self.capacity + max(more, 0), self.most_entries)
+        left = int(_SHARE * free - self.capacity * widest)
+        if left < 0:
+            return int(self.rooms.sum())
+        return min(self.capacity + left // self.entry_bytes, self.most_entries)
 
     def of(self, env: int, values: wp.array) -> np.ndarray:
         """What one of the arrays of this list holds for an environment, on the host."""

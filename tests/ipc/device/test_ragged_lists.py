@@ -158,6 +158,23 @@ def test_rooms_grow_within_the_arrays() -> None:
     assert kept_alive() is None and not pairs.grow().any()
 
 
+def test_entries_do_not_move_without_memory_for_a_second_array(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nor within the arrays: they move there by way of another one."""
+    asked = np.full(64, 16)
+    pairs = PairList(64, CPU, 24, 1000)
+    asked[3] = 30
+    append(pairs, asked)
+    assert pairs.fit() and pairs.capacity > pairs.rooms.sum() + 20
+    for free, room in ((7 * pairs.capacity, 24), (10 * pairs.capacity, 37)):
+        monkeypatch.setattr(ragged_lists, "free_memory", lambda device, free=free: free)
+        asked[9] = 25
+        pairs.clear(wp.full(64, 1, dtype=wp.int32, device=CPU))
+        append(pairs, asked)
+        assert pairs.fit() == (room > 24) and pairs.rooms[9] == room
+
+
 def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
     monkeypatch.setattr(PairList, "most_entries", 1000)
