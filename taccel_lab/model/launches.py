@@ -219,9 +219,12 @@ class CapturedWork:
 
         ``kernels``: what tells the kernels that it launches, where arrays change seldom; as a
         capture takes as long as hundreds of launches."""
-        if not self._wanted or arrays != self._arrays:
+        if not self._wanted:
+            work()
+            return
+        if arrays != self._arrays:
             self.clear()
-            if not self._wanted or kernels is None or kernels != self._kernels:
+            if kernels is None or kernels != self._kernels:
                 work()
                 self._arrays, self._kernels = arrays, kernels
                 return

@@ -171,7 +171,7 @@ class SeenSurface:
             positions: Of nodes [m], vec3d, [env_count, node_count].
             state: That has them, which a fine surface needs.
             frames: world_from_gel, transformd, [env_count], or of length 0.
-            envs: Numbers of the environments of the rows, int32; of length 0 for those of ``part``.
+            envs: Numbers of the environments of the rows, int32.
             part: Which of the rows.
 
         Raises:
@@ -186,11 +186,8 @@ class SeenSurface:
             if part.start == 0:
                 self.fine.update(state)
             samples, *self._fields = self.fine.sample(state, frames, envs)
-        elif len(envs):
-            samples = self.sampler.sample(positions, frames, envs)
         else:
-            own = frames[part] if len(frames) else frames
-            samples = self.sampler.sample(positions[part], own)
+            samples = self.sampler.sample(positions, frames, envs)
         rest = self.rest_samples.reshape((1, *self.rest_samples.shape))
         if self.looking is not None:
             samples, rest = self.looking.meet(samples), self.looking.rest(rest, count)

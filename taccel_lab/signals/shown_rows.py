@@ -28,7 +28,6 @@ class ShownRows:
         self._env_count, self._chunk = env_count, chunk_envs
         self._every = wp.array(np.arange(env_count), dtype=wp.int32, device=device)
         self._chosen = wp.zeros(env_count, dtype=wp.int32, device=device)
-        self._none = wp.empty(0, dtype=wp.int32, device=device)
         self.show(None)
 
     def show(self, who: np.ndarray | None) -> None:
@@ -38,29 +37,20 @@ class ShownRows:
             InputError: Not such a mask.
         """
         numbers = None if who is None else chosen_numbers(who, self._env_count)
-        self.listed = numbers is not None
-        """Whether those that are shown have a list."""
         self.count = self._env_count if numbers is None else len(numbers)
         """Environments that are shown."""
-        if numbers is not None and self.count:
-            self._chosen.assign(np.pad(numbers, (0, self._env_count - self.count), "edge"))
+        self.numbers = self._every
+        """Their numbers, and the last one again and again, int32, [env_count]."""
+        if numbers is not None:
+            self.numbers = self._chosen
+            if self.count:
+                self._chosen.assign(np.pad(numbers, (0, self._env_count - self.count), "edge"))
 
     @property
     def rounded(self) -> int:
         """Rows of a graph that shows them."""
         step = -(-self._env_count // _SIZES)
         return min(-(-self.count // step) * step, self._env_count)
-
-    def envs(self, part: slice | None = None) -> wp.array:
-        """Numbers of the environments in ``part`` of the rows, int32, in all when None; of length 0
-        where there is no list."""
-        if not self.listed:
-            return self._none
-        return self._chosen[: self.count] if part is None else self._chosen[part]
-
-    def numbers(self, part: slice) -> wp.array:
-        """The same, with a list in any case."""
-        return self._chosen[part] if self.listed else self._every[part]
 
     def chunks(self, rows: int) -> Iterator[slice]:
         """Parts of the first ``rows`` that are computed at a time."""

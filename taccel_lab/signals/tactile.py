@@ -318,8 +318,8 @@ class SignalTactile:
             if name not in self._arrays:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
-            envs, count = self._shown.envs(), self._shown.count
-            self._projection.update(self._positions, self._frames, envs, count)
+            shown = self._shown
+            self._projection.update(self._positions, self._frames, shown.numbers, shown.count)
         of_surface = _IMAGES if self._surface.fine is None else (*_IMAGES, *FINE)
         images = [name for name in stale if name in of_surface]
         if images:
@@ -391,7 +391,7 @@ class SignalTactile:
         if self._shown.count:
             fields.read_nodes(self._state, set(names))
         for part in self._shown.chunks(self._shown.count):
-            envs = self._shown.numbers(part)
+            envs = self._shown.numbers[part]
             outputs = {name: self._arrays[name][part] for name in names}
             if self._surface.looking is None:
                 fields.render(self._state, self._frames, envs, outputs)
@@ -412,8 +412,7 @@ class SignalTactile:
 
     def _look(self, part: slice) -> tuple[wp.array, wp.array]:
         """What pixels show of a chunk, now and at rest."""
-        listed = self._surface.fine is not None
-        envs = self._shown.numbers(part) if listed else self._shown.envs(part)
+        envs = self._shown.numbers[part]
         return self._surface.chunk(self._positions, self._state, self._frames, envs, part)
 
     def _render(self, names: list[str]) -> None:
@@ -428,8 +427,8 @@ class SignalTactile:
             self._surface.forget()
             self._render_rows(names, rows)
 
-        arrays = [self._positions, self._frames]
-        self._reads.launch((frozenset(names), rows, self._shown.listed), arrays, work)
+        arrays = [self._positions, self._frames, self._shown.numbers]
+        self._reads.launch((frozenset(names), rows), arrays, work)
         self._surface.forget()
 
     def _render_rows(self, names: list[str], rows: int) -> None:
@@ -443,5 +442,5 @@ class SignalTactile:
                 found = outputs.get("rgb"), outputs.get("rgb_levels")
                 self._painter.render(samples, *found)
                 if self._dots is not None:
-                    envs = self._shown.numbers(part)
+                    envs = self._shown.numbers[part]
                     self._dots.paint(self._positions, self._frames, envs, *found)
