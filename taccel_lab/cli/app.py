@@ -84,7 +84,6 @@ def command_tree() -> dict[str, type[Command] | Group]:
         read,
         study,
         task,
-        trials,
     )
 
     blocks = {
@@ -140,15 +139,6 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "task": Group(
             "Tasks with criterion, seeds and a baseline policy.",
             {"list": task.TaskList, "run": task.TaskRun, "record": task.TaskRecord},
-        ),
-        "trials": Group(
-            "Plan, record and sum up trials on a real robot.",
-            {
-                "plan": trials.TrialsPlan,
-                "next": trials.TrialsNext,
-                "record": trials.TrialsRecord,
-                "summary": trials.TrialsSummary,
-            },
         ),
         "study": study.StudyCommand,
         "dataset": Group(

@@ -139,21 +139,7 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises InputError with the path: no file, too large, no text, no JSON or no object, nested too
     deep, a key that stands twice, numbers that are not finite or too large.
     """
-    return _json(read_text(path, JSON_LIMIT_BYTES, "a JSON file"), path)
-
-
-def read_json_lines(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Objects of a file that holds one a line, each with its place for messages.
-
-    A last line without its end was cut short by a power failure: it counts as never written.
-    Raises InputError as ``read_json`` does, with the line.
-    """
-    lines = read_text(path, JSON_LIMIT_BYTES, "a file of JSON lines").split("\n")[:-1]
-    places = [f"{path}, line {number}," for number in range(1, len(lines) + 1)]
-    return [(place, _json(line, place)) for place, line in zip(places, lines, strict=True)]
-
-
-def _json(text: str, source: Path | str) -> dict[str, Any]:
+    text = read_text(path, JSON_LIMIT_BYTES, "a JSON file")
     hooks: Any = {"object_pairs_hook": _object, "parse_constant": _constant, "parse_int": _whole}
 
     def parse() -> Any:
@@ -165,7 +151,7 @@ def _json(text: str, source: Path | str) -> dict[str, Any]:
                 raise RecursionError from None
             raise
 
-    return _parsed(source, parse, "is not valid JSON")
+    return _parsed(path, parse, "is not valid JSON")
 
 
 def _nesting(text: str) -> int:

@@ -50,8 +50,6 @@ from taccel_lab.studies import report
 from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.spec.study import read_study
 from taccel_lab.tasks.catalogue import read_task
-from taccel_lab.tasks.robot_trials import read_trials
-from taccel_lab.tasks.trial_summary import summarise
 from taccel_lab.viewer.press_folder import read_press, summary
 from tests.calibration.judged_once import detect_once
 from tests.fuzz.reader import Reader, Refused
@@ -322,9 +320,6 @@ READERS: dict[str, Reader] = {
             ("press", results.press, _read_press, "*"),
         )
     },
-    "robot-trials": Reader(
-        results.trials, lambda given, out: summarise(read_trials(given / "trials"), interim=True)
-    ),
     "taxim-table": Reader(results.table, lambda given, out: read_table(given / TABLE_FILE)),
     "kept-results": Reader(results.kept, _kept, own="."),
     "earlier-output": Reader(results.output, _replace_output, own="."),

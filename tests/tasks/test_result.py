@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +30,21 @@ def test_interval_is_wilsons(successes: int, trials: int) -> None:
     assert rate == successes / trials
     assert (low, high) == pytest.approx((middle - half, middle + half), abs=1e-9)
     assert 0 <= low <= rate <= high <= 1 and low < high
+
+
+def test_the_lines_that_judge_a_robot_are_true(capsys: pytest.CaptureFixture[str]) -> None:
+    """The page's own lines: Wilson's intervals as ours, McNemar's test as coins that fall."""
+    page = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    (lines,) = re.findall(r"^## On a robot$.*?```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    names: dict[str, Any] = {}
+    exec(lines, names)
+    told = capsys.readouterr().out.splitlines()
+    for name in ("touch", "blind"):
+        _, low, high = success_interval(sum(names[name]), 10)
+        assert f"{name}: {low:.0%} to {high:.0%}" in told and f"{low:.0%} to {high:.0%}" in lines
+    # Four starts that touch alone masters: four coins that all show one side, either of two.
+    assert names["mcnemar"] == pytest.approx(2 * 0.5**4) and told[2] == "p = 0.125"
+    assert lines.rstrip().endswith("0.125")
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 4)])

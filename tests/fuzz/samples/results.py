@@ -23,8 +23,7 @@ from taccel_lab.studies.evaluate.runner import default_kit
 from taccel_lab.studies.evaluate.study_folder import RESULT, STUDY_MARKER
 from taccel_lab.studies.spec.study import make_study
 from taccel_lab.studies.spec.study_file import load_spec
-from taccel_lab.tasks.catalogue import FILES, named
-from taccel_lab.tasks.robot_trials import plan_trials, record_trial
+from taccel_lab.tasks.catalogue import FILES
 
 STUDY = (
     '[study]\nname = "Thickness"\nsensor = "flat_pad"\n'
@@ -146,11 +145,3 @@ def bench(given: Path) -> None:
 def task(given: Path) -> None:
     """A task of the package."""
     (given / "task.toml").write_bytes((FILES / "peg-insertion.toml").read_bytes())
-
-
-def trials(given: Path) -> None:
-    """Trials on a robot, half of them recorded."""
-    plan_trials(named("peg-insertion"), ("touch", "blind"), 2, given / "trials", seed=0)
-    record_trial(given / "trials", "success")
-    record_trial(given / "trials", "void", note="the cable caught")
-    record_trial(given / "trials", "failure")
