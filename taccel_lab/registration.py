@@ -11,8 +11,8 @@ gymnasium has read no entry points of packages since 1.1; nothing here loads it.
 from __future__ import annotations
 
 import sys
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -49,31 +49,32 @@ def register_envs() -> None:
         )
 
 
-class _Registering(Loader):
-    """Loads gymnasium as another loader does, and registers the tasks."""
-
-    def __init__(self, loader: Loader, finder: MetaPathFinder) -> None:
-        self._loader, self._finder = loader, finder
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: ModuleType) -> None:
-        self._loader.exec_module(module)
-        sys.meta_path.remove(self._finder)
-        register_envs()
-
-
 class _Finder(MetaPathFinder):
-    """Finds gymnasium, until somebody has loaded it."""
+    """Finds gymnasium as the other finders do, until somebody has loaded it."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
         if fullname != "gymnasium":
             return None
-        spec = PathFinder.find_spec(fullname, path, target)
-        if spec is not None and spec.loader is not None:
-            spec.loader = _Registering(spec.loader, self)
-        return spec
+        for finder in sys.meta_path:
+            spec = None if finder is self else finder.find_spec(fullname, path, target)
+            if spec is not None:
+                if spec.loader is not None:
+                    self._note(spec.loader)
+                return spec
+        return None
+
+    def _note(self, loader: Any) -> None:
+        """Have the tasks registered once the loader has run; it stays what it is, since data files
+        and sources are asked of it."""
+        run = loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            del loader.exec_module
+            run(module)
+            sys.meta_path.remove(self)
+            register_envs()
+
+        loader.exec_module = exec_module
 
 
 def register_with_gymnasium() -> None:

@@ -23,13 +23,22 @@ from taccel_lab.registration import env_id, names
 
 PEG = env_id("peg-insertion")
 STILL = np.zeros((2, 4), np.float32)
+FOUND = """
+import importlib.resources, inspect, pkgutil
+source = inspect.getsource(gymnasium)
+assert pkgutil.get_data("gymnasium", "__init__.py").decode() == source
+assert (importlib.resources.files("gymnasium") / "__init__.py").read_text() == source
+assert gymnasium.__spec__.loader.get_data(gymnasium.__file__).decode() == source
+assert type(gymnasium.__loader__) is type(pkgutil.__loader__)
+"""
 
 
 @pytest.mark.parametrize("modules", ["gymnasium, taccel_lab", "taccel_lab, gymnasium"])
 def test_every_task_is_registered_whichever_package_loads_first(modules: str) -> None:
+    """And gymnasium's sources and data files are found as without ours."""
     first, second = modules.split(", ")
     asked = "import importlib.util; importlib.util.find_spec('gymnasium')"
-    code = f"import {first}; {asked}; import {second}; print(*sorted(gymnasium.registry))"
+    code = f"import {first}; {asked}; import {second}\n{FOUND}\nprint(*sorted(gymnasium.registry))"
     listed = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
