@@ -15,13 +15,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel, PartFaces
+from taccel_lab.cad.gel_import.importer import FaceInfo, FaceSelection, ImportedGel, PartFaces
 from taccel_lab.cad.gel_import.selection import rectangle_of
+from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files import tet_file, triangle_file
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.declared import require_few_copies
 from taccel_lab.files.regular_file import read_regular_file, require_regular_file
+from taccel_lab.geometry import Region
 from taccel_lab.guards import require_known, require_range
 
 if TYPE_CHECKING:
@@ -164,7 +166,17 @@ def _kind(path: Path) -> str:
 
 def _by_kernel(what: str, function: str, *arguments: Any) -> Any:
     """What a function of ``step_gel`` gives in the readers' process."""
-    return read_apart(what, _of_step_gel, function, *arguments, by="OCP", limit_s=LIMIT_S)
+    return read_apart(
+        what, _of_step_gel, function, *arguments, by="OCP", limit_s=LIMIT_S, records=_records
+    )
+
+
+def _records() -> tuple[type, ...]:
+    from taccel_lab.cad.parts.part import LabelledSolid
+
+    return (
+        FaceInfo, FaceSelection, ImportedGel, LabelledSolid, LabelledSurface, PartFaces, Region,
+    )  # fmt: skip
 
 
 def _of_step_gel(function: str, *arguments: Any) -> Any:

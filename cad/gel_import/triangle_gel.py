@@ -14,7 +14,7 @@ from taccel_lab.cad.gel_import.gel_checks import check_gel, check_units, no_room
 from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel, PartFaces
 from taccel_lab.cad.gel_import.labelling import Labelling, center_shift, label_faces
 from taccel_lab.cad.gel_import.patches import faces_of_triangles
-from taccel_lab.cad.mesh.repair import repair_surface
+from taccel_lab.cad.mesh.repair import RepairedSurface, repair_surface
 from taccel_lab.cad.mesh.surface import LabelledSurface, doubled_areas, enclosed_volume
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import LIMIT_S, read_apart
@@ -141,8 +141,9 @@ def _clean(path: Path, points: np.ndarray, triangles: np.ndarray, body: str, uni
     except InputError as fault:
         try:
             mended = read_apart(
-                str(path), repair_surface, points, triangles, by="pymeshlab", limit_s=LIMIT_S
-            )
+                str(path), repair_surface, points, triangles, by="pymeshlab", limit_s=LIMIT_S,
+                records=lambda: (RepairedSurface,),
+            )  # fmt: skip
         except InputError as error:
             raise InputError(f"{fault}. Mending it fails: {error}") from None
         points, triangles = mended.vertices, mended.triangles

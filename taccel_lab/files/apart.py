@@ -10,12 +10,12 @@ it has read other files may owe it to those, so that its file is read again in a
 from __future__ import annotations
 
 import atexit
+import json
 import os
-import pickle
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import packages_distributions, version
@@ -26,11 +26,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.printable import words_of
+from taccel_lab.files.plain_values import from_json, to_json
 from taccel_lab.processes.child_process import ChildProcess, allow_cpu
 from taccel_lab.processes.process_pool import THREAD_LIMITS
 
 Result = TypeVar("Result")
+Records = Callable[[], Iterable[type]]
+"""Tells the classes that an answer may be made of; called when there is one."""
 MEMORY_BYTES = 2 << 30
 """Most memory that a reader may take."""
 LIMIT_S = 120.0
@@ -60,22 +62,25 @@ def read_apart(
     by: str,
     limit_s: float | None = None,
     pool: str = "",
+    records: Records = tuple,
 ) -> Result:
     """``read(*arguments)``, run in the readers' process.
 
     Args:
         what: The file, to begin a sentence with.
         read: A function of a module; its InputErrors are raised here.
-        arguments: And its result: anything that pickles.
+        arguments: Anything that pickles. Its result is numbers, texts, arrays, containers of such
+            and ``records``: nothing that the process sends runs here.
         by: The foreign package that does it, by its import name; told where it crashes.
         limit_s: Seconds that it may take. When None, ``LIMIT_S``, and processor time by the size
             of the file ``what``.
         pool: Of the processes that may do it: a library that takes much of the memory itself, and
             keeps it, has its own, so that others can read on.
+        records: Classes of dataclasses, named tuples, models or enumerations in the result.
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
-    asked = _Asked.of(what, by, limit_s)
+    asked = _Asked.of(what, by, limit_s, records)
     for fresh in (False, True):
         with _readers.use(fresh, pool) as reader:
             try:
@@ -92,9 +97,10 @@ def stream_apart(
     *arguments: Any,
     by: str,
     limit_s: float | None = None,
+    records: Records = tuple,
 ) -> Generator[Result, None, None]:
     """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
-    asked = _Asked.of(what, by, limit_s)
+    asked = _Asked.of(what, by, limit_s, records)
     given = 0
     for fresh in (False, True):
         with _readers.use(fresh) as reader:
@@ -122,16 +128,17 @@ class _Asked:
     limit_s: float
     cpu_s: float | None
     """Seconds of the processor for an answer or an item; None: no limit."""
+    records: Records
 
     @classmethod
-    def of(cls, what: str, by: str, limit_s: float | None) -> _Asked:
+    def of(cls, what: str, by: str, limit_s: float | None, records: Records) -> _Asked:
         if limit_s is not None:
-            return cls(what, by, limit_s, None)
+            return cls(what, by, limit_s, None, records)
         try:
             size = os.stat(what).st_size
         except (OSError, ValueError):
             size = 0
-        return cls(what, by, LIMIT_S, CPU_S + CPU_S_PER_MIB * size / 2**20)
+        return cls(what, by, LIMIT_S, CPU_S + CPU_S_PER_MIB * size / 2**20, records)
 
 
 class _Failed(InputError):
@@ -193,8 +200,7 @@ class _Reader:
                     f"{asked.what}: the reader did not finish within {asked.limit_s:g} s; the file "
                     "may be far too large, or damaged"
                 )
-            kind, content, sizes = self.child.pipe.recv()
-            content = pickle.loads(content, buffers=self._buffers(sizes))
+            answer = self.child.pipe.recv_bytes()
         except (EOFError, ConnectionResetError):
             if self.child.took_too_long():
                 raise InputError(
@@ -207,18 +213,29 @@ class _Reader:
                 "another program or with other settings, or try another version of that library; "
                 "if that does not help, report the file"
             ) from None
+        try:
+            kind, text, sizes = json.loads(answer)
+            records = () if kind == "error" else asked.records()
+            content = from_json(text, self._buffers(sizes), records)
+        except (ValueError, TypeError, LookupError):
+            raise InputError(
+                f"{asked.what}: {_version(asked.by)} gave what is no answer; the file may have "
+                "misled it: do not open it elsewhere, and report it"
+            ) from None
         if kind == "memory":
             raise _Failed(
                 f"{asked.what} needs more than {MEMORY_BYTES / 2**30:g} GiB of memory to be read; "
                 "the file may be far too large, or damaged"
             )
-        if kind == "error":
+        if isinstance(content, Exception) and kind == "error":
             self.idle = True
             raise content
         return kind, content
 
     def _buffers(self, sizes: list[int]) -> Iterator[np.ndarray]:
         at = 0
+        if sum(sizes) > os.fstat(self.arrays).st_size or min(sizes, default=0) < 0:
+            raise ValueError("arrays are larger than their place")
         for size in sizes:
             buffer, done = np.empty(size, dtype=np.uint8), 0
             while done < size:
@@ -303,9 +320,8 @@ class _Answers:
     def send(self, kind: str, content: Any) -> None:
         if self._unread:  # The place of its arrays is not yet free.
             self._pipe.recv()
-        buffers: list[pickle.PickleBuffer] = []
-        data = pickle.dumps(content, protocol=5, buffer_callback=buffers.append)
-        views = [buffer.raw() for buffer in buffers]
+        text, arrays = to_json(content)
+        views = [array.reshape(-1).view(np.uint8).data for array in arrays]
         sizes = [view.nbytes for view in views]
         if self._filled > KEPT_BYTES:
             os.ftruncate(self._arrays, 0)
@@ -314,7 +330,7 @@ class _Answers:
             while len(view):
                 written = os.pwrite(self._arrays, view, at)
                 view, at = view[written:], at + written
-        self._pipe.send((kind, data, sizes))
+        self._pipe.send_bytes(json.dumps([kind, text, sizes]).encode())
         self._unread = kind == "item"
 
 
@@ -337,15 +353,6 @@ def _serve(pipe: Connection) -> None:
             answers.send("memory", None)
             return
         except Exception as error:  # Raised again where the file was asked for.
-            answers.send("error", _sendable(error))
-
-
-def _sendable(error: Exception) -> Exception:
-    if isinstance(error, InputError):
-        return error
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:  # Those of libraries need not pickle.
-        error = RuntimeError(f"{type(error).__name__}: {words_of(error)}")
-    error.add_note(traceback.format_exc())
-    return error
+            if not isinstance(error, InputError):
+                error.add_note(traceback.format_exc())
+            answers.send("error", error)

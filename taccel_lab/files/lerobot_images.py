@@ -128,7 +128,9 @@ def _files(folder: Path, pattern: str) -> list[Path]:
 
 def _images(folder: Path, name: str) -> Iterator[RecordedFrame]:
     for path in _files(folder, "data/chunk-*/*.parquet"):
-        yield from stream_apart(str(path), _stored, folder, path, name, by="pyarrow")
+        yield from stream_apart(
+            str(path), _stored, folder, path, name, by="pyarrow", records=lambda: (RecordedFrame,)
+        )
 
 
 def _stored(folder: Path, path: Path, name: str) -> Iterator[RecordedFrame]:
@@ -176,7 +178,9 @@ def _shared_videos(folder: Path, name: str, fps: float) -> Iterator[RecordedFram
     episodes = [
         episode
         for path in _files(folder, "meta/episodes/chunk-*/*.parquet")
-        for episode in read_apart(str(path), _episodes, path, name, by="pyarrow")
+        for episode in read_apart(
+            str(path), _episodes, path, name, by="pyarrow", records=lambda: (_Episode,)
+        )
     ]
     episodes.sort(key=lambda episode: (episode.file, episode.start_s))
     times = _times(folder, "data/chunk-*/*.parquet")

@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.apart import LIMIT_S, read_apart
 from taccel_lab.files.regular_file import require_regular_file
@@ -23,7 +24,15 @@ from taccel_lab.newton_bridge.newton_model import NOT_INSTALLED, newton_module
 from taccel_lab.newton_bridge.usd_layers import LAYERS, MAX_BYTES, PACKAGE, checked_layers, unpacked
 from taccel_lab.printable import words_of
 from taccel_lab.robots import Robot
+from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint
+from taccel_lab.robots.shapes import CollisionShape, PrimitiveShape, SurfaceShape
+from taccel_lab.scene import TriangleMesh
 
+_RECORDS = (
+    CollisionShape, JointKind, Link, LinkMass, Mimic, PrimitiveShape, Robot, RobotJoint,
+    SurfaceShape, TriangleMesh,
+)  # fmt: skip
+"""What a robot of newton's is made of."""
 USD_SUFFIXES = (*LAYERS, PACKAGE)
 
 
@@ -84,8 +93,9 @@ def _apart(
 ) -> Robot:
     # Meshes lie in files beside it: its own size says nothing of the time.
     return read_apart(
-        str(path), read, source, path.stem, options, by=by, limit_s=LIMIT_S, pool="newton"
-    )
+        str(path), read, source, path.stem, options, by=by, limit_s=LIMIT_S, pool="newton",
+        records=lambda: _RECORDS,
+    )  # fmt: skip
 
 
 def _of_mjcf(text: str, name: str, options: dict[str, Any]) -> Robot:

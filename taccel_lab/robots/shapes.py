@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,28 +24,37 @@ class PrimitiveShape:
 
     what: str
     """What it is, for people: "sphere r 5 mm"."""
-    make: Callable[[], TriangleMesh | Ball]
+    kind: str
+    """One of ``box``, ``sphere`` and ``cylinder``."""
+    sizes_m: tuple[float, ...]
+    """Edges, the radius, or radius and length."""
 
     @classmethod
     def box(cls, size_m: tuple[float, float, float]) -> PrimitiveShape:
         """A box of 12 triangles."""
         size = " x ".join(f"{1e3 * edge:g}" for edge in size_m)
-        return cls(f"box {size} mm", partial(box_mesh, size_m))
+        return cls(f"box {size} mm", "box", size_m)
 
     @classmethod
     def sphere(cls, radius_m: float) -> PrimitiveShape:
         """A perfect ball."""
-        return cls(f"sphere r {1e3 * radius_m:g} mm", partial(Ball, radius_m))
+        return cls(f"sphere r {1e3 * radius_m:g} mm", "sphere", (radius_m,))
 
     @classmethod
     def cylinder(cls, radius_m: float, length_m: float) -> PrimitiveShape:
         """A cylinder, 64 triangles around."""
         what = f"cylinder r {1e3 * radius_m:g}, length {1e3 * length_m:g} mm"
-        return cls(what, partial(cylinder_mesh, radius_m, length_m))
+        return cls(what, "cylinder", (radius_m, length_m))
 
     def surface(self) -> TriangleMesh | Ball:
         """What is touched, in the frame of the shape; InputError for a size out of range."""
-        return self.make()
+        if self.kind == "sphere":
+            return Ball(*self.sizes_m)
+        if self.kind == "cylinder":
+            radius, length = self.sizes_m
+            return cylinder_mesh(radius, length)
+        x, y, z = self.sizes_m
+        return box_mesh((x, y, z))
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,15 @@ def test_what_goes_wrong_is_a_sentence_and_the_next_file_is_read(
     require_works()
 
 
+def test_nothing_that_a_reader_sends_runs_here(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"{NUMPY} gave what is no answer"):
+        read_apart("x.ply", readers.send_a_pickle, str(tmp_path / "made"))
+    assert not (tmp_path / "made").exists()
+    with pytest.raises(TypeError, match="a builtin_function_or_method cannot be sent"):
+        read_apart("x.ply", readers.unsendable)
+    require_works()
+
+
 def test_a_mistake_of_ours_stays_one_and_tells_its_traceback() -> None:
     with pytest.raises(KeyError) as caught:
         read_apart("x.ply", readers.mistake)
