@@ -12,8 +12,9 @@ regularisation, and it vanishes with the deviation (Morozov's discrepancy princi
 
 The interval of the force is that of a face lower and higher by 1.96 standard deviations of the
 height, of the intervals of thickness, scale and modulus (``profile.assumed`` has those that nobody
-measured) and of the layer's own error against finite elements (``LAYER_SHARE``), taken as
-independent. A face that may as well be untouched has a force that may be 0. Where nothing is seen
+measured), of a Poisson's ratio whose spread was measured and of the layer's own error against
+finite elements (``LAYER_SHARE``), taken as independent; that of the area joins height and scale.
+A face that may as well be untouched has a force that may be 0. Where nothing is seen
 to touch, the force is 0, and its upper end is that of a ball as wide as the gel is thick, pressed
 as deep as this image could hide. Friction between gel and tool is not seen; the layer's error holds
 for coefficients of 0 to 1.
@@ -37,6 +38,7 @@ from taccel_lab.calibration.normals.surface_reading import Touch
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses.force_interval import poisson_interval
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import (
     is_modulus_known,
@@ -135,7 +137,12 @@ class PressureReader:
         self.layer = BondedLayer(gel.thickness_mm, material.poisson_ratio)
         self.pa = material.young_modulus_pa / (2 * (1 - material.poisson_ratio**2))
         """Pressure [Pa] of a unit of the layer's."""
-        self._others = [BondedLayer(t, material.poisson_ratio) for t in thickness_interval_mm(gel)]
+        thick, nu = gel.thickness_mm, material.poisson_ratio
+        ends = [tuple(BondedLayer(t, nu) for t in thickness_interval_mm(gel))]
+        if (ratios := poisson_interval(profile)) is not None:
+            ends.append(tuple(BondedLayer(thick, ratio) for ratio in ratios))
+        self._ends = ends
+        """Layers between which the gel lies, a pair for each of what is not known of it."""
         low_pa, high_pa = modulus_interval_pa(material)
         self._modulus = material.young_modulus_pa / low_pa, high_pa / material.young_modulus_pa
         # Depth and width of a contact grow with the scale, and its force with both.
@@ -245,21 +252,21 @@ class PressureReader:
         shallow, deep = (
             self._solved(gap + sign * far, self.layer, pressure, film) for sign in (1, -1)
         )
-        area = self._area_mm2(pressure)
-        areas = min(self._area_mm2(shallow), area), max(self._area_mm2(deep), area)
+        area, *others = (self._area_mm2(found) for found in (pressure, shallow, deep))
+        ends = min(area, others[0]), max(area, others[1])
+        areas = _widened(area, ends, (self._scale,), (self._scale,))
         force, lower, higher = (self._force_n(found) for found in (pressure, shallow, deep))
-        if not force > 0:
-            return (0.0, higher), areas
-        others = self._other_logs(-float(gap.min()))
-        logs = [math.log(force / lower) if lower > 0 else math.inf, math.log(higher / force)]
-        thin, thick = (
-            self._force_n(self._solved(gap, layer, pressure, film)) for layer in self._others
-        )
-        by_gel = 0.5 * abs(math.log(max(thin, 1e-12) / max(thick, 1e-12)))
-        low, high = (
-            math.hypot(log, by_gel, *other) for log, other in zip(logs, others, strict=True)
-        )
-        return (force * math.exp(-low), force * math.exp(high)), areas
+        by_gel = []
+        for ends in self._ends:
+            # A modulus presses by E / (1 - nu^2).
+            one, other = (
+                self._force_n(self._solved(gap, layer, pressure, film))
+                / (1 - layer.poisson_ratio**2)
+                for layer in ends
+            )
+            by_gel.append(0.5 * math.log(max(one, 1e-12) / max(other, 1e-12)))
+        low, high = self._other_logs(-float(gap.min()))
+        return _widened(force, (lower, higher), (*by_gel, *low), (*by_gel, *high)), areas
 
     def _other_logs(self, depth_mm: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Logarithms of the factors that the force may be lower and higher by, whatever the face:
@@ -277,7 +284,7 @@ class PressureReader:
         ball = np.hypot(x[None, :], y[:, None]) ** 2 / (2 * self.layer.thickness_mm)
         pressure = self._solved(ball - depth_mm, self.layer, None, 0.0)
         force = self._force_n(pressure) * math.exp(math.hypot(*self._other_logs(depth_mm)[1]))
-        return force, self._area_mm2(pressure)
+        return force, self._area_mm2(pressure) * math.exp(self._scale)
 
     def _solved(
         self, gap: np.ndarray, layer: BondedLayer, start: np.ndarray | None, film: float
@@ -348,6 +355,17 @@ class PressureReader:
 
         size = (self._coarse.width_px, self._coarse.height_px)
         return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+
+def _widened(
+    value: float, ends: tuple[float, float], below: Sequence[float], above: Sequence[float]
+) -> tuple[float, float]:
+    """An interval about a value, widened by logarithms of further factors on each side."""
+    if not value > 0:
+        return ends
+    low = math.log(value / ends[0]) if ends[0] > 0 else math.inf
+    high = math.hypot(math.log(ends[1] / value), *above)
+    return value * math.exp(-math.hypot(low, *below)), value * math.exp(high)
 
 
 def _about(profile: SensorProfile) -> tuple[str, ...]:

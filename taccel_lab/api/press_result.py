@@ -128,7 +128,7 @@ class Press(Summary):
     @cached_property
     def height_error(self) -> SignalError:
         """Error of the heights, root mean square [mm]; NaN of a stored mesh."""
-        return height_error_mm(self.outcome, self._depth_sigma_mm)
+        return height_error_mm(self.outcome, self._depth_sigma_mm, self._place_sigma_px)
 
     @cached_property
     def image_error(self) -> SignalError | None:
@@ -140,8 +140,6 @@ class Press(Summary):
         assert profile.background_rgb is not None and profile.color is not None
         beside = painted_images(profile, replace(self.below, states=None))[0]
         assert beside is not None
-        photo = self.plan.photo
-        place_mm = 0.0 if photo is None or photo.at_sigma_mm is None else max(photo.at_sigma_mm)
         return image_error_levels(
             self.outcome,
             rgb,
@@ -149,13 +147,19 @@ class Press(Summary):
             profile.background_rgb,
             profile.color.provenance,
             self._depth_sigma_mm,
-            place_mm / profile.camera.mm_per_px_x,
+            self._place_sigma_px,
         )
 
     @property
     def _depth_sigma_mm(self) -> float:
         photo = self.plan.photo
         return 0.0 if photo is None else photo.depth_sigma_mm or 0.0
+
+    @property
+    def _place_sigma_px(self) -> tuple[float, float]:
+        photo, camera = self.plan.photo, self.plan.profile.camera
+        x_mm, y_mm = (0.0, 0.0) if photo is None else photo.at_sigma_mm or (0.0, 0.0)
+        return x_mm / camera.mm_per_px_x, y_mm / camera.mm_per_px_y
 
     @property
     def normals(self) -> np.ndarray:

@@ -122,8 +122,7 @@ def force_causes(
     force = _Layer(indenter, outcome)
     rest = force.at(mm, nu)
     found.append(Cause("thickness", force.at(thick, nu) / rest, force.at(thin, nu) / rest))
-    if (ratios := measured_range(profile, "poisson_ratio")) is not None:
-        ends = (min(max(end, 0.0), _LARGEST_RATIO) for end in (ratios.low, ratios.high))
+    if (ends := poisson_interval(profile)) is not None:
         found.append(Cause("Poisson's ratio", *sorted(force.at(mm, end) / rest for end in ends)))
     if friction is None:
         less = FRICTION_SHARE if slippery is None else max(1.0 - slippery, 0.0)
@@ -145,6 +144,13 @@ def _friction_parts(profile: SensorProfile) -> tuple[float, float]:
     down = (value - known.low) / value if value > 0 else 0.0
     up = (known.high - value) / (1.0 - value) if value < 1 else 0.0
     return min(down, 1.0), min(up, 1.0)
+
+
+def poisson_interval(profile: SensorProfile) -> tuple[float, float] | None:
+    """Poisson's ratios of a layer between which 95 % lie; None without a spread that was
+    measured."""
+    known = measured_range(profile, "poisson_ratio")
+    return known and (max(known.low, 0.0), min(known.high, _LARGEST_RATIO))
 
 
 def force_power(outcome: PressOutcome) -> float:

@@ -270,12 +270,17 @@ class SignalError:
     """Error with a depth and place that were read, and with the colours' own error."""
 
 
-def height_error_mm(outcome: PressOutcome, depth_sigma_mm: float) -> SignalError:
-    """Error of the heights [mm]; ``depth_sigma_mm``: deviation of a depth that was read."""
-    numerical = 1e3 * outcome.height_error_m
-    moved = 1e3 * (outcome.rest_height_m - outcome.height_m)[_pressed(outcome)]
-    depth = known_rms(moved) * 2 * depth_sigma_mm / outcome.path.depth_mm
-    return SignalError(numerical, math.hypot(numerical, depth))
+def height_error_mm(
+    outcome: PressOutcome, depth_sigma_mm: float, place_sigma_px: tuple[float, float]
+) -> SignalError:
+    """Error of the heights [mm], with standard deviations of a depth [mm] and of a place's column
+    and row [px] that were read."""
+    numerical, moved = (
+        1e3 * outcome.height_error_m,
+        1e3 * (outcome.rest_height_m - outcome.height_m),
+    )
+    read = _read_error(outcome, moved, depth_sigma_mm, place_sigma_px)
+    return SignalError(numerical, math.hypot(numerical, read))
 
 
 def image_error_levels(
@@ -285,7 +290,7 @@ def image_error_levels(
     background_rgb: np.ndarray,
     colours: Provenance,
     depth_sigma_mm: float,
-    place_sigma_px: float,
+    place_sigma_px: tuple[float, float],
 ) -> SignalError:
     """Error of an image in a profile's colours [levels of 255].
 
@@ -296,17 +301,29 @@ def image_error_levels(
         background_rgb: The untouched sensor.
         colours: Of the colour model: the held-out peak signal-to-noise ratio is its error.
         depth_sigma_mm: Standard deviation of a depth that was read [mm].
-        place_sigma_px: The same of a place, along each axis [px].
+        place_sigma_px: The same of a place's column and row [px].
     """
     where = _pressed(outcome)
     numerical = known_rms((rgb - beside_rgb)[where])
-    changed = rgb - background_rgb
-    depth = known_rms(changed[where]) * 2 * depth_sigma_mm / outcome.path.depth_mm
-    slopes = [known_rms(np.gradient(changed, axis=axis)[where]) for axis in (0, 1)]
-    place = math.hypot(*slopes) * 2 * place_sigma_px
+    read = _read_error(outcome, rgb - background_rgb, depth_sigma_mm, place_sigma_px)
     psnr_db = colours.residuals.get("heldout_crop_psnr_db")
     seen = 0.0 if psnr_db is None else _WHITE * 10 ** (-psnr_db / 20)
-    return SignalError(numerical, math.hypot(numerical, depth, place, seen))
+    return SignalError(numerical, math.hypot(numerical, read, seen))
+
+
+def _read_error(
+    outcome: PressOutcome,
+    signal: np.ndarray,
+    depth_sigma_mm: float,
+    place_sigma_px: tuple[float, float],
+) -> float:
+    """What a signal [height_px, width_px, ...] of the pressed pixels, in proportion to the depth,
+    changes by two standard deviations of depth and place, root mean square."""
+    where = _pressed(outcome)
+    across, down = (known_rms(np.gradient(signal, axis=axis)[where]) for axis in (1, 0))
+    column, row = place_sigma_px
+    depth = known_rms(signal[where]) * depth_sigma_mm / outcome.path.depth_mm
+    return 2 * math.hypot(depth, across * column, down * row)
 
 
 def _pressed(outcome: PressOutcome) -> np.ndarray:

@@ -47,15 +47,14 @@ def thickness_interval_mm(gel: GelBlock) -> tuple[float, float]:
 
 def scale_sigma(camera: CameraBlock) -> float:
     """Standard deviation of the scale as a share of it."""
-    spread, kind = camera.provenance.spread, camera.provenance.kind
-    shares = [
-        spread[f"mm_per_px_{axis}"] / scale
-        for axis, scale in (("x", camera.mm_per_px_x), ("y", camera.mm_per_px_y))
-        if f"mm_per_px_{axis}" in spread
-    ]
+    known, shares = camera.provenance, []
+    for name in ("mm_per_px_x", "mm_per_px_y"):
+        low, high = known.interval.get(name, (0.0, 0.0))
+        if sigma := known.spread.get(name, (high - low) / 4):
+            shares.append(sigma / getattr(camera, name))
     if shares:
         return math.hypot(*shares) / math.sqrt(len(shares))
-    return SCALE_SHARE.get(kind, OTHER_SCALE_SHARE) / 2
+    return SCALE_SHARE.get(known.kind, OTHER_SCALE_SHARE) / 2
 
 
 def _stated(provenance: Provenance, name: str, value: float) -> tuple[float, float] | None:

@@ -67,13 +67,15 @@ def _keys(value: object) -> object:
 def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     """The file leaves nothing to defaults, which a bare machine does not know."""
     assert _keys(read_toml(FILES / f"{name}.toml")) == _keys(parameters(name).model_dump())
-    env = make(name, randomised=True, observe=("wrench", "depth_m", "proprioception"))
+    short = task_with(name, steps=3)
+    env = make(short, randomised=True, observe=("wrench", "depth_m", "proprioception"))
     first, _ = env.reset(seed=1)
     assert as_numpy(first) in env.observation_space
-    for _ in range(3):
+    for step in range(1, 4):
         seen, reward, terminated, truncated, info = env.step(torch.ones(env.action_space.shape))
         assert as_numpy(seen) in env.observation_space and torch.isfinite(reward).all()
-        assert not (terminated | truncated).any() and "cause" not in info
+        assert not terminated.any() and "cause" not in info
+        assert truncated.tolist() == [step == 3] * 2, "the time is over with the last step"
     assert not torch.equal(seen["proprioception"], first["proprioception"])
 
 

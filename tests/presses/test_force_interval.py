@@ -22,9 +22,8 @@ from taccel_lab.presses.force_interval import (
     force_power,
     measured_ranges,
 )
-from taccel_lab.presses.measured_press import height_error_mm, image_error_levels
 from taccel_lab.profile import PerturbationBlock, Provenance
-from tests.presses.formula_presses import DEPTH_M, Presses, Resolution, outcome
+from tests.presses.formula_presses import Presses, Resolution, outcome
 
 BALL = parse_indenter("sphere:4")
 
@@ -97,25 +96,6 @@ def test_a_depth_that_was_read_counts_by_the_power_that_force_grows_with(pad):
     assert force_power(press) == pytest.approx(2.0)
     found = force_causes(pad, BALL, press, None, depth_sigma_mm=0.05)[-1]
     assert (found.low, found.high) == pytest.approx((0.8**2, 1.2**2))
-
-
-def test_heights_and_images_hold_depth_place_and_colours(pad):
-    press = replace(pressed(), height_error_m=2e-6)
-    assert height_error_mm(press, 0.0).total == height_error_mm(press, 0.0).numerical == 2e-3
-    read, moved_mm = height_error_mm(press, 0.02), 1e3 * DEPTH_M
-    assert read.total == pytest.approx(math.hypot(2e-3, moved_mm * 2 * 0.02 / moved_mm), rel=1e-6)
-    rgb = np.full((4, 5, 3), 100.0)
-    rgb[:, 2:] = 130.0
-
-    def error(residuals, *sigmas):
-        colours = pad.material.provenance.model_copy(update={"residuals": residuals})
-        return image_error_levels(press, rgb, rgb - 1.0, 0 * rgb + 90.0, colours, *sigmas)
-
-    plain = error({}, 0.0, 0.0)
-    assert plain.numerical == plain.total == pytest.approx(1.0)
-    seen = {"heldout_crop_psnr_db": 40.0}
-    assert error(seen, 0.0, 0.0).total == pytest.approx(math.hypot(1.0, 2.55))
-    assert error(seen, 0.01, 0.5).total > 5.0
 
 
 def test_presses_without_anything_in_contact_have_no_share(pad):

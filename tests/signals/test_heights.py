@@ -75,6 +75,25 @@ def test_zero_is_where_it_is_asked_for():
     assert found[0, -1] == pytest.approx(0.5 * 52 * 0.05e-3)
 
 
+def test_a_tilt_that_an_odd_corner_at_rest_shows_is_taken_off():
+    """The plane of least squares, drawn to level by a spread of 0.1 half sides, of pixels in an L:
+    across and down go together there."""
+    x, y = pixel_xy(OBLONG)
+    corner = 1e3 * (x - y) > 1.2
+    surface = 0.3 * x - 0.2 * y + np.where(corner, 0.0, -1e-4 * np.cos(2e3 * x * y / 1e-3))
+    slope = slopes_from_height(surface, OBLONG)
+    level = height_from_slopes(slope, OBLONG, zero=corner)
+    v, u = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 53), indexing="ij")
+    terms = np.stack([np.ones(x.shape), u - u[corner].mean(), v - v[corner].mean()], axis=-1)
+    count = corner.sum()
+    drawn = 0.1 * np.sqrt(count) * np.eye(3)[1:]
+    rows = np.concatenate([terms[corner], drawn])
+    plane = np.linalg.lstsq(rows, np.concatenate([level[corner], [0.0, 0.0]]), rcond=None)[0]
+    assert np.mean(terms[corner][:, 1] * terms[corner][:, 2]) > 0.03
+    found = resting_height(slope, OBLONG, zero=corner)
+    np.testing.assert_allclose(found, level - terms @ plane, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("slope", "options", "words"),
     [

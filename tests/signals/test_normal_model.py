@@ -118,6 +118,30 @@ def test_every_second_row_and_column_reads_as_pixels_of_the_whole_image():
     assert np.abs(off).max() < 0.03 * np.ptp(known)
 
 
+def test_deviations_of_heights_hold_each_cause_by_its_size():
+    """Twice the reading's own, errors along the slope, or the calibration's share of the depth."""
+    still = background(3)
+    v, u = np.mgrid[:36, :48]
+    dent = 40.0 * np.exp(-((u - 20.0) ** 2 / 60.0 + (v - 19.0) ** 2 / 100.0))
+    image = still + (dent[..., None] * [1.0, 0.5, -1.0]).astype(np.float32)
+
+    def read(reading=1.0, along=0.0, share=0.0):
+        factors = {"height_factor": reading, "along_factor": along, "depth_share": share}
+        model = random_model(replace(CONFIG, error_length_px=4.0, **factors))
+        return read_heights(model, image, still, PixelGrid(48, 36, 0.08, 0.05))
+
+    alone, twice, leaning, steep = read(), read(reading=2.0), read(along=0.5), read(along=1.0)
+    assert alone.sigma_m == pytest.approx(alone.reading_sigma_m, rel=1e-12)
+    np.testing.assert_allclose(twice.reading_sigma_m, 2 * alone.reading_sigma_m)
+    grown = (found.sigma_m**2 - alone.sigma_m**2 for found in (leaning, steep))
+    np.testing.assert_allclose(4 * next(grown), next(grown), atol=1e-18)
+    for share in (0.05, 0.1):
+        found, depth = read(along=0.5, share=share), np.abs(alone.rise_m)
+        np.testing.assert_allclose(found.reading_sigma_m, alone.reading_sigma_m)
+        wanted = np.hypot(leaning.sigma_m, share * depth)
+        np.testing.assert_allclose(found.sigma_m, wanted, rtol=1e-9)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_blocks_read_what_pixels_read(noise, monkeypatch):

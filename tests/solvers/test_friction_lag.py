@@ -35,5 +35,16 @@ def test_what_grows_is_left(factor: float) -> None:
     assert np.flatnonzero(sizes(factor, 60) > 10).min() < 35
 
 
+def test_what_has_stopped_alternating_goes_on_by_steps_that_are_half_as_long_again() -> None:
+    """Damped for good, what an eighth of a step leaves takes 100 freezings to a millionth."""
+    damping, left, freezings = 0.125, 1.0, 0
+    while left > 1e-6:
+        left *= 1.0 - damping
+        (longer,) = mapped(next_damping, np.array([damping]), np.array([1.0 - damping]))
+        assert longer == pytest.approx(min(1.5 * damping, 1.0))
+        damping, freezings = float(longer), freezings + 1
+    assert freezings <= 7
+
+
 def test_nothing_left_goes_on_whole() -> None:
     np.testing.assert_array_equal(mapped(next_damping, np.ones(2), np.array([0.0, 0.9])), 1.0)

@@ -13,6 +13,7 @@ import pytest
 from taccel_lab.cli.app import main
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses import PHYSICS, Accuracy
@@ -146,6 +147,17 @@ def test_states_that_lack_an_array_are_refused_with_the_file(folder, tmp_path):
     np.savez(tmp_path / STATES, **arrays)
     with pytest.raises(InputError, match=f"{STATES} is not as"):
         read_press(tmp_path)
+
+
+def test_dots_lie_in_a_picture_that_was_kept_smaller_where_they_lay_in_the_whole_one(tmp_path):
+    """Places of pixel centres, of 15 x 8 px shown in 6 x 4."""
+    whole, kept = PixelGrid(15, 8, 0.05, 0.08), PixelGrid(6, 4, 0.125, 0.16)
+    places = np.array([[0.0, 0.0], [7.0, 3.5], [14.0, 7.0], [2.25, 6.5]])
+    dots = {"markers_px": np.tile(places, (3, 1, 1)), "image_px": np.array([15, 8])}
+    write_press(tmp_path, press_arrays() | dots, ABOUT)
+    found = read_press(tmp_path).images
+    wanted = kept.pixel_from_gel(whole.gel_from_pixel(places))
+    np.testing.assert_allclose(found.markers_px[2], wanted, atol=1e-9)
 
 
 def test_presses_of_studies_start_untouched(tmp_path):

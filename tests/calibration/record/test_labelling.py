@@ -37,7 +37,8 @@ def labelling(folder: Path) -> Labelling:
 def on_rim(circle: ContactCircle, degrees: float) -> tuple[float, float]:
     angle = np.radians(degrees)
     u = circle.u_px + circle.radius_px * np.cos(angle)
-    return float(u), float(circle.v_px + circle.radius_px * np.sin(angle))
+    rows = circle.radius_px * GRID.mm_per_px_x / GRID.mm_per_px_y
+    return float(u), float(circle.v_px + rows * np.sin(angle))
 
 
 def click(on: Labelling, circle: ContactCircle, *degrees: float) -> None:

@@ -260,6 +260,18 @@ def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
     assert sum(frame.take for frame in seen) == 2
 
 
+@pytest.mark.parametrize("when", [8, 20])
+def test_a_clock_that_was_put_back_delays_no_picture(when: int) -> None:
+    """While the gel is measured, or before a contact that stands still; by a minute."""
+    trigger, dent = Trigger(), press(ContactCircle(80.0, 60.0, 18.0))
+    frames = [gel()] * (when + 20) + [dent] * 8
+    seen = [
+        trigger.see(quantise(frame), k / 8 - (60.0 if k >= when else 0.0))
+        for k, frame in enumerate(frames)
+    ]
+    assert [k for k, frame in enumerate(seen) if frame.take] == [when + 20 + 6]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "make", "count"),
