@@ -155,7 +155,7 @@ READ: dict[tuple[str, str], Row] = {
         ("force", f"thickness: {how}"): Row(
             lambda k, said=said: {"gel": said},
             lambda k, ends=ends: same(0.5 * math.log(layer_n(ends[0]) / layer_n(ends[1]))),
-            0.25,
+            0.3,
             sizes=(1,),
         )
         for how, (said, ends) in THICKNESS.items()

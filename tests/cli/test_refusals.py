@@ -228,7 +228,7 @@ def unlabelled(folder: Path) -> None:
     path.write_text(path.read_text().replace("contact = {", "# contact = {"))
 
 
-LARGER = ("mm_per_px_x = 0.1", "mm_per_px_x = 0.3"), ("mm_per_px_y = 0.1", "mm_per_px_y = 0.3")
+LARGER = ("mm_per_px_x = 0.1", "mm_per_px_x = 0.3"), ("mm_per_px_y = 0.08", "mm_per_px_y = 0.24")
 profile = partial(edit, name="profile.toml")
 # The labelled circles as they are: fused with those found, a wrong label would be outvoted.
 LABELS = "calibrate color captures --circles labels --out earlier_profile"
@@ -248,7 +248,7 @@ CHANGES: list[tuple[str, Change, list[str]]] = [
     (
         LABELS,
         edit(*LARGER, ("radius_mm = 2.0", "radius_mm = 6.0")),
-        ["captures.toml: at 0.3 x 0.3 mm/px", "pad of 24 x 20 mm"],
+        ["captures.toml: at 0.3 x 0.24 mm/px", "pad of 24 x 20 mm"],
     ),
     (LABELS, edit(('"gelsight"', '"gelsite"')), ["gelsite", "gelsight"]),
     (NORMALS, unlabelled, ["presses come without"]),

@@ -56,6 +56,21 @@ def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed):
     assert (found.sigma > 0).all() and found.area_mm2 > 0
 
 
+def test_errors_hold_the_modulus_by_its_size_and_the_networks_own_by_their_factors():
+    def read(share, factor=1.0):
+        factors = tuple(factor * value for value in SETTINGS.sigma_factor)
+        model = made_up(stiffness_relative=share, sigma_factor=factors)
+        return model.read(picture(3), picture(4))
+
+    own, wider = read(0.0), read(0.0, 2.0)
+    np.testing.assert_allclose(wider.sigma, 2 * own.sigma, rtol=1e-6)
+    loads = np.abs([*own.force_n, *own.moment_nmm])
+    for share in (0.1, 0.2):
+        np.testing.assert_allclose(
+            read(share).sigma, np.hypot(own.sigma, [*(share * loads), 0.0]), rtol=1e-5
+        )
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 60), st.integers(0, 10))
 def test_markers_come_in_any_order_and_some_are_missing(seed, count, lost):
