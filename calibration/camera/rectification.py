@@ -161,7 +161,9 @@ LEFT_OUT = "{} were left out"
 _Write = Callable[[str, np.ndarray], str]
 
 
-def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
+def rectify_captures(
+    folder: CaptureFolder, maps: RectificationMaps, out: Path, *, replace: bool = False
+) -> list[str]:
     """Write the captures of ``folder``, rectified, as the capture folder ``out``.
 
     Images become PNG, videos numbered PNG; force records and paths are copied. Boards are left out,
@@ -172,7 +174,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         What was left out, in sentences.
 
     Raises:
-        InputError: Maps without a scale, or of another image size than the captures.
+        InputError: Maps without a scale, or of another image size than the captures; captures in
+            ``out`` where ``replace`` is not set.
     """
     grid = maps.require_grid()
     height, width = folder.require_background().image().shape[:2]
@@ -184,7 +187,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
         )
     document = read_toml(folder.root / MANIFEST_NAME)
     notes: list[str] = []
-    with atomic_directory(out) as target:
+    with atomic_directory(out, captures=replace) as target:
 
         def write(name: str, image: np.ndarray) -> str:
             """Write an image, rectified; returns its file name."""

@@ -16,6 +16,7 @@ from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.files.documents import TOML_LIMIT_BYTES, first_repeated
+from taccel_lab.files.inner_path import own_place
 from taccel_lab.files.regular_file import read_text
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.printable import printable
@@ -126,7 +127,7 @@ def with_contact(
     """
     import tomli_w
 
-    lines = text.rstrip("\n").splitlines()
+    lines = text.rstrip("\n").split("\n")
     tables = _tables(lines)
     if len(tables) != len(names):
         raise InputError(
@@ -162,8 +163,9 @@ def save_contact(
 ) -> None:
     """Write a press's circle, or that it is left out, into the file; nothing else of it changes.
 
-    Raises InputError where the file is damaged, and where no press would be left.
+    Raises InputError where the file is damaged or a link, and where no press would be left.
     """
+    own_place(path.parent, path.name)
     text, names = HEADER.format(source=printable(str(path.parent))), []
     if path.is_file():
         names = list(read_overrides(presses, path))

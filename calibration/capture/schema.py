@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, AwareDatetime, Field
 
 from taccel_lab.files.inner_path import require_inner_name
+from taccel_lab.files.output_folder import CAPTURES
 from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole
 from taccel_lab.printable import printable
 
-MANIFEST_NAME = "captures.toml"
+MANIFEST_NAME = CAPTURES
 SCHEMA_VERSION = 2
 """Version 1 held the background and the ball presses alone; it is still read."""
 

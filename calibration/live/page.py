@@ -25,7 +25,7 @@ from taccel_lab.calibration.live.surface_view import SurfaceView
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.calibration.pressure.touch import write_reading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
-from taccel_lab.files.atomic_file import write_image
+from taccel_lab.files.atomic_file import parents_made, write_image
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
@@ -355,17 +355,22 @@ def latency_text(latency: Latency, reader: LiveReader) -> PageText:
     )
 
 
-_SNAPSHOT = re.compile(r"snapshot_(\d+)_image\.png")
+_SNAPSHOT = re.compile(r"snapshot_(\d+)[._].+")
 
 
 def save_snapshot(reading: LiveReading, folder: Path) -> Path:
     """Write ``snapshot_N_image.png``, and the files of ``taccel-lab depth --ply`` where the depth
     is not refused; returns the image's path. Nothing is overwritten: N is the next that is free."""
-    folder.mkdir(parents=True, exist_ok=True)
-    taken = [int(found[1]) for p in folder.iterdir() if (found := _SNAPSHOT.fullmatch(p.name))]
+    taken = [int(found[1]) for p in folder.glob("*") if (found := _SNAPSHOT.fullmatch(p.name))]
     stem = f"snapshot_{max(taken, default=-1) + 1:03d}"
     path = folder / f"{stem}_image.png"
-    write_image(path, reading.image)
-    if reading.surface is not None and not reading.refused:
-        write_reading(replace(reading.surface, name=str(path)), folder, stem, ply=True)
+    with parents_made(path):
+        try:
+            write_image(path, reading.image)
+            if reading.surface is not None and not reading.refused:
+                write_reading(replace(reading.surface, name=str(path)), folder, stem, ply=True)
+        except Exception:
+            for left in folder.glob(f"{stem}[._]*"):
+                left.unlink()
+            raise
     return path

@@ -25,6 +25,8 @@ from taccel_lab.files.atomic_file import (
     write_bytes,
     write_json,
 )
+from taccel_lab.files.growing_file import growing_file
+from taccel_lab.files.inner_path import own_place
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.progress import Progress, silent
@@ -87,7 +89,7 @@ def read_recorded(
         InputError: No frame can be read.
     """
     require_replaceable(out)
-    kept_path = out.parent / f".{out.name}.readings.jsonl"
+    kept_path = own_place(out.parent, f".{out.name}.readings.jsonl")
     key = content_id(recipe)
     rows = _kept(kept_path, key)
 
@@ -129,8 +131,9 @@ def _read_further(
     frames = recording.frames((width, height))
     first = list(islice(frames, 1))  # Before they are counted, which takes long of a video.
     total = recording.count()
-    with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
+    with growing_file(kept_path) as kept:
         if not before:
+            kept.truncate(0)
             kept.write(json.dumps({"key": key}) + "\n")
         for number, frame in enumerate(chain(first, frames)):
             if number < before:
@@ -177,18 +180,19 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 def _kept(path: Path, key: str) -> list[dict[str, Any]]:
-    """Rows that an interrupted call left; none of another recipe or behind a torn line."""
+    """Rows that an interrupted call left, whose file then holds no others; none of another recipe
+    or behind a torn line."""
     rows: list[dict[str, Any]] = []
     if not path.is_file():
         return rows
     text = path.read_text(encoding="utf-8", errors="replace")
-    lines = text.splitlines(keepends=True)
+    lines = text.rstrip("\n").split("\n")
     try:
         if json.loads(lines[0]) != {"key": key}:
             return []
         for number, line in enumerate(lines[1:]):
             row = json.loads(line)
-            if not line.endswith("\n") or row["frame"] != number or set(row) - set(COLUMNS):
+            if row["frame"] != number or set(row) - set(COLUMNS):
                 break
             rows.append(row)
     except (ValueError, IndexError, KeyError, TypeError):

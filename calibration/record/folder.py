@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,6 +38,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_image
 from taccel_lab.files.documents import read_toml
 from taccel_lab.files.images import read_image
+from taccel_lab.files.inner_path import own_place
 from taccel_lab.files.output_folder import require_growable
 from taccel_lab.sensors.registry import sensor_family
 
@@ -206,27 +208,23 @@ class RecordFolder:
 
     def set_background(self, image: np.ndarray, facts: RecordFacts) -> None:
         """Begin: the untouched gel, and all that is stated of the session."""
-        write_image(self.path / "background.png", image)
-        self.manifest |= facts.manifest(image.shape[1], image.shape[0])
-        self.manifest["background"] = "background.png"
-        self._write_manifest()
+        with self._noted("background.png", image):
+            self.manifest |= facts.manifest(image.shape[1], image.shape[0])
+            self.manifest["background"] = "background.png"
 
     def add_untouched(self, image: np.ndarray) -> str:
         """The untouched gel at another time; returns the file's name."""
-        names = self.manifest.setdefault("untouched", [])
-        name = f"untouched_{len(names) + 1}.png"
-        write_image(self.path / name, image)
-        names.append(name)
-        self._write_manifest()
+        name = f"untouched_{len(self.manifest.get('untouched', ())) + 1}.png"
+        with self._noted(name, image):
+            self.manifest.setdefault("untouched", []).append(name)
         return name
 
     def add_press(self, image: np.ndarray) -> str:
         """A press; returns the file's name."""
         numbers = [int(found[1]) for name in self.presses if (found := _PRESS.fullmatch(name))]
         name = f"press_{max(numbers, default=-1) + 1:03d}.png"
-        write_image(self.path / name, image)
-        self.manifest.setdefault("presses", []).append({"image": name})
-        self._write_manifest()
+        with self._noted(name, image):
+            self.manifest.setdefault("presses", []).append({"image": name})
         return name
 
     def undo_press(self) -> str | None:
@@ -244,13 +242,26 @@ class RecordFolder:
         if self.made and not self.out_of_step:
             for entry, known in zip(self.manifest["presses"], self.made, strict=True):
                 entry |= known
-        with atomic_file(self.path / MANIFEST_NAME) as staging:
+        with atomic_file(own_place(self.path, MANIFEST_NAME)) as staging:
             staging.write_text(self._text(), encoding="utf-8")
             freeze_split(load_capture_folder(self.path), staging)
         self.manifest = read_toml(self.path / MANIFEST_NAME)
 
+    @contextmanager
+    def _noted(self, name: str, image: np.ndarray) -> Iterator[None]:
+        """Write an image, and the manifest with what the block notes of it: both, or neither."""
+        before, place = deepcopy(self.manifest), own_place(self.path, name)
+        write_image(place, image)
+        try:
+            yield
+            self._write_manifest()
+        except Exception:
+            self.manifest = before
+            place.unlink()
+            raise
+
     def _write_manifest(self) -> None:
-        with atomic_file(self.path / MANIFEST_NAME) as staging:
+        with atomic_file(own_place(self.path, MANIFEST_NAME)) as staging:
             staging.write_text(self._text(), encoding="utf-8")
 
     def _text(self) -> str:
@@ -271,6 +282,7 @@ def open_record(
     if path.is_file():
         raise InputError(f"{path} is a file; --out names a folder")
     require_growable(path)
+    own_place(path, MANIFEST_NAME)
     fresh = not (path / MANIFEST_NAME).is_file()
     if fresh and path.is_dir():
         others = sorted(p.name for p in path.iterdir() if not _LEFT_BEHIND.fullmatch(p.name))

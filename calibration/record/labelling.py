@@ -30,6 +30,7 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.errors import InputError
+from taccel_lab.files.inner_path import own_place
 from taccel_lab.geometry import PixelGrid
 
 RIM_POINTS = 3
@@ -71,7 +72,7 @@ class Labelling:
         """The presses of the folder ``path``.
 
         Raises InputError where there is no capture folder, none of a layout that can be written
-        to, no background or no press.
+        to, no background or no press, and where the file of labels is a link.
         """
         folder = load_capture_folder(path, corrected=False)
         if Path(folder.source).name != MANIFEST_NAME:
@@ -82,7 +83,7 @@ class Labelling:
         folder.require_background()
         if not folder.presses:
             raise InputError(f"{folder.source} holds no ball presses, whose circles are labels")
-        found = cls(folder, folder.root / CONTACTS_NAME)
+        found = cls(folder, own_place(folder.root, CONTACTS_NAME))
         found.shown()
         return found
 

@@ -157,6 +157,8 @@ class CaptureImport(ImportOptions):
     """Layout of the source: auto, taxim, 9dtact, gs-sdk, printer, markers or plain, or a script,
     which is run: those of other published sets are in docs/examples/layouts
     (docs/capture_import.md)."""
+    replace: bool = False
+    """Put these captures in the place of earlier ones, unless somebody has changed those."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -173,11 +175,11 @@ class CaptureImport(ImportOptions):
 
         if self.sensor is not None:
             sensor_family(self.sensor)
-        require_replaceable(self.out)
+        require_replaceable(self.out, captures=self.replace)
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         console = notes() if self.json else results()
         with working(console, f"importing {self.source} as {layout}"):
-            folders = import_folders(self.source, self.out, layout, self)
+            folders = import_folders(self.source, self.out, layout, self, replace=self.replace)
         found = []
         for folder in folders:
             origin = {key: folder.provenance[key] for key in ("source", "license")}
@@ -336,6 +338,8 @@ class CaptureRectify:
     """Rectification maps (.npz) of `taccel-lab calibrate camera --maps`."""
     out: Positional[Path]
     """Capture folder to write."""
+    replace: bool = False
+    """Put these captures in the place of earlier ones, unless somebody has changed those."""
     json: bool = False
     """Print size, scale and notes as JSON."""
 
@@ -345,11 +349,11 @@ class CaptureRectify:
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.files.output_folder import require_replaceable
 
-        require_replaceable(self.out)
+        require_replaceable(self.out, captures=self.replace)
         console = notes()
         folder, maps = load_capture_folder(self.captures), RectificationMaps.load(self.maps)
         with working(console, "rectifying the images"):
-            remarks = rectify_captures(folder, maps, self.out)
+            remarks = rectify_captures(folder, maps, self.out, replace=self.replace)
         for remark in remarks:
             console.print(f"note: {remark}")
         grid = maps.require_grid()

@@ -30,12 +30,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import (
     atomic_file,
     errors_named,
-    hold,
     parents_made,
     write_bytes,
     write_json,
 )
 from taccel_lab.files.documents import read_json
+from taccel_lab.files.growing_file import held_file
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, remove_damaged, require_growable
 from taccel_lab.files.output_marker import visible_faults
@@ -131,13 +131,12 @@ class DatasetFolder:
 
         Where the block fails before anything of the data set is there, nothing is left."""
         path = self.root / f"{LOCK}{shard.replace('/', '-of-')}"
+        busy = f"another run makes shard {shard} in {self.root}"
         with (
             parents_made(path),
             errors_named(path, self.root),
-            open(path, "a+") as marker,
+            held_file(path, busy, "wait for its end or choose another shard"),
         ):
-            busy = f"another run makes shard {shard} in {self.root}"
-            hold(marker, busy, "wait for its end or choose another shard")
             try:
                 yield
             except BaseException:

@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, change places, or are held by one run; and JSON."""
+"""Files that appear whole or not at all, or change places; and JSON."""
 
 from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import hashlib
 import io
 import json
 import math
 import os
-import socket
+import secrets
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError, is_of_a_file
+from taccel_lab.errors import is_of_a_file
 from taccel_lab.processes.cache_place import cache_folder
 
 _ROOM_BYTES = 4096
@@ -36,23 +35,24 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
     if target.is_dir():
         raise OSError(errno.EISDIR, "is a folder; name a file", str(target))
     with parents_made(target):
+        staging = hidden_name(target.parent, f".{target.stem}.", target.suffix)
         try:
-            fd, name = tempfile.mkstemp(
-                prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
-            )
+            # Not by tempfile, whose files are their owner's alone: the user's umask decides.
+            staging.touch(exist_ok=False)
         except OSError as error:
             # By the name that somebody gave, not by the hidden one.
             raise OSError(error.errno, error.strerror, str(target)) from error
-        os.close(fd)
-        staging = Path(name)
         try:
             with errors_named(staging, target):
                 yield staging
-                # Temporary files are their owner's alone; results are for the group, too.
-                staging.chmod(0o644)
                 os.replace(staging, target)
         finally:
             staging.unlink(missing_ok=True)
+
+
+def hidden_name(folder: Path, prefix: str, suffix: str = "") -> Path:
+    """A path in ``folder`` that nothing has yet: eight letters drawn by lot behind ``prefix``."""
+    return folder / f"{prefix}{secrets.token_urlsafe(6)}{suffix}"
 
 
 @contextmanager
@@ -220,31 +220,3 @@ def _system_call() -> Any:
         call.argtypes = [ctypes.c_int, names[0], ctypes.c_int, names[1], ctypes.c_uint]
         return lambda one, other: call(_AT_FDCWD, one, _AT_FDCWD, other, _SWAP)
     return None
-
-
-def hold(file: IO[str], busy: str, advice: str, *, shared: bool = False) -> None:
-    """Lock an open file until it is closed or this process ends, and note who holds it.
-
-    Args:
-        file: Open for reading and appending.
-        busy: What it means that another process holds it.
-        advice: What to do then.
-        shared: Beside others who share it.
-
-    Raises InputError where another process holds it, or where its file system has no locks.
-    """
-    try:
-        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.seek(0)
-        who = file.read().strip() or "process ?"
-        raise InputError(f"{busy} ({who}); {advice}") from None
-    except OSError as error:
-        raise InputError(
-            f"{file.name} cannot be locked ({error.strerror}), which keeps runs apart; name a "
-            "folder on a file system with locks, such as NFS 4, or Lustre mounted with flock"
-        ) from None
-    file.seek(0)
-    file.truncate()
-    file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
-    file.flush()

@@ -111,6 +111,19 @@ def inner_path(folder: Path, name: str) -> Path:
     return path
 
 
+def own_place(folder: Path, name: str) -> Path:
+    """Path of the file ``name`` that is written into ``folder``, which stays; the folder itself may
+    be reached by a link, nothing in it.
+
+    Raises InputError for a link at the file or on the way to it: what it leads to is not to change.
+    """
+    path = inner_path(folder, name)
+    for place in (path, *path.parents[: len(path.relative_to(folder).parts) - 1]):
+        if place.is_symlink():
+            raise InputError(f"{place} is a link; put the file itself there, to be written to")
+    return path
+
+
 def named_path(folder: Path, at: str, name: str) -> Path:
     """Path of what a file of ``folder`` names, counted from its sub-folder ``at``.
 

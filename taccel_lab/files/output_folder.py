@@ -17,10 +17,11 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import errors_named, exchange, parents_made
+from taccel_lab.files.atomic_file import errors_named, exchange, hidden_name, parents_made
 from taccel_lab.files.inner_path import (
     real_path,
     require_outside,
@@ -34,6 +35,8 @@ from taccel_lab.files.output_marker import (
     write_marker,
 )
 
+CAPTURES = "captures.toml"
+"""A folder with this file is no output that can be made again: what it was made of may be gone."""
 _TRIES = 100
 """How often others may come first before a folder is given up."""
 _HIDDEN = ".taccel-lab-"
@@ -45,16 +48,16 @@ Check = Callable[[Path], None]
 """Raises InputError for an existing folder that must not be replaced."""
 
 
-def require_replaceable(target: Path | str) -> None:
+def require_replaceable(target: Path | str, *, captures: bool = False) -> None:
     """Refuse an output folder that cannot be written, or that holds files of somebody else.
 
     Commands call this first, before any long work. An absent or an empty folder is fine, and so is
-    one in which every file is as a command wrote it.
+    one in which every file is as a command wrote it; with captures, where ``captures`` allows it.
     """
     target = _folder_path(target)
     require_outside(target)
     _recover(target)
-    _require_own(target)
+    _require_own(target, captures)
     _require_writable(target)
 
 
@@ -76,7 +79,9 @@ def may_hold(target: Path | str, sign: str) -> bool:
 
 
 @contextmanager
-def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator[Path]:
+def atomic_directory(
+    target: Path | str, check: Check | None = None, *, captures: bool = False
+) -> Iterator[Path]:
     """Yield a hidden folder that takes the place of ``target`` when the block ends without error.
 
     An earlier folder at ``target`` stays untouched until then, and goes only after the new one
@@ -86,10 +91,11 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
         target: The folder; its parents are made.
         check: Says which earlier folders may be replaced, for folders that are known by other
             means than a marker; they get none.
+        captures: Replace earlier captures, too.
     """
     target = _folder_path(target)
     _recover(target)
-    may_replace = check or _require_own
+    may_replace = check or partial(_require_own, captures=captures)
     may_replace(target)
     with (
         parents_made(target),
@@ -170,11 +176,17 @@ def remove_output(target: Path | str) -> None:
         _discard(target)
 
 
-def _require_own(target: Path) -> None:
+def _require_own(target: Path, captures: bool = False) -> None:
     for _ in range(_TRIES):
         with _held(target) as before:
             foreign = [] if before is None else foreign_files(target)
             if not foreign:
+                written = {Path(name).name for name in read_marker(target)}
+                if CAPTURES in written and not captures:
+                    raise InputError(
+                        f"{target} holds captures; name another folder (capture import and capture "
+                        "rectify have --replace)"
+                    )
                 return
             if _identity(target) == before:
                 break
@@ -237,8 +249,9 @@ def _prefix(target: Path) -> str:
 def _staging(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target``, locked until it is gone or has become the target."""
     for _ in range(_TRIES):
+        staging = hidden_name(target.parent, _prefix(target) + "new-")
         try:
-            staging = Path(tempfile.mkdtemp(prefix=_prefix(target) + "new-", dir=target.parent))
+            staging.mkdir()
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(target)) from None
         with _lock(staging) as locked:
@@ -246,7 +259,6 @@ def _staging(target: Path) -> Iterator[Path]:
             if locked is None or not staging.exists():
                 continue
             try:
-                staging.chmod(0o755)
                 yield staging
             finally:
                 _discard(staging)

@@ -22,8 +22,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, hold, to_jsonable, write_image, write_json
+from taccel_lab.files.atomic_file import atomic_file, to_jsonable, write_image, write_json
 from taccel_lab.files.file_cache import CACHE_VARIABLE, cached_arrays
+from taccel_lab.files.growing_file import held_file
 from tests.support.small_captures import everything_below
 
 
@@ -101,13 +102,15 @@ def test_images_are_written_anywhere(tmp_path: Path, suffix: str) -> None:
 
 
 def test_who_holds_a_file_is_named(tmp_path: Path) -> None:
-    with open(tmp_path / "lock", "a+") as mine, open(tmp_path / "lock", "a+") as other:
-        hold(mine, "it is taken", "wait")
-        with pytest.raises(InputError, match=rf"it is taken \(process {os.getpid()} on .+\); wait"):
-            hold(other, "it is taken", "wait")
-    with open(tmp_path / "lock", "a+") as one, open(tmp_path / "lock", "a+") as two:
-        hold(one, "", "", shared=True)
-        hold(two, "", "", shared=True)
+    lock = tmp_path / "lock"
+    with held_file(lock, "it is taken", "wait"):
+        with (
+            pytest.raises(InputError, match=rf"it is taken \(process {os.getpid()} on .+\); wait"),
+            held_file(lock, "it is taken", "wait"),
+        ):
+            pass
+    with held_file(lock, "", "", shared=True), held_file(lock, "", "", shared=True):
+        pass
 
 
 def test_a_file_system_without_locks_is_told(
@@ -118,10 +121,10 @@ def test_a_file_system_without_locks_is_told(
 
     monkeypatch.setattr(fcntl, "flock", missing)
     with (
-        open(tmp_path / "lock", "a+") as file,
         pytest.raises(InputError, match=r"lock cannot be locked \(Function not implemented\).*NFS"),
+        held_file(tmp_path / "lock", "", ""),
     ):
-        hold(file, "", "")
+        pass
 
 
 ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.array([1, 2, 3], dtype=np.int32)}

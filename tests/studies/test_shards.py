@@ -182,6 +182,17 @@ def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
     assert again.complete and again.new == 0
 
 
+def test_a_journal_is_no_link(tmp_path: Path) -> None:
+    run_study(study(**SEARCH), tmp_path, processes=0, limit=2, shard=Shard(1, 2))
+    journal, other = tmp_path / JOURNAL, tmp_path / "other"
+    journal.replace(other)
+    journal.symlink_to(other.name)
+    before = other.read_bytes()
+    with pytest.raises(InputError, match=f"{JOURNAL} is a link"):
+        run_study(study(**SEARCH), tmp_path, processes=0, limit=1, shard=Shard(1, 2))
+    assert other.read_bytes() == before
+
+
 def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -> None:
     run_study(study(**SEARCH), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
     with open(tmp_path / JOURNAL, "ab") as journal:

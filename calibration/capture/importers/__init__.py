@@ -288,6 +288,8 @@ def import_captures(
     out: Path | str,
     layout: str = AUTO,
     options: ImportOptions | None = None,
+    *,
+    replace: bool = False,
 ) -> list[Path]:
     """Write ``source`` as capture folders of version 2; returns their paths.
 
@@ -296,9 +298,11 @@ def import_captures(
     is written can be used.
 
     Raises:
-        InputError: Something in ``source`` cannot be used, or ``out`` holds foreign files.
+        InputError: Something in ``source`` cannot be used, or ``out`` holds foreign files, or
+            captures where ``replace`` is not set.
     """
-    return [written.path for written in import_folders(source, out, layout, options)]
+    found = import_folders(source, out, layout, options, replace=replace)
+    return [written.path for written in found]
 
 
 def import_folders(
@@ -306,6 +310,8 @@ def import_folders(
     out: Path | str,
     layout: str = AUTO,
     options: ImportOptions | None = None,
+    *,
+    replace: bool = False,
 ) -> list[Imported]:
     """Writes capture folders as ``import_captures`` does; says what each folder holds."""
     source, out = Path(source), Path(out)
@@ -313,7 +319,7 @@ def import_folders(
         raise InputError(f"{source} is a capture folder already: it has {MANIFEST_NAME}")
     _, drafts = read_drafts(source, layout, options)
     written = []
-    with atomic_directory(out) as staging:
+    with atomic_directory(out, captures=replace) as staging:
         for draft in drafts:
             folder = staging / draft.part
             folder.mkdir(exist_ok=True)

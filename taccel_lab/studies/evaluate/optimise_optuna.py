@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.inner_path import own_place
 from taccel_lab.studies.evaluate.optimise import Figures, OptimiserState, Try
 from taccel_lab.studies.spec.axis import Axis
 from taccel_lab.studies.spec.study_file import Constraint, Objective, Sweep
@@ -55,7 +56,7 @@ def optimise_with_optuna(
         journal: File of the trials, shared by processes.
         known: Values and figures of designs with a row.
 
-    Raises InputError where Optuna is not installed.
+    Raises InputError where Optuna is not installed, and for a journal that is a link.
     """
     try:
         import optuna
@@ -67,6 +68,7 @@ def optimise_with_optuna(
         ) from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     problem = _Problem(axes, objectives, constraints)
+    own_place(journal.parent, journal.name)
     study = optuna.create_study(
         storage=JournalStorage(JournalFileBackend(str(journal), _lock_of(journal))),
         study_name=problem.name,

@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.atomic_file import atomic_file, hold, write_by, write_json
+from taccel_lab.files.atomic_file import atomic_file, write_by, write_json
+from taccel_lab.files.growing_file import held_file
 from taccel_lab.files.inner_path import inner_path, require_inner_files
 from taccel_lab.files.output_folder import may_hold, require_growable
 from taccel_lab.files.shard import Shard
@@ -82,10 +83,9 @@ class StudyFolder:
         """
         self.require_usable()
         self.root.mkdir(parents=True, exist_ok=True)
-        with open(self.root / STUDY_MARKER, "a+", encoding="utf-8") as marker:
-            advice = "wait for its end or name another folder"
-            shared = shard is not None
-            hold(marker, f"another run works in {self.root}", advice, shared=shared)
+        busy, marker = f"another run works in {self.root}", self.root / STUDY_MARKER
+        advice = "wait for its end or name another folder"
+        with held_file(marker, busy, advice, shared=shard is not None):
             if shard is None:
                 self._sweep_up()
                 try:
@@ -96,9 +96,8 @@ class StudyFolder:
                 return
             self.designs.mkdir(exist_ok=True)
             own = self.root / f".shard_{shard.number}_of_{shard.count}"
-            with open(own, "a+", encoding="utf-8") as mine:
-                busy = f"another run works in {self.root} at shard {shard.number}/{shard.count}"
-                hold(mine, busy, "wait for its end")
+            busy = f"{busy} at shard {shard.number}/{shard.count}"
+            with held_file(own, busy, "wait for its end"):
                 yield
 
     def _sweep_up(self) -> None:
@@ -139,7 +138,6 @@ class StudyFolder:
         """Write a text file of the study."""
         with atomic_file(self.root / name) as staging:
             staging.write_text(text, encoding="utf-8", errors="backslashreplace")
-            staging.chmod(0o644)
 
 
 CSV_NAME = "designs.csv"
@@ -185,7 +183,6 @@ def write_table(root: Path, study: Study, designs: Sequence[DesignRow]) -> None:
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     with atomic_file(root / CSV_NAME) as staging:
         staging.write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace")
-        staging.chmod(0o644)
     if has_parquet():
         _write_parquet(root / PARQUET_NAME, rows, names)
 

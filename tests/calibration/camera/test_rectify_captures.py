@@ -87,7 +87,8 @@ def rectified(
 ) -> tuple[CaptureFolder, list[str]]:
     """The captures through the maps, and what was left out of them."""
     out = captures.parent / "even"
-    notes = rectify_captures(load_capture_folder(captures), maps or cropping_maps(), out)
+    raw = load_capture_folder(captures)
+    notes = rectify_captures(raw, maps or cropping_maps(), out, replace=True)
     return load_capture_folder(out), notes
 
 

@@ -175,7 +175,8 @@ def source_of(name: str, folder: Path) -> Path:
 
 def imported(source: Path, layout: str = "auto", **options: Any) -> list[CaptureFolder]:
     """The capture folders that are made of it, beside it in ``out``."""
-    outs = import_captures(source, source.parent / "out", layout, ImportOptions(**options))
+    out, facts = source.parent / "out", ImportOptions(**options)
+    outs = import_captures(source, out, layout, facts, replace=True)
     return [load_capture_folder(out) for out in outs]
 
 

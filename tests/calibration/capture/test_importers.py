@@ -255,7 +255,7 @@ def test_names_that_differ_in_numbers_are_counted(tmp_path: Path) -> None:
 
 def test_an_earlier_import_below_the_source_is_not_read_again(tmp_path: Path) -> None:
     source = source_of("plain", tmp_path)
-    first, again = (import_captures(source, source / "captures") for _ in range(2))
+    first, again = (import_captures(source, source / "captures", replace=True) for _ in range(2))
     captures = load_capture_folder(again[0])
     assert first == again and len(captures.presses) == 3 and len(captures.records) == 1
     assert "part of a capture folder" in (again[0] / "captures.toml").read_text(encoding="utf-8")
@@ -317,7 +317,7 @@ def test_a_video_file_or_a_folder_with_some(tmp_path: Path) -> None:
     video = tmp_path / "in" / "v.avi"
 
     def frames(source: Path) -> list[int]:
-        (out,) = import_captures(source, tmp_path / "out")
+        (out,) = import_captures(source, tmp_path / "out", replace=True)
         markers = load_capture_folder(out).markers
         assert markers is not None
         return [video.frame_count for video in markers.videos]

@@ -61,11 +61,16 @@ def table_of(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.thorough
-def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(frames: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", ["\n", "", '\n{"frame": 2, "na'], ids=["whole", "open", "torn"])
+def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
+    frames: Path, tmp_path: Path, end: str
+) -> None:
     reader, recorded, out = reader_of(relaxes=False), Recording.of(frames), tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         read_recorded(recorded, reader, out, {"of": 1}, killed_at(2))
     assert not out.exists()
+    (kept,) = tmp_path.glob(".out.readings*")
+    kept.write_text(kept.read_text().removesuffix("\n") + end)
     seen: list[int] = []
     rows = read_recorded(recorded, reader, out, {"of": 1}, lambda _, done, __: seen.append(done))
     assert seen == [3, 4]

@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError
 from tests.calibration.grey.test_depth import grey_unit
 from tests.calibration.live.test_live import Watching
 from tests.calibration.record.sessions import SteeredCamera
+from tests.support.small_captures import everything_below, never
 
 
 class Image(SimpleNamespace):
@@ -166,6 +167,15 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
         np.testing.assert_allclose(arrays["depth_m"], reading.surface.depth_m, rtol=1e-6)
         assert arrays["pressure_pa"].max() > 0
     assert [path.name for path in kept.glob("*002*")] == ["snapshot_002_image.png"]
+    # What is there of another stays, and of one that cannot be written nothing.
+    (kept / "snapshot_004.json").write_text("{}")
+    before = everything_below(kept)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taccel_lab.calibration.pressure.touch.save_figure", never)
+        with pytest.raises(AssertionError):
+            save_snapshot(reading, kept)
+    assert everything_below(kept) == before
+    assert save_snapshot(reading, kept).name == "snapshot_005_image.png"
 
 
 def test_wrong_names_and_missing_ros_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:

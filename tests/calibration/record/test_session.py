@@ -32,6 +32,7 @@ from tests.calibration.record.sessions import (
     source,
 )
 from tests.support.capture_sets import gel, write_image
+from tests.support.small_captures import everything_below
 
 FRAMES = 50
 CATALOGUE = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
@@ -112,6 +113,22 @@ def test_take_undo_and_finish(tmp_path: Path) -> None:
     counts = [status.taken for status in seen]
     assert counts[46] == 0 and counts[47] == 1 and counts[-1] == 0 and seen[-1].finished
     assert len(load_capture_folder(tmp_path / "out").presses) == 0
+
+
+def test_the_picture_of_a_press_that_is_refused_does_not_stay(tmp_path: Path) -> None:
+    facts, out = replace(FACTS, camera=CameraInfo("usb-1", "mine")), tmp_path / "out"
+    with open_record(out, facts) as folder:
+        folder.set_background(quantise(gel()), facts)
+        (out / "captures.toml").rename(out / "mine.toml")
+        (out / "captures.toml").symlink_to("mine.toml")
+        before = everything_below(out)
+        for take in (folder.add_press, folder.add_untouched):
+            with pytest.raises(InputError, match=r"captures\.toml is a link"):
+                take(quantise(gel()))
+        assert everything_below(out) == before
+        (out / "mine.toml").replace(out / "captures.toml")
+        assert folder.add_press(quantise(gel())) == "press_000.png"
+    assert len(load_capture_folder(out).presses) == 1
 
 
 def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
