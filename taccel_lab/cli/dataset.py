@@ -250,8 +250,54 @@ class DatasetChannels:
             print_table(("channel", "of a step", "unit", "what"), rows, title)
 
 
+@dataclass(frozen=True)
+class DatasetFaults:
+    """Show each fault that [faults] of a data set's file, or of a task, gives to frames of yours.
+
+    Writes report.html with every fault on the last frame, and what was drawn.
+
+    Example: taccel-lab dataset faults rest.png press.png --out out/faults
+    """
+
+    frames: Positional[tuple[Path, ...]]
+    """Two images of a sensor or more, of one size, in their order."""
+    out: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    spec: Path | None = None
+    """File of a data set, or an example's name, whose ranges are drawn from. Default: stock."""
+    seed: int = 0
+    """Which examples."""
+    json: bool = False
+    """Print what was drawn as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import print_json, say
+        from taccel_lab.datasets.faults_page import faults_page
+        from taccel_lab.datasets.spec import load_spec
+        from taccel_lab.files.images import read_image
+        from taccel_lab.files.inner_path import file_or_example
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.report.page import PAGE, write_page
+        from taccel_lab.signals.frame_faults import FrameFaults
+
+        start_warp()
+        require_replaceable(self.out)
+        if not 0 <= self.seed < 2**31:
+            raise InputError(f"seed must lie in 0..{2**31 - 1}, got {self.seed}")
+        faults = FrameFaults()
+        if self.spec is not None:
+            faults = load_spec(file_or_example(self.spec, "datasets")).faults
+        page = faults_page([read_image(path) for path in self.frames], faults, self.seed)
+        write_page(page, self.out)
+        if self.json:
+            print_json(page.figures)
+        say(f"wrote {self.out / PAGE}")
+
+
 COMMANDS = {
     "make": DatasetMake,
+    "faults": DatasetFaults,
     "check": DatasetCheck,
     "export": DatasetExport,
     "channels": DatasetChannels,

@@ -21,11 +21,18 @@ from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_known
 from taccel_lab.model.embedding import rotate
+from taccel_lab.signals.frame_operators import BITS, FIELDS
 from taccel_lab.signals.tactile import SIGNALS
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.spec import DatasetOutput
 
+FAULT_COLUMNS = tuple(
+    f"{name}{part}"
+    for name, kind in FIELDS[1:]
+    for part in (("_red", "_green", "_blue") if kind.shape else ("",))
+)
+"""Columns of ``fault_values`` in the steps' table: fields of ``FrameFault`` but the kinds."""
 DEPTH_STEP_MM = 2.0**-17
 """Depths are multiples of 7.6 nm: far finer than they are known, and their last bits compress."""
 
@@ -85,7 +92,13 @@ def _rgb(view: TouchView) -> np.ndarray:
         if touch.noise_levels > 0:
             noise = touch.rng(view.step, 0).standard_normal(levels.shape[1:], dtype=np.float32)
             levels[row] += np.float32(touch.noise_levels) * noise
-    return np.rint(levels.clip(0, 255))
+    return view.sent(np.rint(levels.clip(0, 255)))
+
+
+def _fault_values(view: TouchView) -> np.ndarray:
+    """What the faults of images were, by ``FAULT_COLUMNS``, [row, value]."""
+    labels = view.fault_labels
+    return np.hstack([labels[name].reshape(len(labels), -1) for name, _ in FIELDS[1:]])
 
 
 def _markers(view: TouchView) -> np.ndarray:
@@ -180,6 +193,17 @@ OPTIONAL: dict[str, Channel] = {
     )
 }  # fmt: skip
 """Channels by name, of ``output.channels``."""
+FAULTS: dict[str, Channel] = {
+    channel.name: channel
+    for channel in (
+        Channel("faults", "uint16", "", "", "kinds of faults of the image, a bit each: "
+                f"{', '.join(f'{bit} {kind}' for kind, bit in BITS.items())}",
+                lambda v: v.fault_labels["kinds"]),
+        Channel("fault_values", "float32", str(len(FAULT_COLUMNS)), "", "what the faults were: "
+                f"{', '.join(FAULT_COLUMNS)}", _fault_values),
+    )
+}  # fmt: skip
+"""Labels of images, of a file with [faults]."""
 NODAL = ("node_forces_n", "node_moved_mm", "node_pressures_kpa", "node_tractions_kpa")
 """A row is as long as the contact face of its mesh has nodes; shorter ones end with zeros."""
 _YES_OR_NO = {"contact", "slipping"}
@@ -206,8 +230,9 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
         if name in {channel.name for channel in ALWAYS}:
             raise InputError(f"output.channels: {name!r} is always kept; leave it out")
         with naming("output.channels"):
-            require_known("channel", name, known_channels(), "taccel-lab dataset channels")
-        found.append(OPTIONAL.get(name) or signal_channel(name))
+            known = [*known_channels(), *FAULTS]
+            require_known("channel", name, known, "taccel-lab dataset channels")
+        found.append(OPTIONAL.get(name) or FAULTS.get(name) or signal_channel(name))
     return found
 
 

@@ -266,7 +266,7 @@ def _about(plan: DatasetPlan) -> dict[str, Any]:
                 "what": channel.what,
                 "may_be_nan": channel.may_be_nan,
             }
-            for channel in channels_of(spec.output.channels)
+            for channel in channels_of(spec.channels)
         },
         "sensors": [
             {

@@ -16,6 +16,7 @@ from taccel_lab.model.embedding import rotate
 from taccel_lab.presses import Indenter, normal_frame
 from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.sensors.press_mesh import pad_press_mesh
+from taccel_lab.signals.frame_faults import FrameFaults
 from taccel_lab.signals.perturbation import Perturbation
 
 COMMAND = ("depth_mm", "shear_x_mm", "shear_y_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
@@ -169,6 +170,9 @@ class Touch:
     marker_noise_px: float = 0.0
     seed: tuple[int, ...] = (0,)
     """Seed of the noise."""
+    faults: FrameFaults | None = None
+    """What can be wrong with its images."""
+    fault_seed: int = 0
 
     def rng(self, step: int, what: int) -> np.random.Generator:
         """Source of the noise of one step."""

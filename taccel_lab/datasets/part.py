@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.datasets.channels import ALWAYS, Channel, channels_of
+from taccel_lab.datasets.channels import ALWAYS, FAULT_COLUMNS, FAULTS, Channel, channels_of
 from taccel_lab.datasets.motion import TouchRecord
 from taccel_lab.datasets.simulate import joined
 from taccel_lab.files.atomic_file import to_jsonable, write_by
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.signals.frame_faults import kinds_of
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.plan import DatasetPart, DatasetPlan
@@ -37,6 +38,7 @@ _COLUMNS = {
     "wrench": ("force_x_n", "force_y_n", "force_z_n", "moment_x_nm", "moment_y_nm", "moment_z_nm"),
     "press_force_n": ("press_force_x_n", "press_force_y_n", "press_force_z_n"),
     "contact_center_mm": ("contact_center_x_mm", "contact_center_y_mm"),
+    "fault_values": FAULT_COLUMNS,
 }
 """Columns of the steps' table for arrays of vectors."""
 
@@ -63,7 +65,7 @@ class PartData:
 
 def part_data(plan: DatasetPlan, part: DatasetPart, records: Sequence[TouchRecord]) -> PartData:
     """The arrays and tables of a part whose episodes were simulated, in order."""
-    channels = channels_of(plan.spec.output.channels)
+    channels = channels_of(plan.spec.channels)
     arrays = joined(records, channels)
     rows: list[dict[str, Any]] = []
     first = 0
@@ -195,9 +197,12 @@ def write_arrays(path: Path, data: PartData, block: int, about: Mapping[str, Any
 
 
 def steps_table(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Columns of the steps' table: all small channels, vectors by component, and the row."""
+    """Columns of the steps' table: all small channels, vectors by component, kinds of faults by
+    their names, and the row."""
     columns: dict[str, np.ndarray] = {"row": np.arange(len(arrays["step"]))}
-    for channel in ALWAYS:
+    for channel in (*ALWAYS, *FAULTS.values()):
+        if channel.name not in arrays:
+            continue
         array = arrays[channel.name]
         names = _COLUMNS.get(channel.name)
         if names is None:
@@ -205,6 +210,8 @@ def steps_table(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         else:
             array = array.reshape(-1, len(names))
             columns |= {name: array[:, k] for k, name in enumerate(names)}
+    if "faults" in columns:
+        columns["faults"] = np.array(["+".join(kinds_of(int(bits))) for bits in columns["faults"]])
     return columns
 
 

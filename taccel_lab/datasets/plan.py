@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """Format of the folder; a reader refuses others."""
-EPISODE_KEY, LIGHT_KEY, NOISE_KEY = 2, 3, 4
+EPISODE_KEY, LIGHT_KEY, NOISE_KEY, FAULT_KEY = 2, 3, 4, 5
 """Keys of the seeds of what they name, beside the data set's own."""
 _TOLD_EVERY = 4096
 """Episodes that are drawn between two words of how far it is: a quarter of a second."""
@@ -245,6 +245,11 @@ class DatasetPlan:
         )
         rng = np.random.default_rng([self.spec.dataset.seed, LIGHT_KEY, episode.index])
         return draw_perturbation(block, 1, rng)
+
+    def fault_seed(self, index: int) -> int:
+        """Seed of the faults of an episode's images."""
+        rng = np.random.default_rng([self.spec.dataset.seed, FAULT_KEY, index])
+        return int(rng.integers(2**31))
 
     @functools.cached_property
     def parts(self) -> list[DatasetPart]:

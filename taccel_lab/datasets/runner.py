@@ -150,6 +150,8 @@ def touches_of(plan: DatasetPlan, part: DatasetPart) -> list[Touch | TouchRecord
                 noise_levels=math.hypot(wanted.image_noise_levels, sensor.noise_levels),
                 marker_noise_px=wanted.marker_noise_px,
                 seed=(plan.spec.dataset.seed, NOISE_KEY),
+                faults=plan.spec.faults or None,
+                fault_seed=plan.fault_seed(number),
             )
         )
     return found
@@ -168,7 +170,7 @@ def simulate_parts(
         plan.sensors[first.sensor],
         plan.indenters[first.object],
         plan.physics,
-        channels_of(output.channels),
+        channels_of(plan.spec.channels),
         output.patches,
         device,
         lambda done, total: progress(what, done, total),

@@ -9,15 +9,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StrictStr, field_validator, model_validator
+from pydantic import BeforeValidator, Field, StrictStr, field_validator, model_validator
 
 from taccel_lab.files.documents import first_repeated
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.profile.schema import Name
+from taccel_lab.signals.frame_faults import FrameFaults
 
 MAX_EPISODES = 10_000_000
 MAX_STEPS = 1000
 """Steps of a touch; one takes a second and more of a core."""
+FAULT_CHANNELS = ("faults", "fault_values")
+"""Labels of faulty frames."""
 DEFAULT_CHANNELS = ("rgb", "depth_mm", "contact_mask", "markers_px", "patch_forces_n")
 Range = tuple[Number, Number]
 """Drawn evenly between both; equal ends hold it."""
@@ -247,6 +250,8 @@ class DatasetSpec(StrictModel):
     objects: list[ObjectEntry] = Field(min_length=1)
     motions: list[MotionEntry] = Field(min_length=1)
     randomise: Randomise = Randomise()
+    faults: Annotated[FrameFaults, BeforeValidator(FrameFaults.of)] = FrameFaults()
+    """Frames that are faulty, by chances and ranges."""
     output: DatasetOutput = DatasetOutput()
 
     @model_validator(mode="after")
@@ -259,6 +264,20 @@ class DatasetSpec(StrictModel):
             if repeated is not None:
                 raise ValueError(f"two {what} are called {repeated!r}")
         return self
+
+    @model_validator(mode="after")
+    def _check_faults(self) -> DatasetSpec:
+        if self.faults and "rgb" not in self.output.channels:
+            raise ValueError("[faults] are of images: put rgb into output.channels")
+        named = [name for name in FAULT_CHANNELS if name in self.output.channels]
+        if named:
+            raise ValueError(f"{named[0]} is kept wherever there are [faults]; leave it out")
+        return self
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of what is kept beside what always is: images with faults have labels."""
+        return (*self.output.channels, *(FAULT_CHANNELS if self.faults else ()))
 
 
 def load_spec(path: Path | str) -> DatasetSpec:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.camera.gel_camera import GelCamera, face_of
 from taccel_lab.camera.gel_camera import View as Pixels
@@ -23,6 +24,7 @@ from taccel_lab.outputs.surface_load import SurfaceLoad
 from taccel_lab.presses.physics import PressError
 from taccel_lab.presses.press_env import PressEnv
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
+from taccel_lab.signals.faulty_frames import FaultyFrames
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
@@ -66,6 +68,7 @@ class TouchView:
         self._tactile: dict[Pixels, SignalTactile] = {}
         self._fine: dict[Pixels, FineSurface] = {}
         self._optical: dict[int, OpticalModel] = {}
+        self._cameras: dict[int, FaultyFrames] = {}
         body = env.model.scene.soft_body(0)
         places, mesh, rests = sensor.marker_places_mm(), body.nodal_mesh, body.nodal_rest_m
         layout = MarkerLayout.from_points(mesh, places, rests)
@@ -271,7 +274,36 @@ class TouchView:
         for row, env in enumerate(self.who.tolist()):
             for light in self._lights(env):
                 images[row] = PerturbedSensors(light).apply(images[row : row + 1])[0]
+        for row, frames in enumerate(self._faulty):
+            images[row] = frames.lit(wp.array(images[row][None], device="cpu")).numpy()[0]
         return images
+
+    def sent(self, levels: np.ndarray) -> np.ndarray:
+        """Whole levels of images as they arrive, [row, height_px, width_px, 3]."""
+        images = levels.astype(np.uint8)
+        for row, frames in enumerate(self._faulty):
+            images[row] = frames.sent(wp.array(images[row][None], device="cpu")).numpy()[0]
+        return images
+
+    @cached_property
+    def _faulty(self) -> list[FaultyFrames]:
+        """Cameras of the rows, turned to this step; none where no image can be faulty. The
+        untouched gel stays whole: others' images are seen against it."""
+        faults, grid = self.touches[0].faults, self.sensor.grid
+        if faults is None:
+            return []
+        for env in self.who.tolist():
+            if env not in self._cameras:
+                size = (grid.width_px, grid.height_px)
+                self._cameras[env] = FaultyFrames(faults, size, 1, first=1)
+            key = (self.touches[env].fault_seed, 0, self.step)
+            self._cameras[env].draw(*(wp.array([n], dtype=wp.int32, device="cpu") for n in key))
+        return [self._cameras[env] for env in self.who.tolist()]
+
+    @cached_property
+    def fault_labels(self) -> np.ndarray:
+        """What is wrong with the images, see ``FaultyFrames.labels``, [row]."""
+        return np.concatenate([frames.labels() for frames in self._faulty])
 
     def _lights(self, env: int) -> list[Perturbation]:
         touch = self.touches[env]

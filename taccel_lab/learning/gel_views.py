@@ -61,6 +61,7 @@ class GelViews:
         if {"slip_m", "slipping"} & set(names) and solver.friction is None:
             raise InputError("slip_m and slipping need a scene with friction")
         self._outputs = Outputs(solver)
+        self.device = solver.model.device
         self.gels = bonded_gels(solver.model)
         """Indices of the gels among the soft bodies."""
         bodies = [solver.model.scene.soft_bodies[i] for i in self.gels]

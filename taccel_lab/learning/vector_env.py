@@ -10,7 +10,7 @@ the others nor on the device: numbers are hashed from these, not taken from a st
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,12 +23,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import nearest, require_known
 from taccel_lab.learning.gel_colors import default_colors
+from taccel_lab.learning.gel_faults import GelFaults
 from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.picture import EnvPicture
 from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.model import Model
+from taccel_lab.signals.frame_faults import FrameFaults
 from taccel_lab.signals.gel_faces import Colors
 from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
@@ -58,29 +60,30 @@ class EpisodeDraws:
     def __init__(self, model: Model, per_episode: int) -> None:
         """``per_episode``: numbers that each episode draws."""
         count, self._device = model.env_count, model.device
-        self._seeds = wp.zeros(count, dtype=wp.int32, device=self._device)
-        self._episodes = wp.zeros(count, dtype=wp.int32, device=self._device)
+        self.seeds = wp.zeros(count, dtype=wp.int32, device=self._device)
+        self.episodes = wp.zeros(count, dtype=wp.int32, device=self._device)
+        """How many each environment has begun."""
         self._draws = wp.zeros((count, per_episode), dtype=wp.float64, device=self._device)
 
     def seed(self, first: int, who: torch.Tensor) -> None:
         """Environment i of ``who`` (bool, [env]) goes by seed ``first + i`` from now on, and is at
         its first episode again."""
-        seeds = wp.to_torch(self._seeds)
+        seeds = wp.to_torch(self.seeds)
         own = first + torch.arange(len(seeds), dtype=torch.int64, device=seeds.device)
         seeds.copy_(torch.where(who, own.to(torch.int32), seeds))
-        wp.to_torch(self._episodes).masked_fill_(who, 0)
+        wp.to_torch(self.episodes).masked_fill_(who, 0)
 
     def begin(self, who: torch.Tensor) -> torch.Tensor:
         """Numbers in [0, 1) of the next episode of each environment, float64, [env, per_episode];
         that of ``who`` (bool, [env]) begins, and the others will draw theirs again."""
         wp.launch(
             _draw_kernel,
-            dim=len(self._seeds),
-            inputs=[self._seeds, self._episodes],
+            dim=len(self.seeds),
+            inputs=[self.seeds, self.episodes],
             outputs=[self._draws],
             device=self._device,
         )
-        wp.to_torch(self._episodes).add_(who)
+        wp.to_torch(self.episodes).add_(who)
         return wp.to_torch(self._draws).clone()
 
 
@@ -103,7 +106,7 @@ PROPRIOCEPTION = "proprioception"
 OBSERVATIONS = (*VIEWS, PROPRIOCEPTION)
 """What there is to observe."""
 RENDER_MODES = ("rgb_array",)
-_HELD = ("solver", "state", "model", "task", "views", "_picture", "_draws")
+_HELD = ("solver", "state", "model", "task", "views", "_faults", "_picture", "_draws")
 """What has memory of the device."""
 
 
@@ -118,7 +121,9 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
 
     What ``step`` and ``reset`` return is memory of its own, a row for each environment: a dict of
     observations, rewards (float32), terminations and truncations (bool). ``info`` has ``success``
-    (bool) and the task's figures (float32) as tensors, and where a simulation failed ``cause``, an
+    (bool) and the task's figures (float32) as tensors, with ``faults`` the bits of those that the
+    returned frames have, ``frame_faults`` (int32, [env, gel]; ``frame_faults.kinds_of`` names
+    them), in ``reset``, too, and where a simulation failed ``cause``, an
     array of objects of the host, None elsewhere, with the mask ``_cause``. With SAME_STEP all of it
     is of the step that was taken, but observations of new episodes are of their starts: the last of
     the old ones are in ``final_obs``, with the mask ``_final_obs``.
@@ -131,6 +136,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         randomised: bool | Given = False,
+        faults: FrameFaults | Mapping[str, Any] | None = None,
         size_px: tuple[int, int] = (80, 60),
         colors: Colors | None = None,
         view: PixelGrid | None = None,
@@ -146,6 +152,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             autoreset_mode: When ended environments begin anew, or the name of it.
             randomised: Whether episodes draw the parameters that the task randomises; ranges, by
                 what is drawn, stand in place of the task's or the sensor's.
+            faults: What can be wrong with frames of ``rgb`` and ``rgb_levels``, or a table of it
+                by the fields of ``FrameFaults``; each gel has a camera.
             size_px: Width and height of images and depth.
             colors: For images: gives the colour network and the untouched image of a pixel grid;
                 ``default_colors`` of the task's sensor when None.
@@ -158,8 +166,9 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             render_mode: "rgb_array" for ``render``.
 
         Raises:
-            InputError: Unknown observations or modes, no colours, ranges of what is not
-                drawn, or a sensor that does not state how far its gels spread.
+            InputError: Unknown observations, faults or modes, no colours, ranges of what is not
+                drawn, faults without an image, or a sensor that does not state how far its gels
+                spread.
         """
         observe = (observe,) if isinstance(observe, str) else tuple(observe)
         unknown = [name for name in observe if name not in OBSERVATIONS]
@@ -181,6 +190,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             colors = default_colors(task.sensor)
         if view is None and task.sensor is not None:
             view = task.sensor.grid()
+        stated = FrameFaults.of({} if faults is None else faults)
         self.render_mode = render_mode
         self._on_host = arrays == "numpy"
         self.task = task
@@ -204,6 +214,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self._half = torch.tensor(task.start_half, dtype=torch.float64, device=self.device)
         self.views = GelViews(self.solver, observe, size_px, colors, view)
         """What the gels show and feel."""
+        self._faults = GelFaults(stated, self.views, observe, self.num_envs)
         shown = render_mode is not None
         self._picture = EnvPicture(self.solver, self.state, colors, view) if shown else None
         self._observe = observe
@@ -252,7 +263,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         elif seed is not None:
             self._draws.seed(seed, torch.as_tensor(mask, device=self.device))
         self.begin_episodes(mask, start)
-        return self._given(self._observation()), {}
+        return self._given((self._observation(), self._faults.kinds()))
 
     def step(
         self, actions: torch.Tensor
@@ -297,6 +308,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             info |= {"final_obs": seen, "_final_obs": terminated | truncated}
             self.begin_episodes(self._ended, None)
             seen = self._observation()
+        info |= self._faults.kinds()
         return self._given((seen, reward, terminated, truncated, info))
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -347,6 +359,12 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         for name in self._observe:
             if name == PROPRIOCEPTION:
                 found[name] = self.task.proprioception().float()
+                continue
+            if name in self._faults.names:
+                draws = self._draws
+                found[name] = self._faults.read(
+                    name, self.state, draws.seeds, draws.episodes, self._steps
+                )
                 continue
             seen = self.views.read(name, self.state)
             if name in FORCES:

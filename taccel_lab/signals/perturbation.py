@@ -3,19 +3,21 @@
 
 ``PerturbationBlock`` holds standard deviations that were measured between captures or units. One
 draw an environment makes a sensor that could have been built: a gain and an offset of each channel,
-a gradient of the light, and changed scale, place, modulus and friction. ``SensorFaults`` are what
-no calibration measures: a person states them. ``PerturbedSensors`` gives images of both.
+a gradient of the light, and changed scale, place, modulus and friction. ``SensorFaults`` and
+``FrameFaults`` are what no calibration measures: a person states them. ``PerturbedSensors`` gives
+images of all.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.frame_faults import FrameFaults
 
 if TYPE_CHECKING:
     from taccel_lab.profile import PerturbationBlock
@@ -46,21 +48,15 @@ class SensorFaults:
     """Part of a change by which values overshoot (a Maxwell branch beside the elastic one)."""
     hysteresis_s: float = 0.5
     """Time in which that fades [s]."""
-    lamp_dimming: float = 0.0
-    """Standard deviation of the loss of each channel's lamp, as a part of it; images alone."""
-    wear: float = 0.0
-    """Largest loss of light in a patch whose coating is worn, 0 to 1; images alone."""
-    wear_radius: float = 0.3
-    """Standard deviation of that patch, as a part of half the image."""
 
     def __post_init__(self) -> None:
-        for name in ("dead_share", "crosstalk", "wear"):
+        for name in ("dead_share", "crosstalk"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name)}; 0 to 1 is allowed")
-        for name in ("pixel_gain", "hysteresis", "lamp_dimming"):
+        for name in ("pixel_gain", "hysteresis"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; 0 or more is allowed")
-        for name in ("crosstalk_px", "hysteresis_s", "wear_radius"):
+        for name in ("crosstalk_px", "hysteresis_s"):
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(f"{name} is {getattr(self, name)}; more than 0 is allowed")
         low, high = self.dead_range
@@ -91,14 +87,10 @@ class Perturbation:
     """Shape [env_count]."""
     friction_shift: np.ndarray
     """Added to the coefficient of friction, shape [env_count]."""
-    lamps: np.ndarray
-    """Part of each channel's light that is left, shape [env_count, 3]."""
-    worn: np.ndarray
-    """Patch of worn coating: place across and down (-1 to 1), radius, and the part of the light
-    that is lost in its middle, shape [env_count, 4]."""
     seeds: np.ndarray
-    """Seeds from which pixels are drawn, int32, shape [env_count]."""
+    """Seeds from which pixels and faults of frames are drawn, int32, shape [env_count]."""
     faults: SensorFaults
+    frame_faults: FrameFaults
 
     @property
     def env_count(self) -> int:
@@ -133,6 +125,7 @@ def draw_perturbation(
     *,
     strength: float = 1.0,
     faults: SensorFaults = SensorFaults(),
+    frame_faults: FrameFaults = FrameFaults(),
 ) -> Perturbation:
     """Draw a sensor for each environment from the measured spread.
 
@@ -142,6 +135,7 @@ def draw_perturbation(
         rng: Source of randomness.
         strength: Multiplies every standard deviation; 0 gives the nominal sensor.
         faults: What is broken besides, as stated.
+        frame_faults: What is wrong with frames now and then, as stated.
 
     Raises:
         InputError: No environments, or a negative strength.
@@ -164,18 +158,7 @@ def draw_perturbation(
         center_shift_px=normal(block.center_px, 2),
         young_modulus_factor=np.maximum(1 + normal(block.young_modulus_relative), MIN_FACTOR),
         friction_shift=normal(block.friction_coefficient),
-        **_broken(faults, env_count, rng),
+        seeds=rng.integers(2**30, size=env_count, dtype=np.int32),
+        faults=faults,
+        frame_faults=frame_faults,
     )
-
-
-def _broken(faults: SensorFaults, env_count: int, rng: np.random.Generator) -> dict[str, Any]:
-    dimmed = np.abs(faults.lamp_dimming * rng.standard_normal((env_count, 3)))
-    places = rng.uniform(-1, 1, (env_count, 2))
-    radius = np.full((env_count, 1), faults.wear_radius)
-    lost = faults.wear * rng.uniform(0, 1, (env_count, 1))
-    return {
-        "lamps": np.maximum(1 - dimmed, MIN_FACTOR),
-        "worn": np.hstack([places, radius, lost]),
-        "seeds": rng.integers(2**30, size=env_count, dtype=np.int32),
-        "faults": faults,
-    }

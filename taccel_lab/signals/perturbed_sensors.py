@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images, or maps of taxels, as the sensors of a ``Perturbation`` would give them: on the device.
 
-One kernel makes all of it, pixel by pixel, in the order in which a sensor does: lamps and coating,
-light that strays between neighbours, the gel's lag, the gain of each pixel, the camera's gain and
-drift, noise, and pixels that are dead.
+All of it is made pixel by pixel, in the order in which a sensor does: faults of the light, light
+that strays between neighbours, the gel's lag, the gain of each pixel, the camera's gain and drift,
+noise, pixels that are dead, and faults of frames on their way.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.signals.faulty_frames import RGB, FaultyFrames
+from taccel_lab.signals.frame_operators import LABEL, drifted, part_across
 from taccel_lab.signals.perturbation import Perturbation
 
 BLUR_SIGMAS = 3.0
 """Reach of crosstalk."""
-RGB = 3
-"""Channels of an image; maps of any other number are of taxels, which have no light."""
 
 
 @wp.kernel
@@ -71,8 +71,6 @@ def _perturb_images_kernel(
     strayed: wp.array4d(dtype=wp.float32),
     shared: _Shared,
     seeds: wp.array(dtype=wp.int32),
-    lamps: wp.array2d(dtype=wp.float32),
-    worn: wp.array(dtype=wp.vec4),
     gain: wp.array2d(dtype=wp.float32),
     shift: wp.array2d(dtype=wp.float32),
     gradient: wp.array3d(dtype=wp.float32),
@@ -83,18 +81,10 @@ def _perturb_images_kernel(
     env, v, u, c = wp.tid()
     height, width, channels = values.shape[1], values.shape[2], values.shape[3]
     pixel = (v * width + u) * channels + c
-    # From -1 at the left and upper edge to 1.
-    across = 2.0 * float(u) / float(wp.max(width - 1, 1)) - 1.0
-    down = 2.0 * float(v) / float(wp.max(height - 1, 1)) - 1.0
+    across, down = part_across(u, width), part_across(v, height)
     level = values[env, v, u, c]
     if shared.crosstalk > 0.0:
         level += shared.crosstalk * (strayed[env, v, u, c] - level)
-    patch = worn[env]
-    away = (across - patch[0]) * (across - patch[0]) + (down - patch[1]) * (down - patch[1])
-    light = lamps[env, c]
-    if patch[3] > 0.0:
-        light *= 1.0 - patch[3] * wp.exp(-0.5 * away / (patch[2] * patch[2]))
-    level *= light
     if shared.lag > 0.0:
         last = memory[env, v, u, c]
         if fresh[env] == 1:
@@ -106,8 +96,9 @@ def _perturb_images_kernel(
     own = wp.randn(state)
     if shared.pixel_gain > 0.0:
         level *= wp.max(1.0 + shared.pixel_gain * own, 0.0)
-    level = gain[env, c] * level + shift[env, c]
-    level += across * gradient[env, 0, c] + down * gradient[env, 1, c]
+    level = drifted(
+        level, gain[env, c], shift[env, c], gradient[env, 0, c], gradient[env, 1, c], across, down
+    )
     if shared.noise > 0.0:
         level += shared.noise * wp.randn(wp.rand_init(shared.noise_seed + seeds[env], pixel))
     # All channels of a dead pixel are dead.
@@ -124,11 +115,25 @@ class PerturbedSensors:
         self.drawn = drawn
         self._fresh = np.ones(drawn.env_count, dtype=np.int32)
         self._memory: wp.array | None = None
+        self._frames: FaultyFrames | None = None
+        self._turns = np.zeros((2, drawn.env_count), dtype=np.int32)
+        """How often each gel was reset, and the number of its next image since."""
         self._constants: dict[tuple[str, int], list[wp.array]] = {}
 
     def reset(self, envs: np.ndarray | None = None) -> None:
-        """Let gels forget what pressed them; ``envs``, bool, shape [env_count], or all."""
-        self._fresh[slice(None) if envs is None else np.asarray(envs, dtype=bool)] = 1
+        """Let gels forget what pressed them, and cameras their frames; ``envs``, bool, shape
+        [env_count], or all."""
+        who = slice(None) if envs is None else np.asarray(envs, dtype=bool)
+        self._fresh[who] = 1
+        self._turns[0, who] += 1
+        self._turns[1, who] = 0
+
+    def labels(self) -> np.ndarray:
+        """What is wrong with the frames of the last images, see ``FaultyFrames.labels``; nothing
+        where none can be."""
+        if self._frames is None:
+            return np.zeros(self.drawn.env_count, dtype=LABEL)
+        return self._frames.labels()
 
     def apply(
         self, images: Any, rng: np.random.Generator | None = None, *, step_s: float | None = None
@@ -158,6 +163,8 @@ class PerturbedSensors:
             raise InputError("hysteresis needs step_s, the time since the last call, above 0")
         values = _on_device(images)
         device = values.device
+        frames = self._faulty(shape, device)
+        values = values if frames is None else frames.lit(values)
         strayed = self._blurred(values) if faults.crosstalk > 0 else values
         memory = values
         if faults.hysteresis > 0:
@@ -177,7 +184,21 @@ class PerturbedSensors:
             device=device,
         )
         self._fresh[:] = 0
-        return _as_given(seen, images)
+        return _as_given(seen if frames is None else frames.sent(seen), images)
+
+    def _faulty(self, shape: tuple[int, ...], device: wp.Device) -> FaultyFrames | None:
+        """Faults of the frames that are given; None for none, and for taxels."""
+        drawn = self.drawn
+        if shape[3] != RGB or not drawn.frame_faults:
+            return None
+        if self._frames is None or (self._frames.shape, self._frames.device) != (shape, device):
+            size = (shape[2], shape[1])
+            self._frames = FaultyFrames(drawn.frame_faults, size, shape[0], device=device)
+        self._frames.draw(*(
+            wp.array(row, dtype=wp.int32, device=device) for row in (drawn.seeds, *self._turns)
+        ))  # fmt: skip
+        self._turns[1] += 1
+        return self._frames
 
     def _shared(self, channels: int, rng: np.random.Generator | None, step_s: float | None) -> Any:
         faults, shared = self.drawn.faults, _Shared()
@@ -199,18 +220,13 @@ class PerturbedSensors:
             drawn, count = self.drawn, self.drawn.env_count
             # gain * image + the rest, so that a nominal draw changes nothing, to the last bit.
             shift = drawn.offset + (1 - drawn.gain) * drawn.pivot
-            tables = [drawn.lamps, drawn.worn, drawn.gain, shift, drawn.gradient]
+            tables = [drawn.gain, shift, drawn.gradient]
             if channels != RGB:
                 ones, zeros = np.ones((count, channels)), np.zeros((count, channels))
-                still = np.tile([0.0, 0.0, 1.0, 0.0], (count, 1))
-                tables = [ones, still, ones, zeros, np.zeros((count, 2, channels))]
-            kinds = [wp.float32, wp.vec4, wp.float32, wp.float32, wp.float32]
+                tables = [ones, zeros, np.zeros((count, 2, channels))]
             self._constants[key] = [
                 wp.array(drawn.seeds, dtype=wp.int32, device=device),
-                *(
-                    wp.array(table.astype(np.float32), dtype=kind, device=device)
-                    for table, kind in zip(tables, kinds, strict=True)
-                ),
+                *(wp.array(t.astype(np.float32), dtype=wp.float32, device=device) for t in tables),
             ]
         return self._constants[key]
 

@@ -93,9 +93,11 @@ def _view(data: Dataset, row: dict[str, Any]) -> View:
 
 def _captions(data: Dataset, rows: np.ndarray) -> list[str]:
     table = data.steps
+    faults = table.get("faults", np.full(len(data), ""))
     return [
         f"step {table['step'][k]}: depth {table['depth_mm'][k]:.2f} mm, force "
         f"{table['press_force_z_n'][k]:.3f} N, contact {table['contact_area_mm2'][k]:.2f} mm²"
+        + (f", {faults[k].replace('+', ', ')}" if faults[k] else "")
         for k in rows
     ]
 

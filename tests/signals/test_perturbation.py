@@ -140,19 +140,6 @@ def test_hysteresis_overshoots_and_fades_as_a_maxwell_branch_does():
     assert after[0] == 1.0 and after[1] < 1.0
 
 
-def test_lamps_dim_and_coatings_wear():
-    lamps = faulty(lamp_dimming=0.2).lamps
-    assert (lamps <= 1).all() and np.ptp(lamps) > 0.05
-    dimmed = shown(IMAGES, lamp_dimming=0.2)
-    assert dimmed == pytest.approx(IMAGES * lamps[:, None, None], abs=1e-4)
-    one = faulty(wear=0.8, wear_radius=0.4)
-    worn = PerturbedSensors(one).apply(np.full_like(IMAGES, 100.0))
-    across, down = np.meshgrid(np.linspace(-1, 1, 51), np.linspace(-1, 1, 41))
-    for image, (x, y, radius, lost) in zip(worn, one.worn, strict=True):
-        expected = 1 - lost * np.exp(-0.5 * ((across - x) ** 2 + (down - y) ** 2) / radius**2)
-        assert image[..., 1] == pytest.approx(100 * expected, abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [
