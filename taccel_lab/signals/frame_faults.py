@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from taccel_lab.errors import InputError
@@ -122,19 +122,14 @@ class FrameFaults:
             return given
         if not isinstance(given, Mapping):
             raise InputError(f"faults are a table of chances and ranges, got {given!r}")
-        plain = {field.name: field.default for field in fields(cls)}
+        plain = vars(cls())
         checked: dict[str, Any] = {}
         for name, value in given.items():
             require_known("fault", str(name), plain)
-            pair = isinstance(value, (list, tuple))
+            ranged, pair = isinstance(plain[name], tuple), isinstance(value, (list, tuple))
             ends = tuple(value) if pair else (value,)
-            wanted = plain[name] if isinstance(plain[name], tuple) else (plain[name],)
-            if (
-                len(ends) != len(wanted)
-                or (pair and len(wanted) == 1)
-                or not all(map(_is_number, ends))
-            ):
-                allowed = "[low, high]" if len(wanted) == 2 else "a number"
+            if ranged != pair or len(ends) != 1 + ranged or not all(map(_is_number, ends)):
+                allowed = "[low, high]" if ranged else "a number"
                 raise InputError(f"{name} must be {allowed}, got {value!r}")
             checked[name] = ends if pair else value
         return cls(**checked)

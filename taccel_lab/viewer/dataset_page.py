@@ -93,7 +93,7 @@ def _view(data: Dataset, row: dict[str, Any]) -> View:
 
 def _captions(data: Dataset, rows: np.ndarray) -> list[str]:
     table = data.steps
-    faults = table.get("faults", np.full(len(data), ""))
+    faults = table["faults"].tolist() if "faults" in table else [""] * len(data)
     return [
         f"step {table['step'][k]}: depth {table['depth_mm'][k]:.2f} mm, force "
         f"{table['press_force_z_n'][k]:.3f} N, contact {table['contact_area_mm2'][k]:.2f} mm²"
