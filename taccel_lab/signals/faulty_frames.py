@@ -33,8 +33,8 @@ from taccel_lab.signals.frame_operators import (
     TORN,
     WEAR,
     FrameFault,
-    light_kernel,
-    wire_kernel,
+    frame_light_kernel,
+    frame_wire_kernel,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -157,7 +157,7 @@ def _is_stuck(stated: _Stated, key: _Key, frame: int, first: int) -> bool:
 
 
 @wp.kernel
-def _draw_kernel(
+def _draw_faults_kernel(
     stated: _Stated,
     first: int,
     seeds: wp.array(dtype=wp.int32),
@@ -282,7 +282,7 @@ class FaultyFrames:
         """Turn to the frame of each environment: its seed, how many episodes it has begun, and the
         number of the frame in its episode, from 0; int32, [env], on the device."""
         wp.launch(
-            _draw_kernel,
+            _draw_faults_kernel,
             len(self._keys),
             [self._stated, self._first, seeds, episodes, frames, self._slots],
             [
@@ -299,7 +299,7 @@ class FaultyFrames:
             return images
         seen = wp.empty_like(images)
         wp.launch(
-            light_kernel, self.shape, [images, self._light], [seen], device=self.device
+            frame_light_kernel, self.shape, [images, self._light], [seen], device=self.device
         )  # fmt: skip
         return seen
 
@@ -318,7 +318,7 @@ class FaultyFrames:
         earlier, last = self._kept.get(images.dtype, (kept, kept))
         seen = wp.empty_like(images)
         wp.launch(
-            wire_kernel,
+            frame_wire_kernel,
             self.shape,
             [images, self._label, self._counts, self._slots, keeps, earlier, keeps_last, last],
             [seen],

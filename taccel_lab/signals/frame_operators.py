@@ -2,9 +2,9 @@
 """Operators that make frames of a camera faulty, by kind: kernels over batches, and each of them
 for an image at hand.
 
-Light is changed first (``light_kernel``), then the frame as it comes over the wire
-(``wire_kernel``), with rows and frames that came before. Both do what the ``FrameFault`` of a row
-says; a row without a fault keeps its bits.
+Light is changed first (``frame_light_kernel``), then the frame as it comes over the wire
+(``frame_wire_kernel``), with rows and frames that came before. Both do what the ``FrameFault`` of a
+row says; a row without a fault keeps its bits.
 """
 
 # Warp compiles the kernels from their source; its type stubs do not describe vectors' operators.
@@ -49,10 +49,10 @@ class FrameFault:
     lost_from_row: wp.int32
     lost_level: wp.vec3
     shift_px: wp.int32
-    """To the right."""
+    """Positive to the right."""
     torn_from_row: wp.int32
     torn_px: wp.int32
-    """To the right; 0 for rows of the frame before."""
+    """Positive to the right; 0 for rows of the frame before."""
     stuck_frames: wp.int32
     """Number of times that the frame came before."""
     delay_frames: wp.int32
@@ -66,14 +66,14 @@ class FrameFault:
     band_depth: wp.float32
     band_periods: wp.float32
     band_phase: wp.float32
-    """Of the uppermost row, in periods."""
+    """Phase of the uppermost row, in periods."""
     drift_gain: wp.vec3
     """Change, as a part of the light."""
     drift_levels: wp.vec3
     drift_right: wp.vec3
-    """From the middle to the right edge [levels]."""
+    """Change from the middle to the right edge [levels]."""
     drift_down: wp.vec3
-    """From the middle to the lower edge [levels]."""
+    """Change from the middle to the lower edge [levels]."""
 
 
 LABEL = np.dtype(FrameFault.numpy_dtype())
@@ -97,7 +97,7 @@ def drifted(
 
 
 @wp.kernel
-def light_kernel(
+def frame_light_kernel(
     images: wp.array4d(dtype=wp.float32),
     faults: wp.array(dtype=FrameFault),
     seen: wp.array4d(dtype=wp.float32),
@@ -125,7 +125,7 @@ def light_kernel(
 
 
 @wp.kernel
-def wire_kernel(
+def frame_wire_kernel(
     images: wp.array4d(dtype=Any),
     faults: wp.array(dtype=FrameFault),
     counts: wp.array(dtype=wp.int32),
@@ -171,7 +171,7 @@ def wire_kernel(
 for _dtype in (wp.uint8, wp.float32):
     # All at once, as a module is compiled anew with each.
     _images = dict.fromkeys(("images", "earlier", "last", "seen"), wp.array4d(dtype=_dtype))
-    wp.overload(wire_kernel, _images)
+    wp.overload(frame_wire_kernel, _images)
 
 
 # Operators of an image at hand ---------------------------------------------------------------
@@ -285,7 +285,7 @@ def _lit(image: np.ndarray, kind: str, **fields: Any) -> np.ndarray:
     require_shape("image", image, ("h", "w", 3))
     given = wp.array(image[None].astype(np.float32), dtype=wp.float32, device="cpu")
     seen = wp.empty_like(given)
-    wp.launch(light_kernel, given.shape, [given, _fault(kind, fields)], [seen], device="cpu")
+    wp.launch(frame_light_kernel, given.shape, [given, _fault(kind, fields)], [seen], device="cpu")
     found = seen.numpy()[0]
     return eight_bit(found) if image.dtype == np.uint8 else found.astype(image.dtype)
 
@@ -300,7 +300,7 @@ def _arrived(
     counts = wp.array([1], dtype=wp.int32, device="cpu")
     seen = wp.empty_like(given)
     wp.launch(
-        wire_kernel, given.shape,
+        frame_wire_kernel, given.shape,
         [given, _fault(kind, fields), counts, 2, False, kept, False, kept], [seen],
         device="cpu",
     )  # fmt: skip
