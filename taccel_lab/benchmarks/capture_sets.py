@@ -75,13 +75,12 @@ def _contacts() -> tuple[CaptureFigure, ...]:
 
 
 TAXIM, FOTS, RVSATHU = "taxim:gelsight", "fots_calib", "gelsight_rvsathu_sim2real"
-LAYOUTS = Path(__file__).resolve().parents[2] / "docs" / "examples" / "layouts"
 STATED = {
     # Its authors' board, which no file says.
     "9dtact_official": ("--board", "dots:9x7:2.5"),
     **{
-        source: ("--layout", str(LAYOUTS / f"{script}.py"))
-        for source, script in (
+        source: ("--layout", layout)
+        for source, layout in (
             (FOTS, "fots"),
             (RVSATHU, "rvsathu"),
             ("gelsight_osaka_photon26", "osaka"),

@@ -154,9 +154,8 @@ class CaptureImport(ImportOptions):
     out: Positional[Path]
     """Capture folder to write."""
     layout: str = "auto"
-    """Layout of the source: auto, taxim, 9dtact, gs-sdk, printer, markers or plain, or a script,
-    which is run: those of other published sets are in docs/examples/layouts
-    (docs/capture_import.md)."""
+    """Layout of the source: auto, taxim, 9dtact, gs-sdk, printer, markers, plain, another
+    published set (docs/capture_import.md), or a script, mine.py, which is run."""
     replace: bool = False
     """Put these captures in the place of earlier ones, unless somebody has changed those."""
     json: bool = False

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.calibration.record.labelling import Labelling
 from taccel_lab.files.videos import count_frames
+from tests.calibration.capture.made_up_layouts import source_of
 from tests.calibration.record.sessions import source
 from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_video
@@ -59,6 +61,23 @@ def test_a_plain_folder_is_checked_as_it_stands_and_imported(here: Path, cli: Cl
     assert printed["layout"] == "plain"
     assert printed["folders"][0]["contents"]["ball_presses"] == 5
     cli("capture check out --json")
+
+
+@pytest.mark.parametrize("name", ["rvsathu", "ruihangao"])
+def test_the_layout_that_is_proposed_is_ours(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    """Not a script of a stranger's folder, whatever its name, where the proposal is followed."""
+    source = source_of(name, tmp_path)
+    monkeypatch.chdir(source)
+    for script in (f"docs/examples/layouts/{name}.py", f"{name}.py", name):
+        (source / script).parent.mkdir(parents=True, exist_ok=True)
+        (source / script).write_text("open('run', 'w')\n")
+    proposed = re.search(r"add (--layout \S+?),? ", cli.refusal("capture import . ../out"))
+    assert proposed is not None
+    cli(f"capture import . ../out {proposed[1]}")
+    assert not (source / "run").exists()
+    assert f"layout {name}" in (tmp_path / "out" / "captures.toml").read_text()
 
 
 def test_nothing_is_read_of_an_import_that_stands(

@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_
 from taccel_lab.calibration.capture.importers import ImportOptions, detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
-from tests.calibration.capture.made_up_layouts import SCRIPTED, SCRIPTS
+from tests.calibration.capture.made_up_layouts import SCRIPTED
 from tests.calibration.judged_once import detect_once
 from tests.support.real_data import real_data, taxim_presses
 
@@ -65,8 +65,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Imported:
     @cache
     def made(name: str) -> list[CaptureFolder]:
         out = tmp_path_factory.mktemp("set") / "out"
-        layout = LAYOUTS[name]
-        layout = str(SCRIPTS / f"{layout}.py") if layout in SCRIPTED else "auto"
+        layout = LAYOUTS[name] if LAYOUTS[name] in SCRIPTED else "auto"
         folders = import_captures(real_data(name), out, layout, OPTIONS.get(name))
         return [load_capture_folder(folder) for folder in folders]
 

@@ -68,7 +68,7 @@ LAYOUTS = {
 }  # fmt: skip
 AUTO = "auto"
 SCRIPT_SUFFIX = ".py"
-SCRIPTS = "docs/examples/layouts"
+SCRIPTS = Path(__file__).with_name("layouts")
 """Where the layouts of further published sets are, as scripts."""
 PUBLISHED = {
     "fots": ["mlp_calib/*"],
@@ -107,8 +107,8 @@ def detect_layout(source: Path | str) -> CaptureLayout:
     """The layout that ``source`` follows.
 
     Raises:
-        InputError: None of them, or a published one that a script reads; the message names it, or
-            all.
+        InputError: None of them, or a published one, which many folders look like; the message
+            names it, or all.
     """
     source = _own_files_alone(Path(source))
     for layout in LAYOUTS.values():
@@ -122,8 +122,7 @@ def detect_layout(source: Path | str) -> CaptureLayout:
                 ):
                     raise InputError(
                         f"{source} has {' and '.join(signs)}, as the published set {name}: add "
-                        f"--layout {SCRIPTS}/{name}.py, a file of the repository, or --layout "
-                        "plain where all of its images are of one ball"
+                        f"--layout {name}, or --layout plain where all images are of one ball"
                     )
         if layout.recognises(source):
             return layout
@@ -141,11 +140,13 @@ def named_layout(name: str) -> CaptureLayout:
     """
     if name.endswith(SCRIPT_SUFFIX):
         return script_layout(Path(name))
-    if name not in LAYOUTS:
-        script = f"; {SCRIPTS}/{name}.py reads it" if name in PUBLISHED else ""
+    if name in PUBLISHED:
+        return script_layout(SCRIPTS / f"{name}{SCRIPT_SUFFIX}")
+    known = (*LAYOUTS, *PUBLISHED)
+    if name not in known:
         raise InputError(
-            f"no layout {name!r}{nearest(name, LAYOUTS)}{script}; known: {AUTO}, "
-            f"{', '.join(LAYOUTS)}, or a script, which ends in {SCRIPT_SUFFIX}"
+            f"no layout {name!r}{nearest(name, known)}; known: {AUTO}, {', '.join(known)}, or a "
+            f"script, which ends in {SCRIPT_SUFFIX}"
         )
     return LAYOUTS[name]
 

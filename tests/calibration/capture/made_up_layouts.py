@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.importers import ImportOptions
 from tests.support.capture_sets import write_image
 
 RNG = np.random.default_rng(0)
-SCRIPTS = Path(__file__).parents[3] / "docs" / "examples" / "layouts"
+EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "layouts"
 
 
 def picture(path: Path, level: int = 90, size: tuple[int, int] = (48, 64)) -> Path:
@@ -162,7 +162,7 @@ SCRIPTED: dict[str, Callable[[Path], None]] = {
 def layout_of(which: str | Callable[[Path], None]) -> str:
     """What ``--layout`` says for the set of that name, or for what a maker writes."""
     names = [name for name, make in SCRIPTED.items() if which in (name, make)]
-    return str(SCRIPTS / f"{names[0]}.py") if names else "auto"
+    return names[0] if names else "auto"
 
 
 def source_of(name: str, folder: Path) -> Path:

@@ -272,7 +272,8 @@ def test_nothing_to_import(tmp_path: Path) -> None:
     layouts.picture(tmp_path / "a.png")
     for layout, words in (
         ("x", "no layout 'x'; known: auto, taxim"),
-        ("fots", "no layout 'fots'; docs/examples/layouts/fots.py reads"),
+        ("fot", r"no layout .fot. \(did you mean fots"),
+        ("fots", "is not of the layout fots"),
         ("printer", "is not of the layout printer"),
     ):
         with pytest.raises(InputError, match=words):
@@ -281,7 +282,7 @@ def test_nothing_to_import(tmp_path: Path) -> None:
     assert "is a capture folder already" in refused(tmp_path)
 
 
-MINE = str(layouts.SCRIPTS / "my_bench.py")
+MINE = str(layouts.EXAMPLES / "my_bench.py")
 
 
 def spot(u: int, v: int) -> np.ndarray:
