@@ -232,17 +232,19 @@ class DatasetChannels:
 
     def run(self) -> None:
         from taccel_lab.cli.console import print_json, print_table
-        from taccel_lab.datasets.channels import ALWAYS, channels_of, known_channels
+        from taccel_lab.datasets.channels import ALWAYS, FAULTS, channels_of, known_channels
 
         asked = channels_of(tuple(known_channels()))[len(ALWAYS) :]
+        labels = tuple(FAULTS.values())
+        tables = (("always", ALWAYS), ("output.channels", asked), ("with [faults]", labels))
         if self.json:
             names = ("name", "dtype", "shape", "unit", "what")
             print_json({
                 title: [{name: getattr(c, name) for name in names} for c in channels]
-                for title, channels in (("always", ALWAYS), ("output.channels", asked))
+                for title, channels in tables
             })  # fmt: skip
             return
-        for title, channels in (("always kept", ALWAYS), ("output.channels", asked)):
+        for title, channels in tables:
             rows = [
                 (c.name, f"{c.dtype} [{c.shape}]" if c.shape else c.dtype, c.unit, c.what)
                 for c in channels

@@ -40,6 +40,7 @@ FLAT = {
     "patch_forces_n": "observation.patch_forces_n",
     "markers_px": "observation.markers_px",
     "tool_pose": "observation.tool_pose",
+    "faults": "observation.faults",
 }
 """Channels and the features that they become, where a data set has them."""
 LEROBOT_LEFT_OUT = (

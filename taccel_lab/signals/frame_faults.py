@@ -7,7 +7,6 @@ estimator to train on. ``FaultyFrames`` gives such frames, ``frame_operators`` o
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -150,7 +149,8 @@ class FrameFaults:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    # Whole numbers of TOML may be too large to be a float.
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e9
 
 
 def kinds_of(faults: int) -> tuple[str, ...]:

@@ -12,11 +12,16 @@ import pytest
 
 from taccel_lab.datasets.channels import FAULT_COLUMNS
 from taccel_lab.datasets.check import check_dataset
+from taccel_lab.datasets.exports import export_lerobot
+from taccel_lab.datasets.faults_page import faulty_examples
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.signals.frame_faults import KINDS
+from taccel_lab.files.atomic_file import write_image
+from taccel_lab.files.inner_path import file_or_example
+from taccel_lab.signals.frame_faults import KINDS, FrameFaults
 from taccel_lab.signals.frame_operators import BITS
 from taccel_lab.viewer.dataset_page import read_touch
+from tests.support.commands import done, refusal
 from tests.support.small_data_sets import SIZE, make, parts_of, plan
 
 FAULTS = dict.fromkeys(KINDS, 0.1)
@@ -61,11 +66,12 @@ def test_images_alone_differ_and_labels_say_how(whole_set: Path, faulty_set: Pat
     assert not [finding for finding in check_dataset([faulty_set]) if finding.severity == "error"]
 
 
-def test_a_reader_knows_what_was_asked_for_and_sees_it(faulty_set: Path) -> None:
-    """In the recipe, and in the viewer's captions."""
+def test_a_reader_knows_what_was_asked_for_and_sees_it(faulty_set: Path, tmp_path: Path) -> None:
+    """In the recipe, the viewer's captions and what LeRobot reads."""
     recipe = json.loads((faulty_set / "dataset.json").read_text())["recipe"]
     assert recipe["spec"]["faults"]["shift"] == 0.1
     assert recipe["spec"]["faults"]["shift_width"] == [0.005, 0.065]
+    assert "observation.faults" in export_lerobot([faulty_set], tmp_path / "out")["features"]
     data = Dataset(faulty_set)
     place = int(data.steps["place"][np.flatnonzero(data.steps["faults"] != "")[0]])
     captions = read_touch(data, place).captions
@@ -117,3 +123,30 @@ def test_faults_that_cannot_be_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=words):
         plan(profile, **changes)
+
+
+def test_a_page_shows_every_fault_on_frames_at_hand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each by the ranges of a file; what is drawn is what the picture is made of."""
+    frames = np.random.default_rng(0).integers(20, 200, (2, 24, 32, 3)).astype(np.uint8)
+    paths = [tmp_path / f"{name}.png" for name in ("rest", "press")]
+    for path, frame in zip(paths, frames, strict=True):
+        write_image(path, frame)
+    example = file_or_example(Path("mini_touches"), "datasets").read_text()
+    stated = example.replace("[faults]", "[faults]\nlost_from = [0.5, 0.5]\nwear = 0.3")
+    (tmp_path / "set.toml").write_text(stated)
+    words = ("dataset", "faults", *paths, "--spec", tmp_path / "set.toml", "--json")
+    code, out, _ = done(capsys, *words, "--out", tmp_path / "page", "--seed", 3)
+    drawn = json.loads(out[: out.rindex("}") + 1])
+    assert code == 0 and set(drawn) == set(KINDS) and drawn["lost_rows"]["lost_from_row"] == [12]
+    html = (tmp_path / "page" / "report.html").read_text().replace("<wbr>", "")
+    assert all(kind in html for kind in KINDS) and "0.3 of an episode" in html
+    examples = faulty_examples(frames, FrameFaults(), 3)
+    assert (examples["stuck"][0] == frames[0]).all() and (examples["delay"][0] == frames[0]).all()
+    assert all((image != frames[1]).any() for image, _ in examples.values())
+    said = refusal(capsys, "dataset", "faults", paths[0], "--out", tmp_path / "other")
+    assert "give two frames or more" in said and not (tmp_path / "other").exists()
+    write_image(paths[0], frames[0][:12])
+    said = refusal(capsys, "dataset", "faults", *paths, "--out", tmp_path / "other")
+    assert "frame 1 is 32x12 px, the last one 32x24 px" in said

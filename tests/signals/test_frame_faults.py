@@ -274,6 +274,8 @@ def test_without_chances_bits_stay_and_nothing_is_made(monkeypatch: pytest.Monke
         ({"wear_gain": [0.2, True]}, r"wear_gain must be \[low, high\]"),
         ({"wear_gain": [[1], [1, 2]]}, r"wear_gain must be \[low, high\]"),
         ({"wear": [0.1]}, "wear must be a number"),
+        ({"wear": 10**400}, "wear must be a number"),
+        ({"wear": float("nan")}, "wear must be a number"),
         ({"wear_gain": [0.2, 0.1]}, "wear_gain is 0.2 to 0.1; -1 to 10 is allowed"),
         ({"delay_frames": [1, 2.5]}, "whole numbers are allowed"),
         ({"delay_frames": [1, 99]}, "delay_frames is 1 to 99; 1 to 16 is allowed"),
