@@ -63,6 +63,7 @@ def read_apart(
     limit_s: float | None = None,
     pool: str = "",
     records: Records = tuple,
+    size: int | None = None,
 ) -> Result:
     """``read(*arguments)``, run in the readers' process.
 
@@ -77,10 +78,11 @@ def read_apart(
         pool: Of the processes that may do it: a library that takes much of the memory itself, and
             keeps it, has its own, so that others can read on.
         records: Classes of dataclasses, named tuples, models or enumerations in the result.
+        size: Bytes of all that is read, where the file ``what`` names others.
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
-    asked = _Asked.of(what, by, limit_s, records)
+    asked = _Asked.of(what, by, limit_s, records, size)
     for fresh in (False, True):
         with _readers.use(fresh, pool) as reader:
             try:
@@ -131,14 +133,21 @@ class _Asked:
     records: Records
 
     @classmethod
-    def of(cls, what: str, by: str, limit_s: float | None, records: Records) -> _Asked:
+    def of(
+        cls, what: str, by: str, limit_s: float | None, records: Records, size: int | None = None
+    ) -> _Asked:
         if limit_s is not None:
             return cls(what, by, limit_s, None, records)
         try:
-            size = os.stat(what).st_size
+            size = os.stat(what).st_size if size is None else size
         except (OSError, ValueError):
             size = 0
-        return cls(what, by, LIMIT_S, CPU_S + CPU_S_PER_MIB * size / 2**20, records)
+        return cls(what, by, LIMIT_S, cpu_s_of(size), records)
+
+
+def cpu_s_of(size: int) -> float:
+    """Seconds of the processor that files of so many bytes are worth."""
+    return CPU_S + CPU_S_PER_MIB * size / 2**20
 
 
 class _Failed(InputError):

@@ -94,7 +94,7 @@ def _state(value: Any) -> Any:
 
 
 def _packed_error(error: BaseException) -> Any:
-    """By its kind and words where Python itself or this package has the kind, else by its words."""
+    """Kind and words of an error; a kind that is neither Python's own nor ours becomes words."""
     kind, given = type(error), [*error.args]
     if isinstance(error, OSError) and error.filename is not None:
         given.append(str(error.filename))

@@ -2,13 +2,12 @@
 """MJCF files of others, with all that they include: nothing is opened outside their own folder.
 
 Newton's reader would follow any path. It gets one text without includes instead, in which meshes
-and height fields are absolute paths that were looked at, and textures and other looks are no files.
+are absolute paths that were looked at.
 https://mujoco.readthedocs.io/en/stable/XMLreference.html
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
@@ -19,48 +18,45 @@ from taccel_lab.files.inner_path import named_path, real_path
 from taccel_lab.files.regular_file import read_text, require_regular_file, shown
 from taccel_lab.files.triangle_file import MAX_BYTES
 from taccel_lab.files.xml_file import MAX_DEPTH, XML_LIMIT_BYTES, read_xml
+from taccel_lab.newton_bridge.mjcf_understood import understood
 
 MAX_ELEMENTS = 50_000
 """Most elements of the robot with all that it includes; a humanoid with hands and muscles has
 4,000."""
 MAX_FILES = 1000
 """Most files that are included, each as often as it is."""
-_NUMBERS = (
-    "axis", "axisangle", "density", "diaginertia", "euler", "fromto", "fullinertia", "mass", "pos",
-    "quat", "range", "scale", "size", "xyaxes", "zaxis",
-)  # fmt: skip
-"""Attributes whose numbers newton would make its own of where they are none: no mass for a
-negative one, no limit for NaN."""
-_LARGEST = 3e38
-"""Largest number of FP32, in which newton computes."""
 _ROOTS = ("mujoco", "mujocoinclude")
 _MESHES = (".stl", ".obj", ".msh")
 """MuJoCo's own."""
-_OPENED = ("mesh", "hfield")
-"""Elements whose file newton opens."""
+_OPENED = "mesh"
+"""The element whose file newton opens."""
 _GEOMETRY = ("v", "f", "g", "o", "l", "p", "s", "usemtl")
 """How lines of an OBJ file begin that are no comment and name no other file."""
 
 
-def whole_mjcf(path: Path, scratch: Path) -> str:
-    """The robot of an MJCF file as one XML text that includes nothing.
+def whole_mjcf(path: Path, scratch: Path, fixed: bool) -> tuple[str, int]:
+    """The robot of an MJCF file as one XML text of what is understood, and the bytes of all files
+    that it is made of.
 
     Args:
         path: The file.
         scratch: Folder for copies of meshes that would name further files.
+        fixed: Whether something takes the place of the joints of its first bodies.
 
-    Raises InputError: no MJCF, a file that is named and lies outside the folder of ``path``, or is
-    no regular file of bounded size, includes in a ring, and more or deeper than ``MAX_ELEMENTS``
-    and ``MAX_DEPTH``.
+    Raises InputError: as ``understood``; no MJCF, a file that is named and lies outside the folder
+    of ``path``, or is no regular file of bounded size, includes in a ring, and more or deeper than
+    ``MAX_ELEMENTS`` and ``MAX_DEPTH``.
     """
-    root = _Expansion(path, scratch).expand(path, (), _Folders())
+    expansion = _Expansion(path, scratch)
+    root = expansion.expand(path, (), _Folders())
     level, depth = [root], 0
     while level:
         depth += 1
         if depth > MAX_DEPTH:
             raise InputError(f"{path} is nested more than {MAX_DEPTH} deep with what it includes")
         level = [child for element in level for child in element]
-    return ElementTree.tostring(root, encoding="unicode")
+    found = understood(root, expansion.included, fixed)
+    return ElementTree.tostring(found, encoding="unicode"), expansion.bytes
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,11 @@ class _Expansion:
     def __init__(self, path: Path, scratch: Path) -> None:
         self._folder, self._path = path.parent, path
         self._scratch = scratch
-        self._files = self._bytes = self._elements = 0
+        self._files = self._elements = 0
+        self.bytes = 0
+        """Bytes of all files that it is made of."""
+        self.included: dict[Element, Path] = {}
+        """The file of each element that an <include> stands for."""
         self._settled: dict[Path, str] = {}
 
     def expand(self, path: Path, above: tuple[Path, ...], outer: _Folders) -> Element:
@@ -110,8 +110,8 @@ class _Expansion:
         if len(above) >= MAX_DEPTH:
             raise InputError(f"{path} is included by more than {MAX_DEPTH} files in each other")
         self._files += 1
-        self._bytes += require_regular_file(path, XML_LIMIT_BYTES, "an MJCF file").stat().st_size
-        if self._files > MAX_FILES or self._bytes > XML_LIMIT_BYTES:
+        self.bytes += require_regular_file(path, XML_LIMIT_BYTES, "an MJCF file").stat().st_size
+        if self._files > MAX_FILES or self.bytes > XML_LIMIT_BYTES:
             raise InputError(
                 f"{self._path} includes too much: up to {MAX_FILES:,} files and "
                 f"{XML_LIMIT_BYTES >> 20} MiB are read"
@@ -132,7 +132,6 @@ class _Expansion:
                 if child.tag == "include":
                     children += self._included(child, at, (*above, real), folders)
                 else:
-                    _check_numbers(child)
                     self._settle(child, at, folders)
                     children.append(child)
             parent[:] = children
@@ -145,7 +144,9 @@ class _Expansion:
             raise InputError(f"{self._path}: an <include> has no 'file'")
         # MuJoCo counts from the first file, newton from the one that includes.
         path = self._find(include, name, (at, ""))
-        return list(self.expand(path, above, folders))
+        found = list(self.expand(path, above, folders))
+        self.included |= {child: self.included.get(child, path) for child in found}
+        return found
 
     def _find(self, element: Element, name: str, places: tuple[str, ...]) -> Path:
         """The first of the places, sub-folders, where the file is; the first one where none is."""
@@ -171,23 +172,24 @@ class _Expansion:
                 continue
             if folders.strip:
                 name = PurePosixPath(name.replace("\\", "/")).name
-            own = folders.mesh if element.tag in _OPENED else folders.texture
+            own = folders.mesh if element.tag == _OPENED else folders.texture
             # The order of newton.
             path = self._find(element, name, (own, at, str(PurePosixPath(at, own))))
-            if key == "file" and element.tag in _OPENED:
+            if key == "file" and element.tag == _OPENED:
                 element.set(key, self._opened(element, path))
 
     def _opened(self, element: Element, path: Path) -> str:
         """The path that newton gets. A file that is not there may be one that it does not need."""
         if path not in self._settled:
             self._settled[path] = str(path.absolute())
-            if element.tag == "mesh" and path.suffix.lower() not in _MESHES:
+            if path.suffix.lower() not in _MESHES:
                 raise InputError(
                     f"mesh {shown(path.name)} is of a kind that is not read; allowed are "
                     f"{', '.join(_MESHES)}"
                 )
             if path.exists():
-                require_regular_file(path, MAX_BYTES, f"what a <{element.tag}> names")
+                what = f"what a <{element.tag}> names"
+                self.bytes += require_regular_file(path, MAX_BYTES, what).stat().st_size
                 if path.suffix.lower() == ".obj":
                     self._settled[path] = str(self._plain_obj(path))
         return self._settled[path]
@@ -207,25 +209,3 @@ class _Expansion:
         copy.parent.mkdir()
         copy.write_text("\n".join(kept), encoding="utf-8")
         return copy
-
-
-def _check_numbers(element: Element) -> None:
-    for key in _NUMBERS:
-        if (text := element.get(key)) is None:
-            continue
-        try:
-            values = [float(word) for word in text.split()]
-        except ValueError:
-            values = [math.nan]
-        wrong = None
-        if not all(abs(value) < _LARGEST for value in values):
-            wrong = "finite numbers"
-        elif key in ("mass", "density") and any(value < 0 for value in values):
-            wrong = "at least 0"
-        elif key in ("axis", "quat") and not any(values):
-            wrong = "of a length above 0"
-        if wrong is not None:
-            name = element.get("name") or element.get("class") or ""
-            raise InputError(
-                f"{key} of <{element.tag}> {shown(name)} must be {wrong}, got {shown(text)}"
-            )

@@ -8,7 +8,6 @@ https://openusd.org/release/glossary.html#usdglossary-composition
 from __future__ import annotations
 
 import gc
-import math
 import os
 import re
 import shutil
@@ -20,12 +19,13 @@ from typing import Any
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_path, named_path
 from taccel_lab.files.regular_file import require_regular_file, shown
+from taccel_lab.newton_bridge.usd_prims import require_few_prims
+from taccel_lab.newton_bridge.usd_schemas import check_prim
 from taccel_lab.printable import words_of
 
 LAYERS = (".usd", ".usda", ".usdc")
 PACKAGE = ".usdz"
 MAX_LAYERS = 1000
-_MASSES = ("physics:mass", "physics:density")
 _PLACE = re.compile(r"Error in '[^']*' at line \d+ in file \S+ : ")
 """What an error of USD begins with: where in its own source it comes from."""
 MAX_BYTES = 1 << 30
@@ -67,12 +67,13 @@ def checked_layers(path: Path) -> list[Any]:
     """All layers that a USD file is made of, as ``Sdf.Layer``; to hold them keeps them as read.
 
     Raises InputError for a layer or other file that is named and lies outside the folder of
-    ``path``, for a layer that is not there, cannot be read or is a package, and for names that are
-    computed.
+    ``path``, for a layer that is not there, cannot be read or is a package, for names that are
+    computed, prims that are not understood, and more of them than are read.
     """
     from pxr import Sdf  # pyright: ignore[reportMissingImports]
 
-    folder, waiting, seen, layers = path.parent, [path.name], {path.name}, []
+    # What the user names may be a link, as tools that version data leave them.
+    folder, waiting, seen, layers = path.parent, [(path.name, path)], {path.name}, []
     # What this process read before is out of date, and its stages would open what is read now.
     gc.collect()
     gc.freeze()  # Newton's own objects, of which each collection would look at a million again.
@@ -81,9 +82,7 @@ def checked_layers(path: Path) -> list[Any]:
     # A name that is not beside its layer is looked for where the process is.
     os.chdir(folder)
     while waiting:
-        name = waiting.pop()
-        # What the user names may be a link, as tools that version data leave them.
-        file = path if name == path.name else inner_path(folder, name)
+        name, file = waiting.pop()
         require_regular_file(file, MAX_BYTES, "a USD layer")
         if file.suffix.lower() not in LAYERS:
             raise InputError(
@@ -104,9 +103,10 @@ def checked_layers(path: Path) -> list[Any]:
             inside = os.path.relpath(found, folder)
             if inside not in seen:
                 seen.add(inside)
-                waiting.append(inside)
+                waiting.append((inside, found))
             if len(seen) > MAX_LAYERS:
                 raise InputError(f"{path} is made of more than {MAX_LAYERS:,} layers")
+    require_few_prims(path, layers)
     return layers
 
 
@@ -150,16 +150,14 @@ def _names(layer: Any) -> Iterator[tuple[str, bool]]:
 
 
 def _look_at(spec: Any, note: Callable[[str], str]) -> None:
-    """Note patterns that name files of value clips; refuse masses that newton would leave out."""
-    if spec is None:
+    """Note patterns that name files of value clips; refuse what is not understood."""
+    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+
+    if isinstance(spec, Sdf.VariantSpec):
+        spec = spec.primSpec
+    if not isinstance(spec, Sdf.PrimSpec) or spec.path.isEmpty or spec.path == "/":
         return
     if spec.HasInfo("clips"):
         for clip in dict(spec.GetInfo("clips")).values():
             note(str(dict(clip).get("templateAssetPath", "")))
-    if spec.name in _MASSES and spec.HasInfo("default"):
-        value = float(spec.GetInfo("default"))
-        if not (math.isfinite(value) and value >= 0):
-            raise InputError(
-                f"{spec.name} of {spec.path.GetPrimPath()} must be finite and at least 0, got "
-                f"{value:g}"
-            )
+    check_prim(spec)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import struct
 import zipfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -138,13 +137,19 @@ INERTIAL = '<inertial pos="0 0 0" mass="{}" diaginertia="1 1 1"/>'
         (mesh('file="scene.gltf"'), "allowed are .stl, .obj, .msh"),
         (mesh('file="short.stl"'), "no triangles"),
         (mesh('file="short.msh"'), "Invalid MuJoCo mesh"),
-        (mjcf(inner=INERTIAL.format("nan")), "mass of <inertial>"),
+        (mjcf(inner=INERTIAL.format("nan")), "mass of <inertial> in body 'hand' must be finite"),
         (mjcf(inner=INERTIAL.format("-1")), "at least 0, got '-1'"),
-        (mjcf(inner='<body pos="1e300 0 0"/>'), "pos of <body> '' must be finite"),
-        (mjcf(inner='<body quat="0 0 0 0"/>'), "quat of <body> '' must be of a length above 0"),
-        (mjcf(inner='<joint name="j" range="nan 1"/>'), "range of <joint> 'j' must be finite"),
+        (mjcf(inner='<body pos="1e300 0 0"/>'), "pos of <body> in body 'hand' must be finite"),
+        (
+            mjcf(inner='<body quat="0 0 0 0"/>'),
+            "quat of <body> in body 'hand' must be of a length above 0",
+        ),
+        (
+            mjcf(inner='<joint name="j" range="nan 1"/>'),
+            "range of <joint> 'j' in body 'hand' must be finite",
+        ),
         (mjcf(inner="<body>" * 200 + "</body>" * 200), "nested more than 100 deep"),
-        (mjcf('<default class="a">' * 90 + "</default>" * 90), "newton cannot read it"),
+        (mjcf('<default class="a">' * 90 + "</default>" * 90), "'a': the first one is main"),
         (mjcf(inner="<site/>" * 60_000), "more than 50,000 elements"),
         (mjcf(inner="<a/>" * (MAX_ELEMENTS + 1)), f"more than {MAX_ELEMENTS:,} elements"),
         (mjcf(tag="robot"), "an MJCF file's is <mujoco>"),
@@ -228,10 +233,14 @@ CLIPS = """clips = {
     }"""
 
 
-needs_usd = pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not installed")
+API = "PhysicsRigidBodyAPI"
+JOINT = """def PhysicsRevoluteJoint "j"
+    {
+        float physics:lowerLimit = 30
+        float physics:upperLimit = -30
+    }"""
 
 
-@needs_usd
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -252,6 +261,10 @@ needs_usd = pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core is not
         (usda(inner="asset t = @link.png@"), "link out"),
         (usda(mass="nan"), "physics:mass of /robot/base must be finite"),
         (usda(mass="-1"), "physics:mass of /robot/base must be finite"),
+        (usda(inner=JOINT), "physics:lowerLimit of /robot/j must not be above its upperLimit"),
+        (usda(inner='def PointInstancer "p" {}'), "/robot/p is a 'PointInstancer', which is not"),
+        (usda().replace(API, "PhysxTendonAxisRootAPI"), "RootAPI' of /robot/base is not underst"),
+        (usda().replace("Unit = 1", "Unit = 0.01"), "does not take it as it stands: .*metersPerU"),
         ("#usda 1.0\n( \udcff\udcfe )\n", "no readable USD layer: ErrorException, whose own words"),
         ("", "no readable USD layer"),
         ("PXR-USDC" + "x" * 1000, "no readable USD layer"),
@@ -271,7 +284,6 @@ def test_a_usd_file_stays_inside(text: str, message: str, folder: Path, monkeypa
         load_usd(folder / "hand.usda")
 
 
-@needs_usd
 def test_a_usd_file_of_several_layers_is_read_as_it_is_now(folder: Path) -> None:
     """A process that read a file of this name before does not answer with that."""
     path = folder / "hand.usda"
@@ -283,10 +295,31 @@ def test_a_usd_file_of_several_layers_is_read_as_it_is_now(folder: Path) -> None
     assert load_usd(path).link_names == ["world", "palm"]
 
 
+def prim(name: str, **children: str) -> str:
+    """A prim of the layer whose children refer to others."""
+    inner = "".join(
+        f'    def "{child}" (\n        references = <{of}>\n    )\n    {{\n    }}\n'
+        for child, of in children.items()
+    )
+    return f'def Xform "{name}"\n{{\n{inner}}}\n'
+
+
+@pytest.mark.parametrize("brought", [False, True])
+def test_doubled_references_are_counted_before_they_are_made(brought: bool, folder: Path) -> None:
+    """As prims that stand in the layer, and as those that another one brings along."""
+    twice = prim("p0")
+    for k in range(1, 40):
+        of = f"/around{k}/outer/inner" if brought else f"/p{k - 1}"
+        twice += prim(f"held{k}", inner=f"/p{k - 1}") + prim(f"around{k}", outer=f"/held{k}")
+        twice += prim(f"p{k}", a=of, b=of)
+    (folder / "hand.usda").write_text(usda(prim="prepend references = </p39>") + twice)
+    with pytest.raises(InputError, match=r"hand.usda shows more than 20,000 prims"):
+        load_usd(folder / "hand.usda")
+
+
 OTHER = '#usda 1.0\n(\n    defaultPrim = "x"\n)\ndef Xform "x"\n{\n}\n'
 
 
-@needs_usd
 @pytest.mark.parametrize(
     ("members", "message"),
     [
