@@ -19,9 +19,11 @@ from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_plan import PressPlan
 from taccel_lab.api.press_result import Press
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.profile import PerturbationBlock
+from taccel_lab.profile import NormalsBlock, PerturbationBlock
+from tests.networks.weights import random_weights
 from tests.presses.formula_presses import DEFAULT, Resolution, outcome
 from tests.support.dotted_profiles import LIGHT, with_painted_dots
 from tests.support.oblong_grey import (
@@ -233,6 +235,33 @@ def test_light_that_is_known_to_some_levels_moves_depths_by_them(size: int) -> N
     assert found.height_sigma_m is not None
     at = found.height_sigma_m[found.deepest_px]
     assert 1e3 * at == pytest.approx(math.hypot(0.02, grey / LEVELS_PER_MM), rel=1e-3)
+
+
+def test_light_moves_depths_of_a_colour_sensor_by_its_size() -> None:
+    """The light of the image as it is, and at rest, each once and twice as uncertain."""
+    profile = grey_profile()
+    config = NormalModelConfig(72, 96, members=2, hidden=(8,), height_factor=1.0)
+    block = NormalsBlock(architecture=config.to_dict(), provenance=KNOWN)
+    profile = profile.with_block(block, random_weights(config, spread=0.05))
+    reader = SurfaceReader(profile, method="normals")
+    lit = reader.lit(ball_image(profile))
+
+    def variances(still: float, now: float) -> np.ndarray:
+        covariance = [np.eye(4) * [1e-6, level**2, 0.0, 0.0] for level in (still, now)]
+        lights = (
+            replace(light, covariance=np.tile(each, (3, 1, 1)))
+            for light, each in zip((lit.still, lit.light), covariance, strict=True)
+        )
+        still_light, light = lights
+        found = reader.read_lit(replace(lit, still=still_light, light=light))
+        assert found.height_sigma_m is not None and found.reading_sigma_m is not None
+        return np.stack([found.height_sigma_m, found.reading_sigma_m]) ** 2
+
+    known = variances(0.0, 0.0)
+    for still, now in ((3.0, 0.0), (0.0, 3.0)):
+        once, twice = (variances(f * still, f * now) - known for f in (1, 2))
+        np.testing.assert_allclose(twice, 4 * once, rtol=1e-4, atol=1e-6 * once.max())
+        assert [each.max() > 0 for each in once] == [now > 0, still > 0]
 
 
 BALL = f"sphere:{BALL_MM:g}"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,8 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.with_error import with_error
 from tests.signals.pressed_surface import pixel_xy
 from tests.support.commands import done, refusal
+from tests.support.oblong_grey import GRID as OBLONG
+from tests.support.oblong_grey import grey_profile
 
 SENSOR = "gelsight_mini"
 
@@ -95,7 +98,7 @@ def test_presses_are_found_within_their_deviations(tool, at_mm, depth_mm, unit, 
     assert found.force_n == pytest.approx(true.force_n, rel=0.03)
 
 
-GRID = PixelGrid(120, 100, 0.05, 0.05)
+GRID = PixelGrid(120, 100, 0.05, 0.06, center_v_px=44.0)
 RADIUS_MM = 4.0
 
 
@@ -147,6 +150,22 @@ def test_on_a_slope_the_place_is_less_certain_along_it():
     found, level = (seen(sigma_mm=0.005, lean=by).at_sigma_mm for by in (lean, 0.0))
     assert found[0] == pytest.approx(np.hypot(0.5 * lean * RADIUS_MM, level[0]), rel=0.1)
     assert found[1] == pytest.approx(level[1], rel=0.02)
+
+
+def test_a_photo_is_compared_within_a_square_around_the_contact():
+    """Of 1.6 radii to each side; photo and simulation differ beside it, the untouched inside."""
+    profile = grey_profile()
+    x, y = np.meshgrid(OBLONG.x_mm() - 0.4, OBLONG.y_mm() + 0.5)
+    beside = np.maximum(np.abs(x), np.abs(y)) > 1.6 * 1.5 + 0.2
+    inner = np.maximum(np.abs(x), np.abs(y)) < 1.6 * 1.5 - 0.2
+    rest = profile.background_rgb.astype(np.float64)
+    rgb, painted = rest + 40.0 * (inner | beside)[..., None], rest + 40.0 * inner[..., None]
+    found = PressPhoto(
+        Path("photo.png"), rgb, (0.4, -0.5), 0.5, None, None, (), None, None,
+        SimpleNamespace(background=rest),
+    )  # fmt: skip
+    figures = found.figures(painted, x**2 + y**2 < 1.5**2, profile)
+    assert figures["mean_error_levels"] == 0.0 and figures["untouched_error_levels"] > 28.0
 
 
 def corrected(run: PressRun, rgb: np.ndarray) -> tuple[PressRun, list[PressRun]]:

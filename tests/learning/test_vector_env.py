@@ -176,6 +176,37 @@ def test_a_reset_mask_touches_no_other_environment() -> None:
         assert not part[1].any()
 
 
+def test_actions_end_at_one_rewards_are_depths_that_are_gained_and_episodes_have_whole_times() -> (
+    None
+):
+    """Two gels that go across as far as they can in a step, by 1 and by 9."""
+    task = task_with("peg-insertion", steps=2)
+    learning, goal_mm = task.parameters.learning, task.parameters.goal.depth_mm
+    env = make(task, observe="proprioception")
+    for _ in range(2):
+        env.reset(seed=4)
+        depths = []
+        for step in (1, 2):
+            actions = torch.tensor([[1.0, 0.0, -1.0, 0.0], [9.0, 0.0, -9.0, 0.0]])
+            seen, reward, _, truncated, info = env.step(actions)
+            depths.append(info["depth_mm"])
+            assert truncated.tolist() == [step == 2] * 2
+        moved = task.parameters.dt_s * np.array(learning.speed_mm_s) * [1, 0, -1]
+        places = seen["proprioception"]
+        np.testing.assert_allclose(places[:, :3], [moved, moved], rtol=1e-6)
+        np.testing.assert_allclose(reward, (depths[1] - depths[0]) / goal_mm, atol=1e-5)
+        assert env.reset(seed=4)[0]["proprioception"].abs().max() == 0
+        env.step(actions)  # One of an episode that is left.
+
+
+def test_starts_are_drawn_to_both_sides() -> None:
+    """The hole, which follows both gels, is put where the start is asked for."""
+    env = make(count=6)
+    env.reset(seed=1)
+    across = env.state.poses.numpy()[:, -1, :2]
+    assert (across.min(axis=0) < 0).all() and (across.max(axis=0) > 0).all()
+
+
 def test_a_simulation_that_fails_ends_with_its_cause() -> None:
     """One Newton iteration does not squeeze a peg; the next step begins anew all the same."""
     env = make(solver={"max_newton_iterations": 1, "max_substep_halvings": 0})

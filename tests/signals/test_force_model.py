@@ -16,7 +16,11 @@ from hypothesis.extra.numpy import arrays
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.networks.force_settings import ForceModelConfig, color_directions
+from taccel_lab.networks.force_settings import (
+    MARKER_UNIT_MM,
+    ForceModelConfig,
+    color_directions,
+)
 from taccel_lab.signals import resultant_wrench
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_network import (
@@ -54,6 +58,13 @@ def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed):
     np.testing.assert_allclose(found.patch_forces_n.sum(axis=(0, 1)), found.force_n, rtol=1e-9)
     assert (found.sigma[:3] >= 0.19999 * np.abs(found.force_n)).all()
     assert (found.sigma > 0).all() and found.area_mm2 > 0
+
+
+def test_ways_of_markers_are_in_millimetres_along_both_axes():
+    """Of a marker in the middle of a patch, which counts whole there."""
+    at = GRID.pixel_from_gel(CENTERS[1, 2])[None]
+    mean = marker_planes(at, np.array([[2.0, -3.0]]), SETTINGS, GRID)[:2, 1, 2]
+    np.testing.assert_allclose(1.1 * MARKER_UNIT_MM * mean, [2.0 * 0.1, -3.0 * 0.12], rtol=1e-6)
 
 
 def test_errors_hold_the_modulus_by_its_size_and_the_networks_own_by_their_factors():

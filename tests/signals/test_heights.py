@@ -109,28 +109,28 @@ def test_bad_slopes_are_refused(slope, options, words):
         height_from_slopes(slope, OBLONG, **options)
 
 
-GRID = PixelGrid(80, 60, 0.1, 0.1)
-ROWS, COLUMNS = np.mgrid[0:60, 0:80] * 0.1
+GRID = PixelGrid(80, 75, 0.1, 0.08)
+ROWS, COLUMNS = np.mgrid[0:75, 0:80] * np.array([0.08, 0.1])[:, None, None]
 DENT = -1e-3 * np.exp(-((COLUMNS - 4) ** 2 + (ROWS - 3) ** 2))
-SLOPE = np.stack(np.gradient(DENT, 1e-4)[::-1], axis=-1)
+SLOPE = np.stack(np.gradient(DENT, 8e-5, 1e-4)[::-1], axis=-1)
 
 
 def test_the_band_holds_errors_of_its_own_kind():
     rng = np.random.default_rng(5)
-    sigma = np.full((60, 80), 0.01)
+    sigma = np.full((75, 80), 0.01)
     sigma[20:40, 30:50] = 0.1
     spread = HeightUncertainty(GRID, 3.0).sigma_m(sigma)
     scores = []
     for _ in range(60):
-        error = gaussian_filter(rng.standard_normal((60, 80, 2)), (3, 3, 0))
+        error = gaussian_filter(rng.standard_normal((75, 80, 2)), (3, 3, 0))
         error /= error.std()
         scores.append(resting_height(sigma[..., None] * error, GRID) / spread)
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.2)
-    assert spread[30, 40] > 1.3 * spread[5, 5]
+    assert spread[37, 40] > 1.3 * spread[5, 5]
 
 
 def test_it_grows_with_the_slopes_and_with_the_reach_of_errors():
-    sigma = np.full((60, 80), 0.02)
+    sigma = np.full((75, 80), 0.02)
     none, one, twice = (HeightUncertainty(GRID, 2.0).sigma_m(f * sigma) for f in (0, 1, 2))
     assert twice == pytest.approx(2 * one) and (none == 0).all()
     assert HeightUncertainty(GRID, 6.0).sigma_m(sigma).mean() > 1.5 * one.mean()
@@ -142,18 +142,18 @@ def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it():
     for length in (2.0, 4.0):
         along = HeightUncertainty(GRID, length).along_m(SLOPE, sigma)
         np.testing.assert_allclose(along, -0.1 * DENT, atol=5e-6)
-    assert HeightUncertainty(GRID, 2.0).sigma_m(sigma)[30, 40] < 0.3 * along[30, 40]
+    assert HeightUncertainty(GRID, 2.0).sigma_m(sigma)[37, 40] < 0.3 * along[37, 40]
 
 
 def test_slopes_below_their_deviation_have_no_direction_that_errors_lie_along():
-    sigma, trials = np.full((60, 80), 1.0), HeightUncertainty(GRID, 2.0)
+    sigma, trials = np.full((75, 80), 1.0), HeightUncertainty(GRID, 2.0)
     along = trials.along_m(SLOPE, sigma)
     assert trials.along_m(0.1 * SLOPE, sigma) == pytest.approx(0.1 * along)
     np.testing.assert_allclose(along, -DENT, atol=5e-5)
 
 
 def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatch):
-    sigma, weights = np.full((60, 80), 0.02), np.ones((60, 80))
+    sigma, weights = np.full((75, 80), 0.02), np.ones((75, 80))
     sigma[10:30, 10:30], weights[50:, :20] = 0.2, 0.0
     coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
     monkeypatch.setattr("taccel_lab.signals.read_heights.POINTS_PER_LENGTH", 8.0)

@@ -54,16 +54,20 @@ def grey_profile(**changes: dict[str, Any]) -> SensorProfile:
     return made.with_block(DepthResponseBlock(**curve, **stated, provenance=KNOWN))
 
 
-def ball_image(profile: SensorProfile, depth_mm: float = DEPTH_MM) -> np.ndarray:
-    """What it shows of a ball in the gel at ``AT_MM``, float levels; its face is that of a bonded
-    layer, found on finer, square pixels."""
+def ball_depth_mm(depth_mm: float = DEPTH_MM) -> np.ndarray:
+    """How deep a ball at ``AT_MM`` presses the face of a bonded layer, on finer pixels that are
+    square, [96, 144]."""
     fine = GRID.resized(2 * GRID.width_px, GRID.height_px)
     x, y = np.meshgrid(fine.x_mm() - AT_MM[0], fine.y_mm() - AT_MM[1])
     away2 = x**2 + y**2
     cap = BALL_MM - np.sqrt(np.maximum(BALL_MM**2 - away2, 0.0))
     tool = np.where(away2 < BALL_MM**2, cap, FAR_MM)
     step = fine.mm_per_px_x, fine.mm_per_px_y
-    rise_mm = press_layer(tool, depth_mm, step, BondedLayer(THICK_MM, NU)).rise_mm
-    deep = -rise_mm.reshape(GRID.height_px, GRID.width_px, 2).mean(axis=2)
+    return -press_layer(tool, depth_mm, step, BondedLayer(THICK_MM, NU)).rise_mm
+
+
+def ball_image(profile: SensorProfile, depth_mm: float = DEPTH_MM) -> np.ndarray:
+    """What it shows of such a ball, float levels."""
+    deep = ball_depth_mm(depth_mm).reshape(GRID.height_px, GRID.width_px, 2).mean(axis=2)
     assert profile.background_rgb is not None
     return profile.background_rgb - LEVELS_PER_MM * np.maximum(deep, 0.0)[..., None]

@@ -160,6 +160,18 @@ def test_dots_lie_in_a_picture_that_was_kept_smaller_where_they_lay_in_the_whole
     np.testing.assert_allclose(found.markers_px[2], wanted, atol=1e-9)
 
 
+def test_forces_sideways_and_stresses_of_steps_are_in_their_units(tmp_path):
+    arrays = press_arrays()
+    arrays["force_n"][2] = [3.0, 4.0, 1.0]
+    arrays["von_mises_pa"][2, 5] = arrays["contact_pressures_pa"][2, 5] = 5e3
+    arrays["moved_m"][2, 5, 2] = -2e-4
+    write_press(tmp_path, arrays, ABOUT)
+    found = read_press(tmp_path)
+    assert found.captions[2] == "depth 0.20 mm, force 1.000 N along z, 5.000 N sideways"
+    assert [each.values[2].max() for each in found.fields] == pytest.approx([5.0, 5.0])
+    assert found.moved_mm.min() == pytest.approx(-0.2)
+
+
 def test_presses_of_studies_start_untouched(tmp_path):
     moved = np.zeros((2, 3, 3))
     moved[1, 0, 2] = -1e-4

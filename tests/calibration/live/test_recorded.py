@@ -8,6 +8,8 @@ import json
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import av
 import h5py
@@ -16,13 +18,14 @@ import pytest
 
 from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader
-from taccel_lab.calibration.live.recorded import draw_recorded, read_recorded
+from taccel_lab.calibration.live.recorded import draw_recorded, figures_of, read_recorded
 from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.profile import BranchEntry
 from tests.calibration.grey.test_depth import grey_unit
 from tests.support.capture_sets import write_image
+from tests.support.oblong_grey import grey_profile
 
 GROWN = 0.5 * -np.expm1(-1.0)
 """What a branch of half the modulus and 0.5 s adds to a force that rises evenly for 0.5 s."""
@@ -58,6 +61,22 @@ def killed_at(frame: int) -> Callable[[str, int, int], None]:
 def table_of(out: Path) -> list[dict[str, str]]:
     with (out / "readings.csv").open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def test_ways_of_dots_are_told_in_millimetres_of_oblong_pixels() -> None:
+    """3 px of 0.2 mm across and 4 px of 0.1 mm down; one that is not seen does not count."""
+    rest = np.array([[10.0, 20.0], [30.0, 20.0], [50.0, 20.0]])
+    moved = rest + [[3.0, 4.0], [0.0, 0.0], [90.0, 0.0]]
+    seen = np.array([True, True, False])
+    reading: Any = SimpleNamespace(
+        figures={}, refused="", press=None,
+        markers=SimpleNamespace(uv_px=moved, rest_px=rest, seen=seen),
+    )  # fmt: skip
+    reader: Any = SimpleNamespace(profile=grey_profile(), no_pressure="")
+    row = figures_of(reading, reader)
+    assert row["marker_largest_mm"] == pytest.approx(np.hypot(0.6, 0.4))
+    assert row["marker_mean_mm"] == pytest.approx(np.hypot(0.6, 0.4) / 2)
+    assert row["markers_seen"] == 2
 
 
 @pytest.mark.thorough

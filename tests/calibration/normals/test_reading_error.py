@@ -12,7 +12,12 @@ import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.circles import ball_surface as ball_surfaces
-from taccel_lab.calibration.circles.ball_surface import BallSurface, depth_share, layer_surfaces
+from taccel_lab.calibration.circles.ball_surface import (
+    BallSurface,
+    depth_share,
+    layer_surfaces,
+    sunk_share,
+)
 from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
@@ -200,6 +205,14 @@ def test_a_stated_pixel_of_all_radii_moves_depths_as_it_does() -> None:
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(found, rel=0.1)
     scaled = depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05)
     assert scaled == pytest.approx(np.hypot(without, 0.1))
+
+
+def test_a_thickness_between_none_and_endless_halves_the_depth_at_a_contact() -> None:
+    """A thin layer that can be compressed sinks under the ball's cap alone, a thick one by as much
+    at the rim; the interval is of four standard deviations."""
+    layer = BondedLayer(4.0, 0.2)
+    share = sunk_share((0.1, 20.0), 1.0, 12.0, layer)
+    assert share == pytest.approx(np.log(2.0) / 4, rel=0.15)
 
 
 def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None:

@@ -158,6 +158,15 @@ def test_places_of_a_sheet_are_pixels(folder: Path, aspect: float) -> None:
         assert sheet.pixel(across, down) == pytest.approx(place)
 
 
+def test_a_circle_is_drawn_on_oblong_pixels_as_the_oval_that_it_is(folder: Path) -> None:
+    page = labelling(folder)
+    shown = page.shown()
+    picture = sheet_of(np.full((72, 96, 3), 128, np.uint8), 1.0, page, shown).picture
+    blue = (picture[..., 2].astype(int) - picture[..., 0] > 60).nonzero()
+    high, wide = (np.ptp(where) for where in blue)
+    assert high / wide == pytest.approx(GRID.mm_per_px_x / GRID.mm_per_px_y, rel=0.03)
+
+
 @pytest.mark.thorough
 def test_clicks_in_the_browser_become_a_label(folder: Path) -> None:
     pytest.importorskip("viser", reason="the extra view is not installed")
