@@ -252,9 +252,9 @@ class PressureReader:
         shallow, deep = (
             self._solved(gap + sign * far, self.layer, pressure, film) for sign in (1, -1)
         )
-        area, *others = (self._area_mm2(found) for found in (pressure, shallow, deep))
-        ends = min(area, others[0]), max(area, others[1])
-        areas = _widened(area, ends, (self._scale,), (self._scale,))
+        area, less, more = (self._area_mm2(found) for found in (pressure, shallow, deep))
+        seen = min(area, less), max(area, more)
+        areas = _widened(area, seen, (self._scale,), (self._scale,))
         force, lower, higher = (self._force_n(found) for found in (pressure, shallow, deep))
         by_gel = []
         for ends in self._ends:

@@ -16,7 +16,7 @@ from taccel_lab.api.press_photo import LIKE
 from taccel_lab.files.atomic_file import eight_bit, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
-from taccel_lab.presses.force_interval import ForceInterval, force_causes
+from taccel_lab.presses.force_interval import ForceInterval, force_causes, force_power
 from taccel_lab.presses.measured_press import SignalError, height_error_mm, image_error_levels
 from taccel_lab.presses.press_files import (
     VIEWS,
@@ -128,7 +128,7 @@ class Press(Summary):
     @cached_property
     def height_error(self) -> SignalError:
         """Error of the heights, root mean square [mm]; NaN of a stored mesh."""
-        return height_error_mm(self.outcome, self._depth_sigma_mm, self._place_sigma_px)
+        return height_error_mm(self.outcome, self._signal_sigma_mm, self._place_sigma_px)
 
     @cached_property
     def image_error(self) -> SignalError | None:
@@ -146,7 +146,7 @@ class Press(Summary):
             beside,
             profile.background_rgb,
             profile.color.provenance,
-            self._depth_sigma_mm,
+            self._signal_sigma_mm,
             self._place_sigma_px,
         )
 
@@ -154,6 +154,17 @@ class Press(Summary):
     def _depth_sigma_mm(self) -> float:
         photo = self.plan.photo
         return 0.0 if photo is None else photo.depth_sigma_mm or 0.0
+
+    @property
+    def _signal_sigma_mm(self) -> float:
+        """Standard deviation of the depth that heights and image show: of one that was read, or of
+        that at which a gel, which is known so far, has the force that was asked for."""
+        if self.plan.options.force_n is None or not self.force_n > 0:
+            return self._depth_sigma_mm
+        gel = [cause for cause in self.force_interval.causes if cause.name != "numerical"]
+        ends = ForceInterval.of(1.0, tuple(gel))
+        share = math.log(ends.high_n / ends.low_n) / 4 / force_power(self.outcome)
+        return share * self.outcome.path.depth_mm
 
     @property
     def _place_sigma_px(self) -> tuple[float, float]:

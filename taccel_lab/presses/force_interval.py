@@ -194,6 +194,11 @@ class MeasuredRange:
     rests_on: str
     """Sources of the range, for people."""
 
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a quantity that lies in the range with 95 %."""
+        return (self.high - self.low) / 4
+
 
 def measured_ranges(profile: SensorProfile) -> dict[str, MeasuredRange]:
     """Range that holds 95 % of each of ``QUANTITIES`` whose spread the profile states.

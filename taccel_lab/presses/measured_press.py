@@ -267,7 +267,8 @@ class SignalError:
     numerical: float
     """Error by mesh, contact range and steps."""
     total: float
-    """Error with a depth and place that were read, and with the colours' own error."""
+    """Error with a depth and place that were read, or a depth that a force leads to, and with the
+    colours' own error."""
 
 
 def height_error_mm(

@@ -300,7 +300,8 @@ def press(changes: dict[str, Any]) -> Press:
     if "photo" in asked:
         sigmas = {"at_sigma_mm": None, "depth_sigma_mm": None, **asked["photo"]}
         photo = SimpleNamespace(**sigmas)
-    options = PressOptions(indenter=BALL, friction=asked.get("friction"))
+    aim = {"depth_mm": DEPTH_MM} if "force_n" not in asked else {"force_n": asked["force_n"]}
+    options = PressOptions(indenter=BALL, friction=asked.get("friction"), **aim)
     tool = parse_indenter(BALL)
     plan = PressPlan("grey", profile, tool, options, DEFAULT, 0.5, photo)  # type: ignore[arg-type]
     found = Press(plan, made, 0.0, below=made, slippery=asked.get("slippery", 1.0))
@@ -371,6 +372,15 @@ PRESSED: dict[tuple[str, str], Row] = {
     ("image", "depth"): Row(
         lambda k: photo(depth_sigma_mm=0.02 * k), lambda k: same(0.04 * k * DEEPER * TINT)
     ),
+    # As force grows by the power of 1.5, and the other way round.
+    **{
+        (figure, "modulus, of a press to a force"): Row(
+            lambda k: {"force_n": 2.0, **MODULUS["interval"].changes(k)},
+            lambda k, unit=unit: same(0.25 * k / 2 / 1.5 * DEEPER * DEPTH_MM * unit),
+            1e-3,
+        )
+        for figure, unit in (("height", 1.0), ("image", TINT))
+    },
     **{
         (figure, f"place along {axis}"): Row(
             lambda k, at=at: photo(at_sigma_mm=(k * at[0], k * at[1])),

@@ -134,8 +134,9 @@ def test_an_interval_is_taken_as_it_is(pad):
 
 
 def test_two_standard_deviations_stand_in_for_an_interval(pad):
-    found = ends(with_fit(pad, spread={"friction_coefficient": 0.05, "density_kg_m3": 1.0}))
-    assert found == {"friction_coefficient": pytest.approx((0.7, 0.9))}
+    profile = with_fit(pad, spread={"friction_coefficient": 0.05, "density_kg_m3": 1.0})
+    assert ends(profile) == {"friction_coefficient": pytest.approx((0.7, 0.9))}
+    assert measured_ranges(profile)["friction_coefficient"].sigma == pytest.approx(0.05)
 
 
 def test_the_spread_between_units_counts_beside_that_of_the_fit(pad):

@@ -188,9 +188,7 @@ def _config(
 def _stiffness(profile: SensorProfile) -> float:
     """Standard deviation of the modulus that the profile states, as a part of it; 0 for none."""
     found = measured_ranges(profile).get("young_modulus_pa")
-    if found is None:
-        return 0.0
-    return (found.high - found.low) / 4 / profile.material.young_modulus_pa
+    return 0.0 if found is None else found.sigma / profile.material.young_modulus_pa
 
 
 def _light(profile: SensorProfile) -> LightSpread:

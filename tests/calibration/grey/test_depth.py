@@ -276,7 +276,9 @@ def test_the_headline_counts_the_zero() -> None:
     apart = abs(np.mean([p.rim_depth_mm for p in found["untouched"].presses]))
     for zero, result in found.items():
         assert result.zero_gap_mm == pytest.approx(apart, abs=1e-3)
-        assert result.absolute_mm >= result.zero_sigma_mm >= result.offset_sigma_mm > 0
+        zero_mm = np.hypot(result.offset_sigma_mm, result.zero_gap_mm)
+        assert result.absolute_mm >= result.zero_sigma_mm == pytest.approx(zero_mm)
+        assert result.response.zero_sigma_mm == result.zero_sigma_mm > result.offset_sigma_mm > 0
         assert result.absolute_mm >= result.left_out_mm.mean()
         figures = result.figures()
         assert figures["absolute_mm"] == result.absolute_mm and figures["zero"] == zero
@@ -288,7 +290,10 @@ def test_travel_of_a_press_settles_the_zero() -> None:
     captures = captures_of(CIRCLES)
     *others, third = captures.presses
     third = replace(third, depth_mm=DEEPEST_MM + 0.2)
-    rim, known = fit_depth(captures, RIM), fit_depth(replace(captures, presses=(*others, third)))
+    rim = fit_depth(captures, RIM, scale_share=0.03)
+    known = fit_depth(replace(captures, presses=(*others, third)))
+    # A cap is deeper by the square of the scale.
+    assert rim.response.depth_share == pytest.approx(0.06) and known.response.depth_share == 0.0
     assert rim.zero == "rim" and known.zero == "travel"
     assert [press.rim_depth_mm for press in known.presses] == pytest.approx([0.2] * 3)
     deeper = known.response.depth_mm[1:] - rim.response.depth_mm[1:]
