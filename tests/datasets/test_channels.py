@@ -81,7 +81,7 @@ def test_errors_of_force_and_heights_are_in_newtons_and_millimetres() -> None:
 def test_levels_and_markers_have_noise_of_their_own() -> None:
     levels = np.full((2, 36, 48, 3), 100.0, dtype=np.float32)
     places = np.full((2, 4000, 2), 20.0)
-    view: Any = Touches(levels=levels.copy(), markers_px=places)
+    view: Any = Touches(levels=levels.copy(), markers_px=places, sent=lambda images: images)
     rgb, markers = (CHANNELS[name].read(view) for name in ("rgb", "markers_px"))
     assert view.streams == {0: [0, 1], 1: [0, 1]}
     np.testing.assert_allclose((rgb - 100).std(axis=(1, 2, 3)), np.hypot(2.0, 12**-0.5), rtol=0.05)

@@ -39,7 +39,7 @@ def touch() -> Any:
         mesh=lambda episode: (nodes, np.array([[0, 1, 6]])),
         channels=arrays,
         read=lambda name, rows: arrays[name],
-        steps={name: np.array([0.0, 1.0]) for name in known},
+        steps={name: np.array([0.0, 1.0]) for name in known} | {"faults": np.array(["", "shift"])},
     )
 
 
@@ -49,6 +49,7 @@ def test_dots_forces_and_depths_lie_where_the_whole_image_has_them() -> None:
     assert found.images is not None and found.images.markers_px is not None
     wanted = KEPT.pixel_from_gel(found.rest_mm)
     np.testing.assert_allclose(found.images.markers_px[1], wanted, atol=1e-9)
+    assert found.captions[1].endswith("contact 1.00 mm², shift")
     assert found.forces_n is not None
     np.testing.assert_allclose(found.forces_n, -data.channels["patch_forces_n"].reshape(2, -1, 3))
     x, y = found.rest_mm[:, 0], found.rest_mm[:, 1]
