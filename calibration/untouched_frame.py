@@ -325,5 +325,5 @@ def _net_rise(reader: SurfaceReader, image: np.ndarray) -> tuple[float, float]:
 
     Both of squares [mm2]: a contact is deep, what surrounds it wide.
     """
-    rise_mm = -1e3 * reader.read_lit(reader.lit(image), uncertainty=False).depth_m
+    rise_mm = -1e3 * reader.read_lit(reader.lit(image)).depth_m
     return float((rise_mm * np.abs(rise_mm)).sum()), float(np.square(rise_mm).sum())

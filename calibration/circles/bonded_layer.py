@@ -219,17 +219,21 @@ def pressure_under(
         kept = keep * now / before if keep else 0.0
         direction = np.where(touching, distance + kept * direction, 0.0)
         before = now
-        along = (sinking(direction) + film_mm * direction)[touching] @ direction[touching]
+        sinks = sinking(direction)
+        along = (sinks + film_mm * direction)[touching] @ direction[touching]
         if not along > 0:
             direction, keep = np.zeros_like(pressure), 0.0
             pressure = np.where(distance < 0, pressure - distance / step_mm[0], pressure)
             sunk = sinking(pressure)
             continue
         length = float(distance[touching] @ direction[touching]) / along
-        pressure = np.maximum(pressure - length * direction, 0.0)
+        further = pressure - length * direction
+        pressure = np.maximum(further, 0.0)
         # Where the gel would stand in the tool without being pressed it is pressed from now on.
         missed = (pressure == 0) & (distance < 0)
         pressure = np.where(missed, pressure - length * distance, pressure)
         keep = 0.0 if missed.any() else 1.0
-        sunk = sinking(pressure)
+        # As far as pressures change along the direction alone, what sinks under them is known.
+        on_line = keep and not (further < 0).any()
+        sunk = sunk - length * sinks if on_line else sinking(pressure)
     return pressure, sunk

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -86,7 +87,8 @@ def unlike(
 
 def _off(image: np.ndarray, background: np.ndarray, mask: np.ndarray | None) -> float:
     """Largest difference of a channel, of the quarter of pixels nearest to the background."""
-    difference = np.abs(image - background).max(axis=-1)
+    # Channel by channel: a maximum along an axis of three takes ten times as long.
+    difference = reduce(np.maximum, np.moveaxis(np.abs(image - background), -1, 0))
     return float(np.quantile(difference if mask is None else difference[mask], QUARTER))
 
 

@@ -25,9 +25,6 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
 from taccel_lab.profile import SensorProfile
 
-SIGMA_EVERY = 5
-"""Frames between two estimates of the depth's standard deviation, which takes a sixth of the time
-and is read by people."""
 REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
 
@@ -93,7 +90,6 @@ class LiveReader:
         background: np.ndarray,
         *,
         force: ForceReadings | None = None,
-        sigma_every: int = SIGMA_EVERY,
         device: str = "cpu",
     ) -> None:
         """
@@ -102,14 +98,13 @@ class LiveReader:
                 markers.
             background: The untouched sensor now, RGB, shape [height_px, width_px, 3].
             force: Tells forces of an image, where there is a model for it.
-            sigma_every: Frames between two estimates of the depth's standard deviation.
             device: Of torch, on which colours are read to heights.
 
         Raises:
             InputError: The profile has none of these blocks, or images of another size, or there is
                 no such device.
         """
-        self.profile, self.force, self._sigma_every = profile, force, sigma_every
+        self.profile, self.force = profile, force
         self.background = background
         require_readable(profile)
         has_depth = profile.normals is not None or profile.depth_response is not None
@@ -128,9 +123,6 @@ class LiveReader:
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
         self.surface: SurfaceReader | None = None
-        self._count = 0
-        self._sigma_mm: float | None = None
-        self._unlike = ""
         if has_depth:
             self.surface = SurfaceReader(profile, background=background, device=device)
             self._touch = TouchReader(self.surface)
@@ -166,15 +158,9 @@ class LiveReader:
             with _timed(stages, "light"):
                 lit = self.surface.lit(image)
             with _timed(stages, "depth"):
-                often = self._count % self._sigma_every == 0
-                surface = self.surface.read_lit(lit, uncertainty=often)
+                surface = self.surface.read_lit(lit)
                 figures = surface.figures(self.surface.grid)
-                if often:
-                    self._sigma_mm = figures["max_depth_sigma_mm"]
-                    self._unlike = self.surface.unlike(image) or ""
-                refused = self._unlike or _refusal(figures)
-            self._count += 1
-            figures["max_depth_sigma_mm"] = self._sigma_mm
+                refused = self.surface.unlike(image, lit) or _refusal(figures)
             if refused or self.no_pressure:
                 touch = TouchReading(
                     **vars(surface),

@@ -95,7 +95,6 @@ class SurfaceReader:
         if self.method == "normals":
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self._last_sigma_m: np.ndarray | None = None
         self._dots = DotMask.of(self.untouched)
 
     @property
@@ -136,7 +135,7 @@ class SurfaceReader:
                 "size (raw ones are rectified with --maps)"
             )
         lit = self.lit(image)
-        why = self._not_ours(image, lit)
+        why = self.unlike(image, lit)
         if why:
             raise InputError(f"{name} {why}")
         found = self.read_lit(lit)
@@ -155,11 +154,8 @@ class SurfaceReader:
                 )
         return found
 
-    def unlike(self, image: np.ndarray) -> str | None:
-        """Why an image is not of the untouched sensor's gel, or None."""
-        return self._not_ours(image, self.lit(image)) or None
-
-    def _not_ours(self, image: np.ndarray, lit: LitImage) -> str:
+    def unlike(self, image: np.ndarray, lit: LitImage) -> str:
+        """Why an image, of which ``lit`` is, is not of the untouched sensor's gel, or nothing."""
         levels = image.astype(np.float32)
         why = unlike(levels, self.untouched, lit.light, lit.mask)
         if why is not None:
@@ -213,12 +209,9 @@ class SurfaceReader:
             sigma_m = np.hypot(sigma_m, light_m)
         return touch_of(found.rise_m, sigma_m, self.grid.thinned(every)).any
 
-    def read_lit(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
-        """The surface under an image of ``lit``; without ``uncertainty`` the touch is decided by
-        the standard deviations of the last image that had them."""
-        if self.response is not None:
-            return self._by_depth(lit)
-        return self._by_normals(lit, uncertainty)
+    def read_lit(self, lit: LitImage) -> SurfaceReading:
+        """The surface under an image of ``lit``."""
+        return self._by_normals(lit) if self.response is None else self._by_depth(lit)
 
     def _by_depth(self, lit: LitImage) -> SurfaceReading:
         assert self.response is not None
@@ -243,7 +236,7 @@ class SurfaceReader:
             remarks=self.remarks,
         )
 
-    def _heights(self, lit: LitImage, *, uncertainty: bool = True, every: int = 1) -> ReadHeights:
+    def _heights(self, lit: LitImage, *, every: int = 1) -> ReadHeights:
         assert self.normal_model is not None
         return read_heights(
             self.normal_model,
@@ -252,20 +245,18 @@ class SurfaceReader:
             self.grid,
             mask=lit.mask,
             rest_normals=self._rest_normals,
-            uncertainty=uncertainty,
             every=every,
         )
 
-    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
+    def _by_normals(self, lit: LitImage) -> SurfaceReading:
         assert self.normal_model is not None
-        found = self._heights(lit, uncertainty=uncertainty)
+        found = self._heights(lit)
         read = found.normals
         tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
-            self._last_sigma_m = alone_m
         return SurfaceReading(
             height_m=self.rest.height_m + found.rise_m,
             depth_m=-found.rise_m,
@@ -276,7 +267,7 @@ class SurfaceReader:
             radius95_deg=read.radius95_deg,
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             method="normals",
-            touch=touch_of(found.rise_m, self._last_sigma_m, self.grid),
+            touch=touch_of(found.rise_m, alone_m, self.grid),
             sigma_of=self.sigma_of,
             remarks=self.remarks,
         )

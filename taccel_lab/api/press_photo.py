@@ -172,7 +172,7 @@ class PressPhoto:
         """
         levels = self.simulated(image.astype(np.float32), self.reader.profile)
         lit = self.reader.lit(self.reader.in_own_light(levels))
-        reading = self.reader.read_lit(lit, uncertainty=False)
+        reading = self.reader.read_lit(lit)
         found = SeenPress.of(reading, self.reader.grid)
         if found is None:
             return None

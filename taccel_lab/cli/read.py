@@ -72,7 +72,7 @@ class Read:
         found = UntouchedFrame.of(profile, [self.source], self.background, camera=self.camera)
         profile = found.profile
         untouched = profile.untouched(found.image, found.name).astype(np.float32)
-        reader = LiveReader(profile, untouched, sigma_every=1)
+        reader = LiveReader(profile, untouched)
         recipe = {
             "version": __version__,
             "profile": self.profile if own is None else file_sha256(own / "profile.toml"),

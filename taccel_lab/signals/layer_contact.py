@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.tensors import map_totals
 
 ITERATIONS = 10
 """Iterations of conjugate gradients: with 20 contact radii change by 1e-3 and images by 0.1 dB."""
@@ -103,7 +104,7 @@ def solve_contact(
 
     smallest = _START / compliance.max()
     smooth_m = object_m if smooth_m is None else smooth_m
-    force, pressure, known_pa = _total(coarse_pa), coarse_pa, coarse_pa
+    force, pressure, known_pa = map_totals(coarse_pa), coarse_pa, coarse_pa
     runs = [(smooth_m, SHARPENING_ITERATIONS)] * sharpenings
     for under, count in [*runs, (object_m, iterations)]:
         known_pa = coarse_pa
@@ -113,7 +114,7 @@ def solve_contact(
         # One sample that carries without an object would be all that a direction goes by.
         start = xp.where(under < NOWHERE_M, start, 0.0)
         pressure = _least(xp, moved, open_m, start, count)
-        coarse_pa = pressure * (force / xp.clip(_total(pressure), min=_TINY))
+        coarse_pa = pressure * (force / xp.clip(map_totals(pressure), min=_TINY))
     found = xp.minimum(coarse_m - moved(pressure - known_pa), object_m)
     # What carries touches; conjugate gradients would need 30 iterations to make it so.
     return xp.where(pressure > 0, object_m, found), pressure
@@ -134,18 +135,15 @@ def _least(xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations
         gap = moved(p) + open_m
         carries = p > 0
         slope = xp.where(carries, gap, 0.0)
-        size = _total(slope * slope)
+        size = map_totals(slope * slope)
         direction = xp.where(carries, slope + keep * (size / before) * direction, 0.0)
         before = xp.clip(size, min=_TINY)
-        step = _total(slope * direction) / xp.clip(_total(moved(direction) * direction), min=_TINY)
+        step = map_totals(slope * direction) / xp.clip(
+            map_totals(moved(direction) * direction), min=_TINY
+        )
         p = xp.clip(p - step * direction, min=0)
         # What overlaps without a pressure begins to carry; directions are conjugate no more then.
         joins = (p == 0) & (gap < 0)
         p = xp.where(joins, -step * gap, p)
         keep = xp.where(joins.any(-1, keepdims=True).any(-2, keepdims=True), none, whole)
     return p
-
-
-def _total(values: Any) -> Any:
-    """Sums over the samples, by rows first: the same to the bit for any number of threads."""
-    return values.sum(-1, keepdims=True).sum(-2, keepdims=True)

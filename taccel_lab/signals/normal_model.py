@@ -52,11 +52,11 @@ to 0.3 away by 0.3 to 0.6 of their tilts wrong (FOTS), by less where colours are
 MIN_ERROR_RAD = math.radians(0.02)
 RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
-CHUNK_PIXELS = {"cpu": 2048}
+CHUNK_PIXELS = {"cpu": 512}
 """Pixels read at once: what the layers give for them stays in a core's cache, which takes half the
-time of chunks that do not."""
-DEVICE_CHUNK_PIXELS = 1 << 18
-"""Likewise elsewhere, where few large products are fast; 0.3 GB a layer."""
+time of chunks that do not. Always as many, as products of other sizes may round otherwise."""
+DEVICE_CHUNK_PIXELS = 1 << 15
+"""Likewise elsewhere, where few large products are fast; 30 MB a layer."""
 
 
 @dataclass(frozen=True)
@@ -272,11 +272,14 @@ class NormalModel:
         import torch
 
         chunk = CHUNK_PIXELS.get(features.device.type, DEVICE_CHUNK_PIXELS)
+        count = features.shape[1]
+        *whole, last = features.split(chunk, dim=1)
+        last = torch.nn.functional.pad(last, (0, -count % chunk))
         parts = [
             network(self._layers, part.T.expand(self.config.members, -1, -1))
-            for part in features.split(chunk, dim=1)
+            for part in (*whole, last)
         ]
-        return torch.cat(parts, dim=1)
+        return torch.cat(parts, dim=1)[:, :count]
 
     def _judged(
         self, outputs: torch.Tensor, still: torch.Tensor, left_out: int | None

@@ -22,7 +22,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.tensors import Array, as_given, tensor_of
+from taccel_lab.signals.tensors import Array, as_given, map_totals, tensor_of
 
 if TYPE_CHECKING:
     import torch
@@ -100,7 +100,7 @@ def height_from_slopes(
             for low, weight, slope in zip(least, edge_weights, edges, strict=True)
         )
         height = _solve_weighted(_divergence(flows, steps), edge_weights, steps, tolerance)
-    mean = (height * counted).sum(dim=(-2, -1), keepdim=True) / counts
+    mean = map_totals(height * counted) / counts
     return as_given(height - mean, slope)
 
 
@@ -146,7 +146,7 @@ def plane_of(height: torch.Tensor, zero: torch.Tensor) -> torch.Tensor:
     share = zero.to(height.dtype) / zero.sum(dim=(-2, -1), keepdim=True)
 
     def mean(values: torch.Tensor) -> torch.Tensor:
-        return (values * share).sum(dim=(-2, -1), keepdim=True)
+        return map_totals(values * share)
 
     across, down, off = u - mean(u.expand(rows, -1)), v - mean(v.expand(-1, columns)), mean(height)
     left = height - off
@@ -215,25 +215,24 @@ def _solve_weighted(
         flows = tuple(w * s for w, s in zip(edge_weights, slopes, strict=True))
         return -_divergence(flows, steps_m)
 
-    def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-        return (a * b).sum(dim=(-2, -1), keepdim=True)
-
     def ratio(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
         # A system that is solved already has nothing left to go along.
         return a / b.where(b > 0, 1.0)
 
     left = -right_side
-    enough = tolerance**2 * dot(left, left)
+    enough = tolerance**2 * map_totals(left * left)
     solution = left.new_zeros(left.shape)
     direction, before = left.new_zeros(left.shape), left.new_zeros(enough.shape)
     for _ in range(MAX_ITERATIONS):
-        if bool((dot(left, left) <= enough).all()):
+        solved = map_totals(left * left) <= enough
+        if bool(solved.all()):
             return solution
         conditioned = -solve_poisson(left, steps_m)
-        now = dot(left, conditioned)
+        now = map_totals(left * conditioned)
         direction = conditioned + ratio(now, before) * direction
         applied = apply(direction)
-        step = ratio(now, dot(direction, applied))
+        # What is solved stays as it is by itself, however long the others take.
+        step = ratio(now, map_totals(direction * applied)).where(~solved, 0.0)
         solution, left, before = solution + step * direction, left - step * applied, now
     raise InputError(
         f"the weighted slopes did not integrate to {tolerance:g} in {MAX_ITERATIONS} "

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -41,6 +41,12 @@ def length2(vectors: torch.Tensor) -> torch.Tensor:
     import torch
 
     return torch.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def map_totals(maps: Any) -> Any:
+    """Sums over rows and columns of maps, shape [..., h, w] to [..., 1, 1]; by rows first: the same
+    to the bit for any number of maps and of threads."""
+    return maps.sum(-1, keepdims=True).sum(-2, keepdims=True)
 
 
 def require_device(name: str) -> None:

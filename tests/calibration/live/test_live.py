@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.api.read import read
+from taccel_lab.benchmarks.readings import networks, presses
 from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_camera
 from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.reader import LiveReader
@@ -21,7 +23,8 @@ from taccel_lab.calibration.live.run import LiveResult, live_session, run_togeth
 from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
-from taccel_lab.profile import SensorProfile
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import NormalsBlock, SensorProfile
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.faults import quantise
@@ -29,6 +32,7 @@ from tests.calibration.grey.test_depth import DEEPEST_MM, GRID, grey_unit
 from tests.calibration.record.sessions import SteeredCamera
 from tests.support.capture_sets import write_image
 from tests.support.real_data import real_data
+from tests.support.sample_blocks import ASSUMED
 from tests.support.synthetic_presses import flat_profile
 from tests.viewer.browser import chromium_page, picture, wait_for
 
@@ -110,6 +114,43 @@ def test_photos_without_a_rest_say_what_was_waited_for(tmp_path: Path) -> None:
     result = followed(photos, Watching())
     assert result.reader is None
     assert result.unseen.startswith("It waited for the untouched gel: 1.5 s (12 frames and more")
+
+
+@pytest.mark.thorough
+def test_a_frame_reads_alike_whatever_was_read_before_and_by_whichever_reader() -> None:
+    """To the bit, by networks and by depths: live, one by one, and as a list in any order."""
+    grid, unit = PixelGrid(160, 120, 0.12, 0.12), grey_unit()
+    model, (images, light, _) = networks(grid, "cpu"), presses(grid, 2)
+    normals = NormalsBlock(architecture=model.config.to_dict(), provenance=ASSUMED)
+    by_colors = flat_profile(grid, thickness_mm=4.0).with_block(normals, dict(model.weights))
+    rest = quantise(light)
+    flat = flat_profile(unit.profile.grid(), thickness_mm=4.0)
+    thick = replace(unit.profile, gel=flat.gel, mesh=flat.mesh)
+    for profile, still, frames in (
+        (by_colors, rest, [*images, rest]),
+        (thick, quantise(unit.rest), [quantise(unit.pressed), quantise(unit.rest)]),
+    ):
+
+        def reader() -> LiveReader:
+            return LiveReader(profile, still.astype(np.float32))  # noqa: B023
+
+        alone = [reader().read(frame) for frame in frames]
+        assert alone[0].press is not None and alone[0].press.force_n > 0
+        assert alone[-1].press is not None and alone[-1].press.force_n == 0
+        order = [*range(len(frames)), *reversed(range(len(frames))), 0, 0]
+        long_run = reader()
+        listed = read(profile, [frames[k] for k in order], background=still)
+        for k, one in zip(order, listed, strict=True):
+            live = long_run.read(frames[k])
+            assert live.figures == alone[k].figures and live.refused == alone[k].refused
+            for found in (live.surface, one):
+                seen = alone[k].surface
+                assert found is not None and seen is not None
+                assert np.array_equal(found.depth_m, seen.depth_m)
+                mine, its = found.height_sigma_m, seen.height_sigma_m
+                assert mine is not None and its is not None and np.array_equal(mine, its)
+                assert np.array_equal(found.pressure_pa, seen.pressure_pa)
+                assert found.figures() == seen.figures()
 
 
 @pytest.mark.thorough

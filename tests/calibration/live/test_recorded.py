@@ -35,7 +35,7 @@ def reader_of(*, relaxes: bool) -> LiveReader:
     profile = grey_unit().profile
     branches = (BranchEntry(relative_modulus=0.5, time_s=0.5),) if relaxes else ()
     profile = profile.with_block(profile.material.replace(branches=branches))
-    return LiveReader(profile, grey_unit().rest.astype(np.float32), sigma_every=1)
+    return LiveReader(profile, grey_unit().rest.astype(np.float32))
 
 
 @pytest.fixture

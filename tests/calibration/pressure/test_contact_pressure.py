@@ -130,19 +130,26 @@ def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile
     assert "covers 75 to 300 kPa" in read(assumed, rise).remarks[0]
 
 
-def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorProfile) -> None:
-    """The last frame's pressure has nothing to do with one at another place."""
-    reader = PressureReader(profile, GRID)
-    for depth in (0.3, 0.6, 1.0, 0.5):
-        rise = rise_m("sphere", 4.0, depth)
-        assert read(reader, rise).force_n == pytest.approx(read(profile, rise).force_n, rel=0.02)
-    untouched = read(reader, np.zeros((120, 160)))
-    assert untouched.force_n == 0 and untouched.center_mm is None
-    here, reader = rise_m("sphere", 2.0, 0.6), PressureReader(profile, GRID)
-    for frame in (here, np.roll(here, (35, 55), axis=(0, 1)), here):
+def test_a_frame_reads_as_it_would_alone_whatever_was_read_before(profile: SensorProfile) -> None:
+    """To the bit: near frames, far ones, the same one again, and none that touches."""
+    reader, here = PressureReader(profile, GRID), rise_m("sphere", 2.0, 0.6)
+    shifted = np.roll(here, (35, 55), axis=(0, 1))
+    for frame in (here, 1.1 * here, here, shifted, np.zeros_like(here), here):
         alone, after = read(profile, frame, SIGMA), read(reader, frame, SIGMA)
-        assert after.force_n == pytest.approx(alone.force_n, rel=0.03)
-        assert after.force_interval_n == pytest.approx(alone.force_interval_n, rel=0.05)
+        assert after.figures() == alone.figures()
+        assert np.array_equal(after.pressure_pa, alone.pressure_pa)
+        # An untouched gel after a touched one: nothing is left of it.
+        assert (after.force_n == 0 and after.center_mm is None) == (not frame.any())
+    # Nor does a frame whose deviation is not known take that of another one.
+    assert read(reader, here).figures() == read(profile, here).figures()
+
+
+def test_forces_are_those_of_a_search_that_is_over(profile: SensorProfile, monkeypatch) -> None:
+    frames = [rise_m("sphere", 2.0, 0.6), rise_m("cylinder", 2.0, 0.4)]
+    found = [read(profile, frame, SIGMA).force_n for frame in frames]
+    monkeypatch.setattr("taccel_lab.calibration.pressure.contact_pressure.TOLERANCE", 1e-5)
+    over = [read(profile, frame, SIGMA).force_n for frame in frames]
+    assert found == pytest.approx(over, rel=1e-3)
 
 
 def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: SensorProfile) -> None:
