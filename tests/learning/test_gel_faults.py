@@ -42,6 +42,7 @@ def played(env: TactileVectorEnv, seed: int, steps: int = 6) -> tuple[np.ndarray
 def test_frames_are_as_their_labels_say_and_repeat_by_seed() -> None:
     env = make(faults=LOST)
     whole = played(make(), 3)[0]
+    assert (played(make(faults={"wear": 1e-9}), 3)[0] == whole).all()
     frames, bits = played(env, 3)
     assert set(np.unique(bits)) == {0, BITS["lost_rows"], BITS["stuck"], sum(BITS[k] for k in LOST)}
     assert frames.dtype == np.uint8 and (frames[bits == 0] == whole[bits == 0]).all()

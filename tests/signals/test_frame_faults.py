@@ -93,12 +93,12 @@ def shown(
 ALL = FrameFaults.of(dict.fromkeys(KINDS, 0.4))
 
 
-def run(faults: FrameFaults, seeds: list[int], count: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """What a sequence of images becomes, and its labels."""
+def run(faults: FrameFaults, seeds: list[int], episode: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """What the sequence of images becomes, and its labels."""
     frames = cameras(faults, len(seeds))
     found = [
-        (shown(frames, seeds, k, IMAGES[k : k + 1].repeat(len(seeds), 0)), frames.labels())
-        for k in range(count)
+        (shown(frames, seeds, k, IMAGES[k : k + 1].repeat(len(seeds), 0), episode), frames.labels())
+        for k in range(len(IMAGES))
     ]
     images, labels = zip(*found, strict=True)
     return np.stack(images, 1), np.stack(labels, 1)
@@ -109,7 +109,7 @@ def test_faults_are_those_of_a_seed_whoever_is_beside() -> None:
     again, _ = run(ALL, [5, 11, 12, 13])
     alone, label = run(ALL, [12])
     assert (many == again).all() and (alone[0] == many[2]).all() and (label[0] == labels[2]).all()
-    assert not (many[0] == many[1]).all()
+    assert not (many[0] == many[1]).all() and not (run(ALL, [12], 2)[1] == label).all()
 
 
 def test_a_kind_is_drawn_alike_beside_others() -> None:
@@ -177,6 +177,19 @@ def test_numbers_stay_in_their_ranges() -> None:
     assert (labels["drift_gain"][:, 3] == labels["drift_gain"][:, 7]).all()
     assert set(labels["lamp_left"].argmin(axis=-1).ravel()) == {0, 1, 2}
     assert 0.5 <= labels["lamp_left"].min() <= 0.6 and (labels["lamp_left"] == 1).mean() > 0.6
+
+
+def test_late_frames_have_the_light_of_their_time() -> None:
+    growing = {"drift": 1.0, "drift_frames": (6, 6), "drift_gain": (0.1, 0.2), "bands": 1.0}
+    images, labels = run(FrameFaults.of(growing), [1, 2, 3])
+    late = FrameFaults.of({**growing, "delay": 1.0, "delay_frames": (2, 2)})
+    seen, told = run(late, [1, 2, 3])
+    assert (seen[:, 2:] == images[:, :-2]).all() and (told["delay_frames"][:, 2:] == 2).all()
+    for name in ("drift_gain", "band_phase"):
+        assert (told[name][:, 2:] == labels[name][:, :-2]).all()
+    # Bands roll by the same part of a period from frame to frame.
+    roll = np.diff(labels["band_phase"], axis=1) % 1
+    assert roll == pytest.approx(roll[:, :1].repeat(7, 1), abs=1e-5) and np.ptp(roll[:, 0]) > 0.01
 
 
 EARLIER = FrameFaults(delay=1.0, delay_frames=(3, 3), stuck=0.3, torn=0.5, torn_before=1.0)
