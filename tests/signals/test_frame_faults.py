@@ -202,14 +202,15 @@ def test_a_frame_that_is_read_again_is_the_same() -> None:
             assert (shown(frames, [1, 2, 3], k, IMAGES[k : k + 1].repeat(3, 0)) == once[:, k]).all()
 
 
-@pytest.mark.parametrize("episode", [2, 1])
-def test_new_episodes_know_no_frame_of_old_ones(episode: int) -> None:
-    """A new one, or the same from its beginning; also while another camera's goes on."""
+@pytest.mark.parametrize(("episode", "number"), [(2, 0), (1, 0), (2, 5)])
+def test_new_episodes_know_no_frame_of_old_ones(episode: int, number: int) -> None:
+    """A new one, or the same from its beginning, or one that is looked at late; also while another
+    camera's goes on."""
     frames = cameras(EARLIER, 2)
     for k in range(5):
         shown(frames, [1, 2], k, np.stack([IMAGES[k]] * 2))
     first = np.full_like(ONE, 77)
-    frames.draw(ints([1, 2]), ints([episode, 1]), ints([0, 5]))
+    frames.draw(ints([1, 2]), ints([episode, 1]), ints([number, 5]))
     both = np.stack([first, IMAGES[5]])
     seen = frames.sent(wp.array(both, device="cpu")).numpy()
     assert (seen[0] == first).all() and frames.labels()["kinds"][0] == 0
