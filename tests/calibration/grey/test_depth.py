@@ -277,12 +277,23 @@ def test_the_headline_counts_the_zero() -> None:
     for zero, result in found.items():
         assert result.zero_gap_mm == pytest.approx(apart, abs=1e-3)
         zero_mm = np.hypot(result.offset_sigma_mm, result.zero_gap_mm)
+        # Circles err by themselves; each moves its rim by the ball's slope there.
+        contact = [(p.radius_px, p.radius_sigma_px) for p in result.presses]
+        radius_mm, sigma_mm = GRID.mm_per_px_x * np.array(contact).T
+        rims = sigma_mm * radius_mm / np.sqrt(captures.ball_radius_mm**2 - radius_mm**2)
+        assert result.offset_sigma_mm == pytest.approx(np.sqrt(np.mean(rims**2) / 3))
         assert result.absolute_mm >= result.zero_sigma_mm == pytest.approx(zero_mm)
         assert result.response.zero_sigma_mm == result.zero_sigma_mm > result.offset_sigma_mm > 0
         assert result.absolute_mm >= result.left_out_mm.mean()
         figures = result.figures()
         assert figures["absolute_mm"] == result.absolute_mm and figures["zero"] == zero
         assert result.headline().startswith(f"absolute depths are off by {result.absolute_mm:.2f}")
+
+
+def test_two_standard_deviations_hold_what_a_fit_did_not_see() -> None:
+    rng = np.random.default_rng(0)
+    errors = [np.abs(rng.normal(0.0, 0.05, 4000)) for _ in range(4)]
+    assert curve.reading_sigma_mm(errors) == pytest.approx(0.05, rel=0.06)
 
 
 def test_travel_of_a_press_settles_the_zero() -> None:

@@ -19,8 +19,14 @@ from taccel_lab.calibration.material.indentation import (
     USUAL_NOISE,
     IndentationFit,
     fit_indentation,
+    force_interval_n,
 )
-from taccel_lab.calibration.material.likelihood import CurveGroup, FittedParameter, Likelihood
+from taccel_lab.calibration.material.likelihood import (
+    CurveGroup,
+    FittedParameter,
+    Likelihood,
+    widened,
+)
 from taccel_lab.calibration.material.stiffness import Stiffness, fit_stiffness
 from taccel_lab.report.remark import Severity, Verdict, judge
 from tests.calibration.material.made_up import ball, gel, layer_table, points
@@ -104,6 +110,11 @@ def test_perfect_data_are_met_exactly_and_three_points_on_a_line_are_not_taken_f
     assert found.noise == pytest.approx((np.sqrt(0.01 / 2),))
 
 
+def test_a_further_error_widens_each_side_by_its_squares() -> None:
+    assert widened((-1.0, 14.0), 2.0, 4.0) == pytest.approx((-3.0, 2.0 + np.hypot(12.0, 4.0)))
+    assert widened((2.0, 2.0), 2.0, 4.0) == (-2.0, 6.0)
+
+
 MODULUS_PA, POISSON = 2.4e5, 0.47
 TOUCH_SIGMA_MM = 0.03
 LARGEST_NOISE = 0.1
@@ -168,6 +179,23 @@ def test_an_error_of_the_table_widens_the_interval() -> None:
         fit, _ = drawn(rng, table, 12, 0.01, True, scale)
         held += inside(fit.young_interval_pa, MODULUS_PA)
     assert LEAST <= held <= MOST
+
+
+def test_errors_of_the_table_are_held_by_their_size() -> None:
+    """Of a modulus, and of a force, which the difference between the nodes is added to again."""
+
+    def halves(interpolation: float, mesh: float) -> tuple[np.ndarray, np.ndarray]:
+        table = replace(table_of(0.0), error=TableError(interpolation, np.full(7, mesh)))
+        fit, _ = drawn(np.random.default_rng(11), table, 12, 0.01, True)
+        force = np.log(force_interval_n(fit, 0, 0.9, recorded=False))
+        return np.abs(np.log(fit.young_interval_pa) - fit.solution.value("ln_e")), np.ptp(force) / 2
+
+    modulus, force = halves(0.0, 0.0)
+    for size in (0.05, 0.1):
+        wide, same = halves(0.0, size)
+        np.testing.assert_allclose(np.sqrt(wide**2 - modulus**2), 1.96 * size, rtol=1e-3)
+        assert same == pytest.approx(force)
+        assert np.sqrt(halves(size, 0.0)[1] ** 2 - force**2) == pytest.approx(1.96 * size, rel=0.01)
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -277,6 +305,10 @@ def test_friction_that_points_do_not_tell_widens_intervals() -> None:
     assert len(both.open_fits) == 2
     (low, high), (narrow_low, narrow_high) = both.young.interval95, alone.young.interval95
     assert low < 0.97 * narrow_low and high == pytest.approx(narrow_high, rel=0.02)
+    # What is stated beside the interval is one standard deviation.
+    assert both.young.sigma == pytest.approx(
+        both.young.value * np.log(high / low) / 2 / 1.96, rel=1e-4
+    )
 
 
 @pytest.mark.thorough

@@ -138,6 +138,21 @@ def test_a_drawn_line_stands_in_for_an_edge_that_is_not_found() -> None:
         scale_from_edges(measured, refused)
 
 
+def test_estimates_that_disagree_are_widened_by_birges_ratio() -> None:
+    """Three of 0.1 each, 0.3, 0.1 and 0.4 from their mean: chi-square is 26 of 2 degrees."""
+    three = [(str(k), Estimate(value, 0.1)) for k, value in enumerate((1.0, 1.2, 1.7))]
+    found = combine_axis(three)
+    assert found.chi_square == pytest.approx(26.0) and found.freedom == 2
+    assert found.estimate.value == pytest.approx(1.3)
+    assert found.estimate.sigma == pytest.approx(0.1 / np.sqrt(3) * np.sqrt(13))
+    low, high = found.estimate.interval95
+    assert (high - low) / 2 == pytest.approx(1.96 * found.estimate.sigma, rel=1e-4)
+    agreeing = combine_axis([("a", Estimate(1.0, 0.3)), ("b", Estimate(1.0, 0.4))])
+    assert agreeing.estimate.sigma == pytest.approx(0.24)
+    alone = combine_axis([("a", Estimate(1.0, 0.3, interval=(0.9, 1.8)))])
+    assert alone.estimate.interval95 == (0.9, 1.8)
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(0.04, 0.06), st.floats(1e-4, 1e-3)), min_size=2, max_size=5))
 def test_the_mean_lies_among_the_estimates(pairs: list[tuple[float, float]]) -> None:
