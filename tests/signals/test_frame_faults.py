@@ -263,6 +263,12 @@ def test_sensors_that_are_reset_forget_their_frames() -> None:
     late.reset(np.array([True, False]))
     assert late.apply(level[4])[:, 0, 0, 0].tolist() == [44, 42]
     assert late.labels()["delay_frames"].tolist() == [0, 2]
+    growing = sensors(drift=1.0, drift_frames=(4, 4), drift_gain=(0.2, 0.2))
+    for image in level[:2]:
+        growing.apply(image)
+    growing.reset(np.array([True, False]))
+    growing.apply(level[2])
+    assert growing.labels()["drift_gain"][:, 0] == pytest.approx([0.05, 0.15])
 
 
 def test_without_chances_bits_stay_and_nothing_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
