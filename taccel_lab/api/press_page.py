@@ -43,7 +43,10 @@ def write_press_page(press: Press, folder: Path) -> None:
 
 def press_page(press: Press, folder: Path) -> Page:
     """The page of a press whose files are in ``folder``."""
-    stopped = [] if press.failure is None else [Remark(Severity.ERROR, "stopped", press.failure)]
+    stopped = []
+    if press.failure is not None:
+        said = f"{press.failure}; missing: {', '.join(press.missing)}"
+        stopped.append(Remark(Severity.ERROR, "stopped", said))
     notes = [Remark(Severity.INFO, "note", text) for text in press.plan.notes()]
     notes.append(Remark(Severity.INFO, "force_interval", press.force_interval.words()))
     if press.error is not None:
@@ -177,7 +180,6 @@ def press_rows(press: Press) -> Iterator[tuple[str, str, str]]:
     yield "Newton iterations", f"{figures['newton_iterations']}", ""
     yield "smallest gap", f"{figures['min_distance_m'] * 1e6:.2f}", "um"
     yield "smallest volume ratio of a tet", f"{figures['smallest_volume_ratio']:.3f}", ""
-    yield "time", f"{press.seconds:.1f}", "s"
     yield "nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""
     if image is not None:
         yield "error of the image: numerical, total", _both(image), "levels rms"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.api.press_photo import LIKE
-from taccel_lab.files.atomic_file import eight_bit, write_json
+from taccel_lab.files.atomic_file import eight_bit, write_by, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.presses.force_interval import ForceInterval, force_causes, force_power
@@ -43,6 +43,16 @@ TIMES = "times.json"
 """File of a press folder: what the press and each step took [s]."""
 
 
+def _arrays_alone(function: Callable[..., Any], *arguments: Any) -> None:
+    """Call what writes arrays; leave out what draws."""
+    if function is write_by:
+        function(*arguments)
+
+
+def _no_picture() -> None:
+    return None
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Press(Summary):
     """A press and everything that the sensor reads at its end."""
@@ -61,6 +71,8 @@ class Press(Summary):
     """The coarser press that the error was measured by."""
     write_page: Callable[[Press, Path], None] | None = None
     """Writes the page of a press into its folder, whose pictures are there."""
+    missing: tuple[str, ...] = ()
+    """What a press that ended early has not, in words."""
     slippery: float | None = None
     """Force without friction over that with it, where the coefficient was in doubt and pressed."""
 
@@ -262,8 +274,11 @@ class Press(Summary):
         """Write the contact face as PLY: vertices in metres with their normals, and triangles."""
         write_ply(path, self.points_m, self.normals)
 
-    def write_into(self, folder: Path, call: Call = at_once) -> None:
-        """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``."""
+    def write_into(self, folder: Path, call: Call = at_once, *, pictures: bool = True) -> None:
+        """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``.
+        Without ``pictures`` figures, arrays and mesh alone, in a second."""
+        if not pictures:
+            call = _arrays_alone
         plan, options = self.plan, self.plan.options
         about = {
             "sensor": plan.sensor,
@@ -276,22 +291,23 @@ class Press(Summary):
             "differs_from_calibration": plan.differs,
             "like": self.like,
             "failure": self.failure,
+            "missing": self.missing,
             **self._errors(),
         }
         # Apart, so that equal presses have equal files.
         step_s = [step.report.seconds for step in self.outcome.steps]
         write_json(folder / TIMES, {"seconds": self.seconds, "step_seconds": step_s})
         rgb, frames = self._painted
-        picture = rgb, self._predicted
+        picture = rgb, self._predicted if pictures else _no_picture
         press = folder, self.outcome, plan.profile
         write_press(*press, *picture, about, plan.indenter, frames, call)
         for name in self.outcome.views:
             seen = self.seen_by(name)
             inner = folder / VIEWS / name
             inner.mkdir(parents=True)
-            picture = seen._painted[0], seen._predicted
+            picture = seen._painted[0], seen._predicted if pictures else _no_picture
             write_seen(inner, seen.outcome, seen.plan.profile, *picture, call)
-        if plan.photo is not None and self.like is not None:
+        if pictures and plan.photo is not None and self.like is not None:
             assert self.simulated_photo is not None
             figure = plan.photo.draw(self.simulated_photo, plan.profile, self.like["psnr_db"])
             save_figure(figure, folder / LIKE)

@@ -106,8 +106,15 @@ class PressRun(PressPlan):
         def result(outcome: PressOutcome, failure: str | None = None) -> Press:
             if error is not None and failure is None:
                 outcome = error.stated_for(outcome)
+            missing = ()
+            if failure is not None:
+                to_mm = outcome.steps[-1].depth_mm
+                steps = () if outcome.stopped is None else (f"steps past {to_mm:.4g} mm",)
+                missing = (*steps, *(("the numerical error",) if error is None else ()))
             seconds = time.perf_counter() - started
-            return Press(run, outcome, seconds, failure, error, below, write_press_page, slippery)
+            return Press(
+                run, outcome, seconds, failure, error, below, write_press_page, missing, slippery
+            )
 
         slippery: float | None = None
         error: NumericalError | None = None

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.api.press_options import PressOptions
+from taccel_lab.errors import keeping
 
 if TYPE_CHECKING:
     from taccel_lab.api.press_result import Press as PressResult
@@ -46,12 +48,14 @@ class PressCommand(PressOptions, _Files):
         from taccel_lab.report.style import new_figure
 
         require_replaceable(self.out)
-        with Beside() as beside:
+        kept: list[str] = []
+        with Beside() as beside, keeping(lambda: "".join(kept[-1:])):
             # Loads what draws, which another process does while this one loads the solver.
             beside.call(new_figure, 1, 1)
-            self._press(beside)
+            self._press(beside, kept)
 
-    def _press(self, beside: Beside) -> None:
+    def _press(self, beside: Beside, kept: list[str]) -> None:
+        """Press, and write; the last of ``kept`` says what stays if it ends now."""
         from taccel_lab.api.press_page import press_rows, write_press_page
         from taccel_lab.api.press_run import PressRun, step_progress
         from taccel_lab.cli.console import notes, print_json, print_table, say, say_first_look
@@ -65,6 +69,8 @@ class PressCommand(PressOptions, _Files):
         finished: list[PressResult] = []
         failure: BaseException | None = None
         had_earlier = self.out.exists()
+        if had_earlier:
+            kept.append(f"{self.out} stays as it was")
         # Who draws into the folder is ended before that is cleared.
         with atomic_directory(self.out) as folder, beside:
             # Drawn without a kernel, which may have to be compiled: a picture within seconds.
@@ -80,12 +86,27 @@ class PressCommand(PressOptions, _Files):
                 if not finished or (had_earlier and not isinstance(error, Exception)):
                     raise
                 failure, pressed = error, finished[-1]
-            if run.photo is not None:
-                # Where its place and depth were corrected to.
-                pressed.plan.write_scene(folder, beside.call)
-            pressed.write_into(folder, beside.call)
-            beside.finish()
-            write_press_page(pressed, folder)
+            try:
+                if run.photo is not None:
+                    # Where its place and depth were corrected to.
+                    pressed.plan.write_scene(folder, beside.call)
+                pressed.write_into(folder, beside.call)
+                beside.finish()
+                write_press_page(pressed, folder)
+            except BaseException as error:
+                if isinstance(error, Exception) or had_earlier:
+                    raise
+                beside.__exit__()
+                for left in set(folder.iterdir()) - {scene}:
+                    shutil.rmtree(left) if left.is_dir() else left.unlink()
+                why = pressed.failure or str(error) or "interrupted"
+                missing = (*pressed.missing, "pictures", "the page")
+                failure, pressed = error, replace(pressed, failure=why, missing=missing)
+                pressed.write_into(folder, pictures=False)
+        steps = pressed.outcome.steps
+        kept.append(f"{self.out} has {len(steps)} finished steps, to {steps[-1].depth_mm:.4g} mm")
+        if pressed.missing:
+            kept[-1] += f"; missing: {', '.join(pressed.missing)}"
         for note in pressed.plan.notes():
             if note not in told:
                 say(f"note: {note}")
@@ -93,13 +114,11 @@ class PressCommand(PressOptions, _Files):
             say(f"note: numerical error {pressed.error.words()}")
             say(f"note: force, {pressed.force_interval.words()}")
         if failure is not None:
-            steps = pressed.outcome.steps
-            console.print(
-                f"wrote {self.out}: {len(steps)} finished steps, to {steps[-1].depth_mm:.4g} mm"
-            )
+            console.print(kept[-1], soft_wrap=True)
             raise failure
         if self.json:
             print_json({"folder": str(self.out), **pressed.figures()})
         else:
-            print_table(("figure", "value", "unit"), press_rows(pressed), "press", console)
+            rows = *press_rows(pressed), ("time", f"{pressed.seconds:.1f}", "s")
+            print_table(("figure", "value", "unit"), rows, "press", console)
         console.print(f"wrote {self.out}")

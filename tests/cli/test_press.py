@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import pyvista
 
+from taccel_lab.cli import app
 from taccel_lab.errors import SimulationError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.optics.render import OpticalModel
@@ -264,6 +265,62 @@ def test_finished_steps_are_kept(
     before = everything_below(whole)
     assert press(unit, whole, options, "0.4") == code
     assert (everything_below(whole) == before) == (code == 130)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("moment", "where", "missing"),
+    [
+        ("coarser press", "presses.measured_press._by_rule", ["the numerical error"]),
+        ("image", "api.press_result.predicted_image", ["pictures", "the page"]),
+        ("page", "api.press_page.write_press_page", ["pictures", "the page"]),
+    ],
+)
+@pytest.mark.parametrize("code", [130, 143])
+def test_a_press_that_is_stopped_after_its_steps_keeps_them(
+    moment: str,
+    where: str,
+    missing: list[str],
+    code: int,
+    unit: Path,
+    shallow: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    cli: Cli,
+) -> None:
+    """As of the press that ends by itself; said in the file, on the console and by the code."""
+    out, stop = tmp_path / "out", KeyboardInterrupt if code == 130 else app._Terminated
+
+    def stopped(*_: object, **__: object) -> None:
+        raise stop
+
+    monkeypatch.setattr(f"taccel_lab.{where}", stopped)
+    words = ("press", unit, "--out", out, "--depth-mm", "0.2", *QUICK.split())
+    said = cli(*words, code=code).err.splitlines()[-1]
+    found, whole = read(out), read(shallow)
+    ended = "interrupted" if code == 130 else "terminated"
+    steps = f"{len(whole['press']['steps'])} finished steps, to 0.2 mm"
+    assert said == f"{ended}; {out} has {steps}; missing: {', '.join(missing)}"
+    assert (found["missing"], whole["missing"]) == (missing, [])
+    assert found["failure"] == "interrupted" and found["press"]["stopped"] is None
+    with np.load(out / "signals.npz") as mine, np.load(shallow / "signals.npz") as theirs:
+        for key in ("height_m", "normals", "contact_mask"):
+            np.testing.assert_array_equal(mine[key], theirs[key], err_msg=key)
+    assert (out / "report.html").exists() == (moment == "coarser press")
+    assert not [path for path in tmp_path.iterdir() if path != out]
+
+
+@pytest.mark.thorough
+def test_equal_presses_are_equal_to_the_byte(unit: Path, tmp_path: Path) -> None:
+    """All files but that of the run's times."""
+    outs = [tmp_path / name / "press" for name in "ab"]
+    for out in outs:
+        assert press(unit, out, f"--depth-mm 0.2 --states {QUICK}") == 0
+    one, other = (
+        {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} for out in outs
+    )
+    differ = {str(name) for name in one | other if one.get(name) != other.get(name)}
+    assert differ <= {"times.json", OUTPUT_MARKER}
 
 
 @pytest.mark.thorough
