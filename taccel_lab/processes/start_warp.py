@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import sys
+import warnings
+from functools import wraps
 from pathlib import Path
+from typing import Any
 
 import warp as wp
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.processes.cache_place import CACHE_VARIABLE, place_kernels
 
 _DRIVERS = ("libcuda.so", "libcuda.so.1")
@@ -54,7 +58,36 @@ def _initialise() -> None:
             f"Warp cannot keep its kernels in {error.filename} ({error.strerror}); set "
             f"{CACHE_VARIABLE} to a folder that can be written"
         ) from None
+    _rebuild_what_is_damaged()
     _started.append(True)
+
+
+def _rebuild_what_is_damaged() -> None:
+    """Have Warp compile a module again whose kept files cannot be loaded, where it would end."""
+    modules = type(wp.get_module(__name__))
+    load = modules.load
+
+    @wraps(load)
+    def loaded(module: Any, device: Any, block_dim: int | None = None, **given: Any) -> Any:
+        try:
+            return load(module, device, block_dim, **given)
+        except Exception as error:
+            size = module.options["block_dim"] if block_dim is None else block_dim
+            folder = Path(wp.config.kernel_cache_dir or "") / module.get_module_identifier(size)
+            if given or isinstance(error, InputError) or not any(folder.glob("*.meta")):
+                raise
+            said = f"kept kernels {folder} are damaged ({error})"
+            try:
+                shutil.rmtree(folder)
+            except OSError as why:
+                raise InputError(
+                    f"{said} and cannot be removed ({why.strerror}); remove them, or set "
+                    f"{CACHE_VARIABLE} to a folder that can be written"
+                ) from None
+            warnings.warn(InputWarning(f"{said}: made again"), stacklevel=2)
+        return load(module, device, block_dim)
+
+    modules.load = loaded
 
 
 def first_step() -> str:
