@@ -129,7 +129,7 @@ def kept_mesh(pad: Pad, make: Callable[[Pad], SoundMesh]) -> SoundMesh:
     if not is_formula(pad):
         return make(pad)
     file = CachedFile("meshes", _recipe(pad), _load, _save)
-    return file.read_or_make(lambda: make(pad), optional=True)
+    return file.read_or_make(lambda: make(pad))
 
 
 def is_formula(pad: Pad) -> bool:

@@ -97,11 +97,7 @@ def usable_presses(
 
 
 def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
-    """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are.
-
-    Raises:
-        InputError: The cache folder cannot be written.
-    """
+    """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are."""
     count = len(captures.presses)
     kept = CachedFile(
         "contacts",

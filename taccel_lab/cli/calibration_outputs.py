@@ -94,10 +94,8 @@ class BlockCommand(CalibrationFiles):
         from taccel_lab.calibration.blocks import block_named
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.cli.console import notes
-        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.progress import stage_progress
 
-        start_warp()
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)

@@ -12,7 +12,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from taccel_lab.errors import keeping
+from taccel_lab.errors import InputError, keeping
 from taccel_lab.files.atomic_file import to_jsonable
 
 if TYPE_CHECKING:
@@ -88,11 +88,13 @@ def working(console: Console, words: str) -> Status:
 
 def say_first_look(console: Console, picture: Path) -> None:
     """Tell where a picture lies that can be looked at while the command goes on, and after it: a
-    copy in the cache folder, as a folder that is being written has a hidden name, which goes."""
+    copy in the cache folder, as a folder that is being written has a hidden name, which goes. None
+    is told of where that folder cannot be written."""
     from taccel_lab.files.file_cache import keep_file
 
-    if not console.quiet:
-        console.print(f"first look: {keep_file('first_look', picture)}", soft_wrap=True)
+    with suppress(InputError):
+        if not console.quiet:
+            console.print(f"first look: {keep_file('first_look', picture)}", soft_wrap=True)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from taccel_lab.errors import InputError
 from taccel_lab.files.documents import read_toml
 from taccel_lab.processes.cores import bound_cores
 
@@ -61,10 +62,13 @@ def collect(full: bool = False) -> dict[str, Any]:
     problems += [f"{name}: {problem}" for name, problem in check_libraries().items() if problem]
     report: dict[str, Any] = {"machine": describe_machine(), "packages": packages}
     if not any(package["name"] == "warp-lang" and package["problem"] for package in packages):
-        report["warp"] = check_warp()
+        try:
+            report["warp"] = check_warp()
+        except InputError as error:
+            problems.append(str(error))
         problems += [
             f"warp device {device['name']}: {device['problem']}"
-            for device in report["warp"]["devices"]
+            for device in report.get("warp", {}).get("devices", ())
             if device["problem"]
         ]
     report["data"] = find_data()

@@ -283,14 +283,12 @@ class Export:
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json, print_table, results, working
         from taccel_lab.files.output_folder import require_replaceable
-        from taccel_lab.processes.start_warp import start_warp
 
         require_replaceable(self.out)
         profile = _profile_or_design(self.profile)
 
         from taccel_lab.exporters.export import export_profile
 
-        start_warp()
         with working(notes(), f"exporting {profile.sensor.name} to {self.to}"):
             document = export_profile(profile, self.to, self.out, table=self.table)
         if self.json:

@@ -84,17 +84,18 @@ class CachedFile(Generic[Result]):
         data = content.getvalue()
         _write(self.what, self.path, _HEAD + hashlib.sha256(data).digest() + data)
 
-    def read_or_make(self, make: Callable[[], Result], *, optional: bool = False) -> Result:
-        """What is kept, or else ``make()``, which is then kept; where it is ``optional``, without
-        an error for a cache folder that cannot be used."""
-        tolerated = (InputError,) if optional else ()
+    def read_or_make(self, make: Callable[[], Result]) -> Result:
+        """What is kept, or else ``make()``, which is then kept where the cache folder can be
+        written; a warning says where it cannot."""
         found = None
-        with suppress(*tolerated):
+        with suppress(InputError):
             found = self.read()
         if found is None:
             found = make()
-            with suppress(*tolerated):
+            try:
                 self.write(found)
+            except InputError as error:
+                warnings.warn(f"{self.what} are made anew each time: {error}", stacklevel=2)
         return found
 
 

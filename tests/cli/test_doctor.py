@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.cli import doctor
+from taccel_lab.errors import InputError
 from tests.cli.conftest import Cli
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +36,18 @@ def test_this_installation_is_sound(cli: Cli) -> None:
     devices = report["warp"]["devices"]
     assert devices[0]["name"] == "cpu"
     assert all(device["problem"] is None for device in devices)
+
+
+def test_a_cache_that_cannot_be_written_is_told_beside_all_else(
+    monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    def refused() -> None:
+        raise InputError("Warp cannot keep its kernels in /x")
+
+    monkeypatch.setattr("taccel_lab.processes.start_warp.start_warp", refused)
+    report = cli.json("doctor", code=1)
+    assert report["problems"] == ["Warp cannot keep its kernels in /x"] and report["packages"]
+    assert "broken: Warp cannot keep" in cli("doctor", code=1).out
 
 
 def test_requirements_are_those_of_the_project_or_of_the_installed_wheel(

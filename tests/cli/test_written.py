@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands write: by the user's umask, through no link, and not in the place of captures."""
+"""What commands write: by the user's umask, through no link, not in the place of captures, and not
+into a cache that they do not need."""
 
 from __future__ import annotations
 
@@ -13,8 +14,12 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.cli.console import notes, say_first_look
+from taccel_lab.files.file_cache import CACHE_VARIABLE, cached_arrays
 from taccel_lab.files.output_folder import CAPTURES
+from taccel_lab.profile import load_profile, save_profile
 from tests.cli.conftest import Cli
+from tests.exporters.profiles import mini_profile
 from tests.support.capture_sets import write_image
 
 WRITTEN = {
@@ -130,3 +135,39 @@ def test_captures_are_replaced_when_it_is_asked_for(command: str, here: Path, cl
         with open(here / "out" / CAPTURES, "a") as manifest:
             manifest.write("# p2 slipped\n")
         cli.refuses([f"were changed since: {CAPTURES}"], command, "--replace")
+
+
+@pytest.fixture
+def no_cache(monkeypatch: pytest.MonkeyPatch, forbid: Callable[[str], None]) -> None:
+    """A cache folder that cannot be written; a command that starts Warp would end there."""
+    monkeypatch.setenv(CACHE_VARIABLE, "/proc/cache")
+    forbid("taccel_lab.processes.start_warp.start_warp")
+
+
+@pytest.mark.thorough(cases=("onnx", "safetensors", "tacto", "taccel"))
+@pytest.mark.parametrize("to", ["onnx", "opencv", "safetensors", "taccel", "tacto", "urdf"])
+@pytest.mark.usefixtures("no_cache")
+def test_an_export_without_kernels_needs_no_cache(to: str, tmp_path: Path, cli: Cli) -> None:
+    if to == "onnx":
+        pytest.importorskip("onnx")
+    save_profile(mini_profile(), tmp_path / "mini")
+    cli("export", tmp_path / "mini", "--to", to, "--out", tmp_path / "out")
+    assert (tmp_path / "out" / "export.json").is_file()
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_a_calibration_without_kernels_needs_no_cache(here: Path, cli: Cli) -> None:
+    cli("calibrate background captures --out out")
+    assert load_profile(here / "out").background is not None
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_what_a_cache_only_quickens_needs_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.warns(UserWarning, match="things are made anew each time: cannot write the cache"):
+        made = cached_arrays("things", {"n": 1}).read_or_make(lambda: {"a": np.arange(3.0)})
+    assert made["a"].shape == (3,)
+    (tmp_path / "picture.png").write_bytes(b"")
+    say_first_look(notes(), tmp_path / "picture.png")
+    assert "first look" not in capsys.readouterr().err
