@@ -4,12 +4,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
 from taccel_lab.scene import TimeStepping
+
+MOST_LEFT = 1e-6
+"""Part of a gel's modulus times its size squared: a cube of a millimetre and 0.1 MPa has 1e-7 N of
+it. Contacts that squeeze a gel by a hundredth have a hundredth, of which it is the relative
+tolerance."""
+LEAST_N = 1e-15
 
 
 @dataclass(frozen=True)
@@ -26,7 +35,8 @@ class SolverConfig:
     """Force residual of a body over its contact force at which it has converged, sums of magnitudes
     over its nodes both; a step has converged where all bodies have."""
     absolute_tolerance_n: float = 1e-7
-    """Force residual of a body that is always good enough."""
+    """Force residual of a body that is always good enough. Left at the default it is less in scenes
+    with gels below a millimetre, see ``within``."""
     max_newton_iterations: int = 200
     max_cg_iterations: int = 2000
     max_line_search_cuts: int = 40
@@ -67,7 +77,7 @@ class SolverConfig:
         for name, low, high in (
             ("dhat_m", 1e-8, 1e-2),
             ("relative_tolerance", 1e-12, 1.0),
-            ("absolute_tolerance_n", 1e-15, 1e3),
+            ("absolute_tolerance_n", LEAST_N, 1e3),
             ("friction_speed_m_s", 1e-12, 1e2),
             ("friction_eps_m", 1e-12, 1e-2),
             ("friction_step_share", 0, 1),
@@ -83,6 +93,17 @@ class SolverConfig:
             require_range(name, getattr(self, name), low, high)
         if self.kappa_pa is not None:
             require_range("kappa_pa", self.kappa_pa, 1, 1e13, "Pa")
+
+    def within(self, scene: SceneDescription) -> SolverConfig:
+        """Return the settings for a scene: forces scale with Young's modulus times size squared,
+        and by default no more than ``MOST_LEFT`` of that is left in any of its gels."""
+        most_n = self.absolute_tolerance_n
+        if most_n != SolverConfig.absolute_tolerance_n:
+            return self
+        for body in scene.soft_bodies:
+            size_m = float(np.ptp(body.mesh.nodes_m, axis=0).max())
+            most_n = min(most_n, MOST_LEFT * body.material.largest_young_modulus_pa * size_m**2)
+        return replace(self, absolute_tolerance_n=max(most_n, LEAST_N))
 
     def static_range_m(self, time: TimeStepping) -> float:
         """Sliding in a whole step below which friction is static [m].

@@ -134,8 +134,8 @@ class SolverParts:
 
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         self.model = model
-        self.config = config or SolverConfig()
         scene = model.scene
+        self.config = (config or SolverConfig()).within(scene)
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]

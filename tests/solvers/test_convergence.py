@@ -37,6 +37,7 @@ from taccel_lab.state import State, initial_state
 from tests.solvers.steps import begun, stepped
 from tests.support.blocks import everywhere, pose, soft_block
 from tests.support.grasps import gel_above_a_table, hand_poses
+from tests.support.scene_steps import Stepped
 from tests.support.variants import variants
 
 MESH = block_mesh((4, 4, 2), (6e-3, 6e-3, 2e-3), jitter=0.1)
@@ -115,6 +116,33 @@ STIFF_BLOCKS = {
     "quadratic": ((4, 4, 4), Element.QUADRATIC, 0.0),
     "far away": ((2, 2, 2), Element.QUADRATIC, 1.0),
 }
+
+
+def test_a_scene_of_any_size_is_solved_alike() -> None:
+    """Forces grow with the square of the size; what is left of them is no larger a part. At 60 um
+    1.6 % of the contact force was left."""
+
+    def press(size_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Newton iterations, contact force [N] and what is left of it, of two steps."""
+        gel = SoftBody(block_mesh((4, 4, 2), (size_m, size_m, size_m / 3)), Material(1e5, 0.4))
+        top_m = gel.mesh.nodes_m[:, 2].max() + size_m / 3
+        start, *ways = (pose(0, 0, top_m + share * size_m) for share in (1e-3, -2e-2, -4e-2))
+        scene = Scene(gel, KinematicBody(Ball(size_m / 3), name="ball"))
+        run = Stepped(scene, start, dhat_m=2e-3 * size_m)
+        reports = [run.step(way) for way in ways]
+        forces = np.array([report.contact_force_n[0] for report in reports])
+        left = np.array([report.residual_n[0] for report in reports]) / forces
+        return np.array([report.newton_iterations[0] for report in reports]), forces, left
+
+    iterations, forces, left = press(1e-3)
+    assert (left < 3e-4).all()
+    again, small, part = press(6e-5)
+    assert (again == iterations).all() and part == pytest.approx(left, rel=1e-3)
+    assert small == pytest.approx(forces * 0.06**2, rel=1e-6)
+    # A large one stops at 1e-7 N all the same, which takes an iteration more where that decides.
+    again, large, part = press(1.0)
+    assert (again <= iterations + 1).all() and (part < 1.01 * left).all()
+    assert large == pytest.approx(forces * 1e6, rel=2e-4)
 
 
 @pytest.mark.parametrize("name", STIFF_BLOCKS)
