@@ -99,14 +99,14 @@ def test_joints_of_one_body_move_it_in_their_order(tmp_path: Path) -> None:
     """A quarter about a point 0.1 m from its origin, then 0.2 m along what was x."""
     path = tmp_path / "two.xml"
     path.write_text(
-        '<mujoco><worldbody><body name="a" pos="0 0 1"><geom size="0.01"/>'
+        '<mujoco><worldbody><body name="a" pos="0.5 0 1"><geom size="0.01"/>'
         '<joint name="turn" pos="0.1 0 0"/><joint name="slide" type="slide" axis="1 0 0"/>'
         "</body></worldbody></mujoco>"
     )
     robot = load_mjcf(path)
     assert robot.dof_names == ["turn", "slide"]
     place = robot.forward_kinematics([[np.pi / 2, 0.2]])[0, robot.link_id("a"), :3]
-    assert place.tolist() == pytest.approx([0.1, 0.1, 1.0], abs=1e-7)
+    assert place.tolist() == pytest.approx([0.6, 0.1, 1.0], abs=1e-7)
 
 
 BASE, LEFT = '<site name="tool" pos="0 0 0.1"/>', '<joint name="left"/>'
