@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,11 @@ import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
+from taccel_lab.files.declared import require_few
 from taccel_lab.robots.shapes import CollisionShape
+
+MAX_LINKS = 2500
+"""Most links, and joints, of a robot; each axis of a joint of several has a link of its own."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +76,9 @@ class RobotJoint:
 
 def check_names(what: str, names: Sequence[str]) -> None:
     """Refuse a name that two ``what`` have."""
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{names.count(name)} {what} are called {name!r}; each needs its own")
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"{count} {what} are called {name!r}; each needs its own")
 
 
 def listed(names: Iterable[str]) -> str:
@@ -90,6 +95,8 @@ def base_of(links: Sequence[Link], joints: Sequence[RobotJoint]) -> str:
     names = [link.name for link in links]
     if not names:
         raise InputError("a robot needs at least one link")
+    for what, count in (("links", len(links)), ("joints", len(joints))):
+        require_few("the robot", what, count, MAX_LINKS)
     check_names("links", names)
     check_names("joints", [joint.name for joint in joints])
     carried: dict[str, RobotJoint] = {}
@@ -112,15 +119,18 @@ def base_of(links: Sequence[Link], joints: Sequence[RobotJoint]) -> str:
             f"{len(bases)} links are the child of no joint: {listed(bases)}; a robot has one base, "
             "connect the others by fixed joints"
         )
+    sound = set(bases)
     for name in names:
-        seen = [name]
-        while seen[-1] in carried:
-            seen.append(carried[seen[-1]].parent)
-            if seen[-1] in seen[:-1]:
+        seen: dict[str, None] = {}
+        while name not in sound:
+            if name in seen:
                 raise InputError(
-                    f"links {listed(dict.fromkeys(seen))} carry each other in a ring: a robot is a "
-                    "tree with one base"
+                    f"links {listed(seen)} carry each other in a ring: a robot is a tree with one "
+                    "base"
                 )
+            seen[name] = None
+            name = carried[name].parent
+        sound.update(seen)
     return bases[0]
 
 

@@ -8,6 +8,7 @@ here - looks, transmissions, tags of other programs - is left out. http://wiki.r
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -44,6 +45,15 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
     "joint": ("parent", "child", "origin", "axis", "limit", "mimic"),
 }
 """Elements that are read, by the one that holds them."""
+_LEFT_OUT: Mapping[str, tuple[str, ...]] = {
+    "robot": ("gazebo", "gripper", "material", "mujoco", "ros2_control", "sensor", "transmission"),
+    "link": ("audio_source", "contact", "gazebo", "material", "self_collision_checking", "sensor",
+             "verbose", "visual"),
+    "collision": ("contact_coefficients", "material", "verbose"),
+    "joint": ("calibration", "dynamics", "gazebo", "hardwareInterface", "safety_controller"),
+}  # fmt: skip
+"""Elements without influence on kinematics, masses, shapes and limits; names with a colon are those
+of other programs, too."""
 _NUMBERS: Mapping[str, Mapping[str, int]] = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
@@ -55,8 +65,10 @@ _NUMBERS: Mapping[str, Mapping[str, int]] = {
     "mimic": {"multiplier": 1, "offset": 1},
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+    "dynamics": {"damping": 1, "friction": 1},
 }
 """Attributes that are numbers, and how many."""
+_AT_LEAST_0 = ("damping", "effort", "friction", "ixx", "iyy", "izz", "velocity")
 _NEEDED: Mapping[str, tuple[str, ...]] = {
     "robot": ("name",),
     "link": ("name",),
@@ -101,10 +113,13 @@ def _check(element: Element, what: str, left_out: tuple[str, ...]) -> None:
         what = f"{tag} {element.get('name')!r}"
     for name, count in _NUMBERS.get(tag, {}).items():
         if (text := element.get(name)) is not None:
-            _check_numbers(text, count, f"{name} of <{tag}> of {what}")
+            _check_numbers(text, count, f"{name} of <{tag}> of {what}", name in _AT_LEAST_0)
     _check_kind(element, what)
     for child in element:
-        used = child.tag in _PARTS.get(tag, ()) and child.tag not in left_out
+        known = (*_PARTS.get(tag, ()), *_LEFT_OUT.get(tag, ()))
+        if child.tag not in known and not re.search("[:}]", str(child.tag)):
+            raise InputError(f"<{child.tag}> of {what} is not understood: remove it")
+        used = child.tag in (*_PARTS.get(tag, ()), "dynamics") and child.tag not in left_out
         # One without mass is left out, see ``_mass``.
         if used and (child.tag != "inertial" or child.find("mass") is not None):
             _check(child, what, left_out)
@@ -147,13 +162,15 @@ def _check_kind(element: Element, what: str) -> None:
         )
 
 
-def _check_numbers(text: str, count: int, what: str) -> None:
+def _check_numbers(text: str, count: int, what: str, positive: bool) -> None:
     wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+    wanted += " of at least 0" if positive else ""
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(math.isfinite(value) for value in values):
+    low = min(values, default=0.0) < 0 and positive
+    if low or len(values) != count or not all(math.isfinite(value) for value in values):
         raise InputError(f"{what} must be {wanted}, got {shown(text)}")
 
 
@@ -212,7 +229,7 @@ def load_urdf(
 ) -> Robot:
     """A robot of the links, joints, limits, masses and collision shapes of a URDF file.
 
-    Looks, transmissions and elements of other programs are left out.
+    Looks, transmissions and elements of other programs are left out, others refused by name.
 
     Args:
         path: The file.

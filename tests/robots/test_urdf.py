@@ -141,6 +141,10 @@ CHANGES = {
     "radius": ('<sphere radius="0.01"/>', "<sphere/>", "<sphere> of link 'slide' has no 'radius'"),
     "mass": ('mass value="2"', 'mass value="-2"', "mass of link 'arm' must be positive, got -2 kg"),
     "inertia": ('ixx="0.1" ', "", "<inertia> of link 'arm' has no 'ixx'"),
+    "element": ('<link name="tip"/>', '<link name="tip"><blob/></link>', "<blob> of link 'tip' is"),
+    "copies": ("</robot>", "<include/></robot>", "<include> of the robot is not understood"),
+    "drag": ('<axis xyz="0 3 4"/>', '<axis xyz="0 3 4"/><dynamics damping="-1"/>', "of at least 0"),
+    "effort": ('effort="7"', 'effort="-7"', "effort of <limit> of joint 'shoulder' must be a fini"),
     "open": ("</robot>", "", "is not valid XML: no element found"),
     "type": ('<robot name="chain">', "<!DOCTYPE robot><robot name='c'>", "has a document type"),
     "macro": ("<gazebo ", "<x:macro xmlns:x='http://ros.org/wiki/xacro'/><gazebo ", "holds xacro"),
@@ -150,10 +154,12 @@ CHANGES = {
 
 TIE = """<link name="{0}"/>
 <joint name="{0}" type="fixed"><parent link="{0}"/><child link="{1}"/></joint>"""
+MANY = "".join(TIE.format(f"l{k}", f"l{k - 1}") for k in range(1, 9000)) + '<link name="l0"/>'
 RING = TIE.format("a", "b") + TIE.format("b", "a")
 TEXTS = {
     "root element": ("<sdf><model/></sdf>", "root element is <sdf>; a URDF file's is <robot>"),
     "ring beside": (f'<robot name="r"><link name="o"/>{RING}</robot>', "'a', 'b' carry each other"),
+    "many": (f'<robot name="r">{MANY}</robot>', "has 9,000 links; up to 2,500 are allowed"),
     "no stl": (with_mesh("x.stl"), r"mesh file 'x\.stl' is not there; looked in"),
     "no package": (with_mesh("package://other/x.stl"), "'package://other/x.stl' is not there"),
     "mesh": (with_mesh("x.3ds"), r"collision mesh 'x\.3ds' of link 'a' is of a kind that is not r"),
