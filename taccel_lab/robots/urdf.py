@@ -47,8 +47,9 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
 """Elements that are read, by the one that holds them."""
 _LEFT_OUT: Mapping[str, tuple[str, ...]] = {
     "robot": ("gazebo", "gripper", "material", "mujoco", "ros2_control", "sensor", "transmission"),
-    "link": ("audio_source", "contact", "gazebo", "material", "self_collision_checking", "sensor",
-             "verbose", "visual"),
+    "link": ("audio_source", "collision_checking", "contact", "gazebo", "gravity", "kinematic",
+             "material", "origin", "self_collision_checking", "self_filter", "sensor", "verbose",
+             "visual"),
     "collision": ("contact_coefficients", "material", "verbose"),
     "joint": ("calibration", "dynamics", "gazebo", "hardwareInterface", "safety_controller"),
 }  # fmt: skip
@@ -68,7 +69,7 @@ _NUMBERS: Mapping[str, Mapping[str, int]] = {
     "dynamics": {"damping": 1, "friction": 1},
 }
 """Attributes that are numbers, and how many."""
-_AT_LEAST_0 = ("damping", "effort", "friction", "ixx", "iyy", "izz", "velocity")
+_AT_LEAST_0 = ("damping", "effort", "friction", "velocity")
 _NEEDED: Mapping[str, tuple[str, ...]] = {
     "robot": ("name",),
     "link": ("name",),
