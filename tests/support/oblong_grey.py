@@ -4,6 +4,7 @@ as wide as high, an image that is not square, a gel frame that begins beside its
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,16 @@ LEVELS_PER_MM = 50.0
 KNOWN = Provenance(kind="measured", method="made up for a test", source="none")
 
 
+@cache
+def _pad() -> SensorProfile:
+    size = {"length_x_mm": 30.0, "length_y_mm": 30.0, "young_modulus_mpa": 1e-6 * PA}
+    return catalogue_profile("flat_pad", {"thickness_mm": THICK_MM, "poisson_ratio": NU, **size})
+
+
 def grey_profile(**changes: dict[str, Any]) -> SensorProfile:
     """The sensor; ``changes`` of ``provenance`` by the block: ``gel``, ``material``, ``camera``; or
     of the fields of ``depth_response``. Without any all is known nearly to perfection."""
-    size = {"length_x_mm": 30.0, "length_y_mm": 30.0, "young_modulus_mpa": 1e-6 * PA}
-    made = catalogue_profile("flat_pad", {"thickness_mm": THICK_MM, "poisson_ratio": NU, **size})
+    made = _pad()
     known = {
         "gel": {"spread": {"thickness_mm": 1e-4}},
         "material": {"spread": {"young_modulus_pa": 10.0}},
