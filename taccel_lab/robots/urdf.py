@@ -48,8 +48,8 @@ _PARTS: Mapping[str, tuple[str, ...]] = {
 _LEFT_OUT: Mapping[str, tuple[str, ...]] = {
     "robot": ("gazebo", "gripper", "material", "mujoco", "ros2_control", "sensor", "transmission"),
     "link": ("audio_source", "collision_checking", "contact", "gazebo", "gravity", "kinematic",
-             "material", "origin", "self_collision_checking", "self_filter", "sensor", "verbose",
-             "visual"),
+             "material", "origin", "self_collision_checking", "self_filter", "sensor", "surface",
+             "verbose", "visual"),
     "collision": ("contact_coefficients", "material", "verbose"),
     "joint": ("calibration", "dynamics", "gazebo", "hardwareInterface", "safety_controller"),
 }  # fmt: skip
