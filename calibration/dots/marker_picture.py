@@ -58,6 +58,8 @@ class MarkerPicture:
     lattice: Lattice
     layout_px: LayoutFit
     """The grid in pixels."""
+    image: np.ndarray
+    """The picture."""
 
 
 def find_markers(image: np.ndarray) -> MarkerPicture:
@@ -74,7 +76,7 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
         if scale.count < MIN_DOTS or (scale.count > _MANY and not _regular(image, scale)):
             continue
         dots = detect_dots(image, scale)
-        picture = _accept(dots)
+        picture = _accept(dots, image)
         if picture is not None:
             return picture
         likeliest = dots if likeliest is None else likeliest
@@ -117,7 +119,7 @@ def _regular(image: np.ndarray, scale: DotScale) -> bool:
     return lattice_index(blobs[near]).kind != "none"
 
 
-def _accept(dots: Dots) -> MarkerPicture | None:
+def _accept(dots: Dots, image: np.ndarray) -> MarkerPicture | None:
     likely = dots.select(np.flatnonzero(~dots.flagged(DotFlag.ODD)))
     if likely.count < MIN_DOTS or np.median(np.abs(likely.contrast)) < _MIN_CONTRAST:
         return None
@@ -127,10 +129,10 @@ def _accept(dots: Dots) -> MarkerPicture | None:
         lattice = lattice_index(dots.uv_px)
     if lattice.kind == "none" or lattice.count < MIN_DOTS:
         return None
-    return _numbered(dots, lattice)
+    return _numbered(dots, lattice, image)
 
 
-def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
+def _numbered(dots: Dots, lattice: Lattice, image: np.ndarray) -> MarkerPicture:
     """Blobs beside the lattice that look odd are none; a place in the lattice redeems a dot."""
     lattice = _without_stray_lines(lattice, dots.flagged(DotFlag.ODD))
     keep = np.flatnonzero(lattice.numbered | ~dots.flagged(DotFlag.ODD))
@@ -139,7 +141,7 @@ def _numbered(dots: Dots, lattice: Lattice) -> MarkerPicture:
     layout = fit_layout(
         dots.uv_px, lattice, covariance=dots.covariance_px2, in_view=_in_view(dots, lattice)
     )
-    return MarkerPicture(dots, lattice, layout)
+    return MarkerPicture(dots, lattice, layout, image)
 
 
 def _without_stray_lines(lattice: Lattice, odd: np.ndarray) -> Lattice:

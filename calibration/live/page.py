@@ -310,8 +310,10 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
     if reading.markers is not None:
         seen, moved = reading.markers.seen, reading.markers.uv_px - reading.markers.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
+        unread = reading.markers.unread and f"; this frame is not read, {reading.markers.unread}"
         lines.append(
             f"{int(seen.sum())} of {len(seen)} markers seen, largest displacement {largest:.1f} px"
+            + unread
         )
     elif reader.no_markers:
         lines.append(f"markers are not followed: {reader.no_markers}")

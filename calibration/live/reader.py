@@ -43,6 +43,8 @@ class SeenMarkers:
     """Places at rest, likewise."""
     seen: np.ndarray
     """Which of them were found in this frame, bool, shape [marker]."""
+    unread: str
+    """Why the frame is not read, where it is not what the camera saw; empty otherwise."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,8 @@ class LiveReader:
             with _timed(stages, "markers"):
                 self.tracker.advance(image)
             seen = self.tracker.status == TrackStatus.SEEN
-            markers = SeenMarkers(self.tracker.uv.copy(), self.tracker.dots.uv_px, seen)
+            rest, unread = self.tracker.dots.uv_px, self.tracker.unread
+            markers = SeenMarkers(self.tracker.uv.copy(), rest, seen, unread)
         forces: Mapping[str, float] = {}
         if self.force is not None:
             with _timed(stages, "force"):

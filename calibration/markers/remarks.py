@@ -33,9 +33,10 @@ GRID_BENT = warning(
 VIDEO_CUT_SHORT = warning("video_cut_short", "a video ends early: {reason}")
 FAST_MOTION = warning(
     "fast_motion",
-    "{name}: dots move by {pitches:.2f} pitches between two frames; beyond 0.4 they may be taken "
-    "for their neighbours, and beyond 0.5 a lattice looks as if it moved back. Record slower "
-    "motion or more frames a second",
+    "{name}: dots move by {pitches:.2f} pitches to frame {frame}; beyond 0.4 they may be taken for "
+    "their neighbours, and beyond 0.5 a lattice looks as if it moved back. Record slower motion or "
+    "more frames a second",
     graver=Severity.ERROR,
 )
+UNREAD_FRAMES = warning("unread_frames", "{name}: {frames_unread}")
 MARKERS_LOST = warning("markers_lost", "{name}: {percent:.0f} % of markers and frames are lost")

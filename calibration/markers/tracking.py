@@ -5,7 +5,8 @@ Frame by frame: dots are detected at the size that they have at rest, matched to
 assignment that moves neighbours alike, and markers without a dot are looked for once more where
 their neighbours say that they are. A marker that stays unseen goes along with its neighbours and is
 found again when it reappears there, so that it keeps its identity through occlusion and through
-motions of more than the pitch, as long as neighbours move alike from frame to frame.
+motions of more than the pitch, as long as neighbours move alike from frame to frame. Frames that
+are not what the camera saw are not read.
 """
 
 from __future__ import annotations
@@ -25,6 +26,16 @@ from taccel_lab.calibration.dots.lattice import lattice_index
 from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
+from taccel_lab.calibration.markers.whole_frames import (
+    REPEATED_SHARE,
+    SHORT,
+    Fault,
+    FrameJudge,
+    Jump,
+    Unread,
+    common_jump,
+    shift_words,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_size
 
@@ -66,16 +77,22 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
     """
     tracker = MarkerTracker(rest)
     dots = tracker.dots
-    states = []
+    states, unread, repeats = [], {}, []
     for number, frame in enumerate(frames):
         size = np.shape(frame)[1::-1]
         require_size(f"frame {number}", size, "the picture at rest", dots.size_px)
         tracker.advance(frame)
         states.append((tracker.uv, tracker.sigma, tracker.status))
+        unread |= {number - k: one for k, one in tracker.found_out}
+        if tracker.repeated and number not in unread:
+            repeats.append(number)
     if not states:
         raise InputError("the video holds no frame")
+    # Where most frames are alike to the bit, an encoder made them so.
+    if len(repeats) <= REPEATED_SHARE * len(states):
+        unread |= dict.fromkeys(repeats, Unread(Fault.REPEATED, ""))
     uv_px, sigma_px, status = map(np.array, zip(*states, strict=True))
-    return MarkerTracks(
+    found = MarkerTracks(
         uv_px=uv_px,
         sigma_px=sigma_px,
         status=status,
@@ -85,6 +102,7 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
         column=tracker.column,
         size_px=dots.size_px,
     )
+    return found.without(unread)
 
 
 class MarkerTracker:
@@ -110,10 +128,63 @@ class MarkerTracker:
         self.unseen = np.zeros(dots.count, dtype=int)
         self.shape = dots.parameters.copy()
         self.unmatched = 0
+        self.repeated = False
+        """Whether the frame is the one before, to the bit."""
+        self.found_out: list[tuple[int, Unread]] = []
+        """Frames that turned out with this one not to be read: how many ago, 0 for this one."""
+        self._judge, self._last = FrameJudge(rest), np.zeros(0)
+        self._jump: Jump | None = None
+        self._before: dict[str, np.ndarray] = {}
+        self._since = 0
 
     def advance(self, frame: np.ndarray) -> None:
-        """Match and place all markers in the next frame."""
-        found = detect_dots(frame, self.scale)
+        """Match and place all markers in the next frame, where it can be read; predict them where
+        it cannot."""
+        self.repeated = np.array_equal(frame, self._last)
+        if self.repeated:
+            self.found_out = [(0, one) for k, one in self.found_out if k == 0]
+            return
+        self._last = frame
+        unread = self._judge.fault(frame)
+        self.found_out = [] if unread is None else [(0, unread)]
+        if unread is None:
+            self.uv = self.uv + self._judge.carried_px
+            self._read(frame, detect_dots(frame, self.scale))
+        else:
+            # A jump that may be none of the gel does not go on.
+            self.motion = (_MEMORY if self._jump is None else 0.0) * self.motion
+            self.uv = self.uv + self.motion
+            self.status = np.minimum(self.status, TrackStatus.PREDICTED).astype(np.uint8)
+
+    @property
+    def unread(self) -> str:
+        """Why the latest frame is not read, in words; empty where it is."""
+        return " ".join(one.words for k, one in self.found_out if k == 0)
+
+    def _read(self, frame: np.ndarray, found: Dots) -> None:
+        """Place all markers by the dots of a frame; once more from where they were before a jump
+        that turns out to be none of the gel."""
+        names = "uv", "sigma", "status", "motion", "unseen", "shape"
+        before = {name: getattr(self, name).copy() for name in names}
+        self._place(frame, found)
+        if self._jump is None:
+            both = (self.status == TrackStatus.SEEN) & (before["status"] == TrackStatus.SEEN)
+            pitch_px = self.around.pitch_px
+            way = common_jump(self.uv - before["uv"], before["motion"], both, pitch_px)
+            if way is not None:
+                self._jump, self._before, self._since = Jump(before["uv"], way, pitch_px), before, 1
+            return
+        undone = self._jump.is_undone(before["uv"], found.uv_px)
+        if undone:
+            vars(self).update(self._before)
+            self._place(frame, found)
+            one = Unread(Fault.SHIFTED, shift_words(*self._jump.way_px.tolist()))
+            self.found_out = [(k, one) for k in range(1, self._since + 1)]
+        self._since += 1
+        if undone is not None or self._since > SHORT:
+            self._jump = None
+
+    def _place(self, frame: np.ndarray, found: Dots) -> None:
         before = self.uv
         expected = before + _MEMORY * self.motion
         chosen = self._match(expected, found)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,8 @@ import numpy as np
 
 from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.markers.gel_view import PixelView, pixel_jacobian
-from taccel_lab.calibration.markers.remarks import FAST_MOTION, MARKERS_LOST
+from taccel_lab.calibration.markers.remarks import FAST_MOTION, MARKERS_LOST, UNREAD_FRAMES
+from taccel_lab.calibration.markers.whole_frames import Unread, in_sentences
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_by
 from taccel_lab.report.remark import Remark
@@ -29,7 +30,7 @@ class TrackStatus(IntEnum):
     LOST = 0
     """Nothing near enough: out of the picture, or hidden for long; its place is a guess."""
     PREDICTED = 1
-    """Not seen; placed by its neighbours."""
+    """Not seen; placed by its neighbours, or by the frames around one that is not read."""
     SEEN = 2
 
 
@@ -53,6 +54,8 @@ class MarkerTracks:
     """Column in the lattice, -1 for none, shape [marker]."""
     size_px: tuple[int, int]
     """Width and height of the frames."""
+    unread: Mapping[int, Unread] = field(default_factory=dict)
+    """Frames that are not what the camera saw; no marker of them is seen."""
 
     @classmethod
     def joined(cls, back: MarkerTracks, onward: MarkerTracks) -> MarkerTracks:
@@ -61,7 +64,37 @@ class MarkerTracks:
             name: np.concatenate([getattr(back, name)[:0:-1], getattr(onward, name)])
             for name in ("uv_px", "sigma_px", "status")
         }
-        return replace(onward, **before)
+        start = back.frame_count - 1
+        unread = {start - number: one for number, one in back.unread.items()}
+        unread |= {start + number: one for number, one in onward.unread.items()}
+        return replace(onward, **before, unread=unread)
+
+    def without(self, unread: Mapping[int, Unread]) -> MarkerTracks:
+        """Tracks that do not read some frames: markers lie there between the frames around, as
+        uncertain as they moved in the meantime."""
+        found = replace(self, unread=dict(unread))
+        numbers, read = np.array(sorted(unread), dtype=int), found.read
+        uv, sigma, status = self.uv_px.copy(), self.sigma_px.copy(), self.status.copy()
+        status[numbers] = np.minimum(status[numbers], TrackStatus.PREDICTED)
+        if len(read) == 0:
+            uv[:], sigma[:] = self.rest_px, max(self.size_px)
+        elif len(numbers):
+            after = np.searchsorted(read, numbers)
+            a, b = read[np.maximum(after - 1, 0)], read[np.minimum(after, len(read) - 1)]
+            way, (gap, past) = uv[b] - uv[a], (x[:, None, None] for x in (b - a, numbers - a))
+            uv[numbers] = uv[a] + np.where(gap > 0, past / np.maximum(gap, 1), 0.0) * way
+            # As it moved just before and after: it may have turned in between.
+            steps = np.abs(np.diff(uv[read], axis=0))
+            steps = np.pad(steps, [(1, 1), (0, 0), (0, 0)])
+            near = np.clip(after + np.arange(-1, 2)[:, None], 0, len(steps) - 1)
+            moved = steps[near].max(axis=0) * np.where(gap > 0, 1, np.abs(past))
+            sigma[numbers] = np.hypot(np.maximum(sigma[a], sigma[b]), moved)
+        return replace(found, uv_px=uv, sigma_px=sigma, status=status)
+
+    @property
+    def read(self) -> np.ndarray:
+        """Numbers of the frames that are read, in order, int."""
+        return np.setdiff1d(np.arange(self.frame_count), sorted(self.unread))
 
     @property
     def frame_count(self) -> int:
@@ -174,10 +207,14 @@ class TrackFigures:
     step_in_pitches: float
     """Largest way of a marker between two frames, over the pitch; near 0.5 a dot cannot be
     distinguished from its neighbour."""
+    step_frame: int
+    """The second of these frames."""
     common_step_in_pitches: float
     """Largest median way of the seen markers between two frames, over the pitch."""
     unseen_frames: tuple[int, ...]
-    """Frames in which fewer than half of the markers are seen."""
+    """Frames that are read, with fewer than half of the markers seen."""
+    unread: tuple[str, ...]
+    """Frames that are not what the camera saw, a sentence for each fault."""
     seen_share: float
     """Share of all markers and frames that is seen."""
     lost_share: float
@@ -188,11 +225,12 @@ class TrackFigures:
 
     def remarks(self) -> list[Remark]:
         """What the video deserves to have said of it."""
-        said = []
+        said = [UNREAD_FRAMES(name=self.name, frames_unread=text) for text in self.unread]
         aliases = self.common_step_in_pitches > _ALIASES
         if aliases or self.step_in_pitches > _FAST:
             pitches = self.common_step_in_pitches if aliases else self.step_in_pitches
-            said.append(FAST_MOTION(name=self.name, pitches=pitches, grave=aliases))
+            at = self.step_frame
+            said.append(FAST_MOTION(name=self.name, pitches=pitches, frame=at, grave=aliases))
         if self.lost_share > _LOST or self.unseen_frames:
             said.append(MARKERS_LOST(name=self.name, percent=100 * self.lost_share))
         return said
@@ -204,13 +242,14 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
     median = _medians(distance)
     quiet_first, quiet = _quiet_frames(tracks, start)
     spread = _jitter_px(tracks, quiet_first, quiet)
+    read = tracks.read
+    seen = tracks.seen[read]
     step = np.where(
-        tracks.seen[1:] & tracks.seen[:-1],
-        np.linalg.norm(np.diff(tracks.uv_px, axis=0), axis=2),
+        seen[1:] & seen[:-1],
+        np.linalg.norm(np.diff(tracks.uv_px[read], axis=0), axis=2),
         np.nan,
     )
-    largest_step = float(np.nan_to_num(step).max(initial=0.0))
-    common_step = float(np.nan_to_num(_medians(step)).max(initial=0.0))
+    steps, common = np.nan_to_num(step).max(axis=1, initial=0.0), np.nan_to_num(_medians(step))
     pitch_px = Neighbourhood.of(tracks.rest_px).pitch_px
     back = _return_frame(median)
     return TrackFigures(
@@ -221,9 +260,11 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
         quiet_frames=quiet,
         jitter_px=None if spread is None else float(np.median(spread)),
         largest_px=float(np.nanmax(distance)) if tracks.seen.any() else 0.0,
-        step_in_pitches=largest_step / pitch_px,
-        common_step_in_pitches=common_step / pitch_px,
-        unseen_frames=tuple(np.flatnonzero(tracks.seen.mean(axis=1) < _HALF).tolist()),
+        step_in_pitches=float(steps.max(initial=0.0)) / pitch_px,
+        step_frame=int(read[1 + np.argmax(steps)]) if len(steps) else 0,
+        common_step_in_pitches=float(common.max(initial=0.0)) / pitch_px,
+        unseen_frames=tuple(read[seen.mean(axis=1) < _HALF].tolist()),
+        unread=in_sentences(tracks.unread),
         seen_share=float(tracks.seen.mean()),
         lost_share=float((tracks.status == TrackStatus.LOST).mean()),
         return_frame=back,
@@ -233,24 +274,24 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
 
 def _jitter_px(tracks: MarkerTracks, first: int, count: int) -> np.ndarray | None:
     """Standard deviation of each always-seen marker's u and v over a stretch at rest, flat."""
-    if count < _QUIET_FRAMES:
+    quiet = np.intersect1d(np.arange(first, first + count), tracks.read)
+    if len(quiet) < _QUIET_FRAMES:
         return None
-    quiet = slice(first, first + count)
     steady = tracks.seen[quiet].all(axis=0)
     if not steady.any():
         return None
-    return tracks.uv_px[quiet, steady].std(axis=0, ddof=1).ravel()
+    return tracks.uv_px[quiet][:, steady].std(axis=0, ddof=1).ravel()
 
 
 def _quiet_frames(tracks: MarkerTracks, start: int) -> tuple[int, int]:
     """First frame and length of the stretch about ``start`` over which the gel rests."""
     offset = np.linalg.norm(tracks.uv_px - tracks.uv_px[start], axis=2)
-    offset = np.where(tracks.seen & tracks.seen[start], offset, np.nan)
+    offset = np.where(tracks.seen & (tracks.seen[start] | (start in tracks.unread)), offset, np.nan)
     median = _medians(offset)
-    near = tracks.uv_px[max(0, start - 5) :][:10]
+    near = tracks.uv_px[tracks.read[tracks.read >= start - 5][:10]]
     steps = [float(np.median(np.linalg.norm(d, axis=1))) for d in np.diff(near, axis=0)]
     limit = np.clip(_QUIET_NOISE * min(steps, default=0.0), _QUIET_PX, _QUIET_MOST_PX)
-    moving = np.flatnonzero(~(median < limit))
+    moving = np.intersect1d(np.flatnonzero(~(median < limit)), tracks.read)
     first = int(moving[moving < start].max(initial=-1)) + 1
     end = int(moving[moving >= start].min(initial=tracks.frame_count))
     edge = int(_EDGE * (end - first))

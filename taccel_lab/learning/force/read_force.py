@@ -90,6 +90,8 @@ class ForceReader:
             return self.model.read(image, self.background)
         with naming(name):
             tracks = track_markers([image], self.markers_at_rest)
+            if (unread := tracks.unread.get(0)) is not None:
+                raise InputError(f"it is {unread.words}: take it again; {unread.fault.advice}")
             seen = tracks.seen[0]
             if seen.mean() < MIN_SEEN:
                 raise InputError(
