@@ -18,11 +18,11 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.files.apart import MAX_IMAGE_PIXELS, read_apart
 from taccel_lab.files.declared import require_held
+from taccel_lab.files.foreign_images import ALLOWED, foreign_format, format_words
 from taccel_lab.files.regular_file import read_regular_file
 
 MAX_FILE_BYTES = 512 << 20
 """The largest image that is allowed, of 16 bits and not compressed, fits in."""
-ALLOWED = "PNG, JPEG, BMP, TIFF or WebP"
 _BEGINNINGS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF")
 _PNG_COLOR_TYPE = 25
 """Place of the colour type in a PNG's header."""
@@ -121,6 +121,8 @@ def _decoded(data: bytes, path: Path | str, flags: int) -> np.ndarray:
     cv2.setNumThreads(1)  # Each takes address space, which counts as memory.
     if not data:
         raise InputError(f"{path} is empty (0 bytes); copy it again or leave it out")
+    if (foreign := foreign_format(data)) is not None:
+        raise InputError(f"{path} {format_words(foreign)}")
     _require_held(data, path)
     image = None
     if data.startswith(_BEGINNINGS):

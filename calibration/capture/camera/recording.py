@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.foreign_images import format_words, unread_format, unread_pictures
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import require_inner_links
@@ -102,10 +103,14 @@ class Recording:
         if source.is_dir():
             require_inner_links(source, levels=1)
             images = [p for p in source.iterdir() if is_picture(p) and p.is_file()]
-            if not images:
-                raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
+            other = unread_pictures(sorted(source.iterdir()))
+            if not images or other:
+                holds = "no images" if not images else "images that would be left out"
+                raise InputError(f"{source} holds {holds}; {', '.join(IMAGES)} are read{other}")
         elif is_picture(source):
             images = [source]
+        elif (foreign := unread_format(source)) is not None:
+            raise InputError(f"{source} {format_words(foreign)}")
         else:
             raise InputError(f"{source} is none of these: {HELD_BY}")
         found = _in_order(images)

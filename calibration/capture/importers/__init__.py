@@ -35,6 +35,7 @@ from taccel_lab.calibration.capture.importers.label_tables import read_label_tab
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, manifest_notes
 from taccel_lab.errors import InputError
+from taccel_lab.files.foreign_images import WAY_OUT, unread_format, unread_pictures
 from taccel_lab.files.inner_path import real_path, require_inner_links
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.guards import nearest
@@ -127,6 +128,8 @@ def detect_layout(source: Path | str) -> CaptureLayout:
         if layout.recognises(source):
             return layout
     known = "; ".join(f"{layout.name} ({layout.title})" for layout in LAYOUTS.values())
+    if other := unread_pictures([source] if source.is_file() else files_of(source)):
+        raise InputError(f"{source} holds no image that can be read{other}")
     raise InputError(
         f"{source} follows none of the layouts known: {known}; docs/capture_import.md shows how a "
         "script of 20 lines reads one of your own"
@@ -266,7 +269,10 @@ def _leave_out_the_rest(source: Path, drafts: list[Draft], layout: str) -> None:
     for path in files_of(source):
         if real_path(path) not in mentioned:
             other = not written.isdisjoint(path.parents)
+            foreign = unread_format(path)
             why = "part of a capture folder" if other else f"no capture of the layout {layout}"
+            if foreign is not None:
+                why = f"an image of the format {foreign}, which is not read. {WAY_OUT}"
             drafts[0].leave_out(path, why)
 
 

@@ -22,12 +22,18 @@ from taccel_lab.calibration.capture.importers.draft import (
     ImportOptions,
     board_entry,
 )
-from taccel_lab.calibration.capture.importers.files import capture_folders, images_in, press_rows
+from taccel_lab.calibration.capture.importers.files import (
+    capture_folders,
+    files_of,
+    images_in,
+    press_rows,
+)
 from taccel_lab.calibration.capture.importers.label_tables import without_path
 from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record
 from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
+from taccel_lab.files.foreign_images import unread_pictures
 from taccel_lab.files.images import image_size, read_grey, read_image
 from taccel_lab.files.inner_path import real_path
 
@@ -162,7 +168,8 @@ def read_plain(path: Path, options: ImportOptions) -> list[Draft]:
     images = _of_one_size(images, draft)
     if not images:
         reasons = "".join(f". {note}" for note in draft.remarks())
-        raise InputError(f"{path} holds no images; PNG or JPEG is allowed{reasons}")
+        other = unread_pictures(files_of(path))
+        raise InputError(f"{path} holds no images; PNG or JPEG is allowed{reasons}{other}")
     if options.board is not None:
         entry = board_entry(options.board)
         draft.manifest["boards"] = [entry | {"images": [draft.add_image(i) for i in images]}]
