@@ -36,10 +36,17 @@ _SEEN = 0.25
 """Part of the usual block that has to lie in both frames."""
 _EXPLAINED = 0.5
 """A shift that leaves less than this part of a block's change, in squares, explains it."""
+_SHOWN, _SMALL_PX = 0.4, 6
+"""Most by which a block may show more or less than all of a shift, where that is smaller than this
+along the rows: a gel that moves does as much to the fine structure."""
 _OF_BAND = 0.6
 """Share of a band's blocks that a shift has to explain."""
 _WHOLE = 0.8
 """Share of the bands from which on a frame is shifted as a whole."""
+_CLEAR = 0.5
+"""Least agreement of the fine structure there, as a part of the best one."""
+_SHARE = 0.8
+"""And that of some rows alone, as a part of their share of the frame."""
 _GONE = 0.5
 """Most that is left of the fine structure's agreement in place, where all of it is shifted."""
 _TRACE = 0.1
@@ -134,10 +141,11 @@ def shift_between(before: Look, after: Look) -> Shift | None:
         here, there = float(match[0, 0]), float(match[down, right])
         if moved.sum() >= _WHOLE * telling.sum() or here < _TRACE * there == _TRACE * match.max():
             rows = range(height)
-            sure = here < _GONE * there
+            sure = here < _GONE * there and there >= _CLEAR * match.max()
         else:
             rows = range(run.start * height // _BANDS, run.stop * height // _BANDS)
             sure = max(abs(right), abs(down)) >= _PART_PX and abs(down) <= _DOWN * match.shape[0]
+            sure &= there >= _SHARE * len(run) / _BANDS * match.max()
             sure &= (moved | still).sum() >= telling.sum() - _BETWEEN
         if sure:
             best, shrunk = len(run), max(1.0, max(after.size_px) / _LONGEST_PX)
@@ -192,6 +200,10 @@ def _bands(before: Look, after: Look, right: int, down: int) -> list[np.ndarray]
     least = max(_LEAST_LEVELS, _NOISES * max(before.noise, after.noise))
     telling = (cell_count >= _SEEN * cell_count.max()) & (size > cell_count * least**2)
     enough = telling.sum(axis=1) >= _TELLING
+    if abs(right) < _SMALL_PX:
+        # Of a small shift the light shows all, not twice as much or half.
+        shown = 0.5 * (size + straight - left) / np.maximum(size, 1e-9)
+        left = np.where(np.abs(shown - 1.0) < _SHOWN, left, straight)
     by_band = (
         enough & ((telling & one).sum(axis=1) >= _OF_BAND * telling.sum(axis=1))
         for one in (left < _EXPLAINED * straight, straight < _EXPLAINED * left)

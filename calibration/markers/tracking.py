@@ -145,7 +145,7 @@ class MarkerTracker:
             self.found_out = [(0, one) for k, one in self.found_out if k == 0]
             return
         self._last = frame
-        unread = self._judge.fault(frame)
+        unread = self._judge.fault(frame, self.motion)
         self.found_out = [] if unread is None else [(0, unread)]
         if unread is None:
             self.uv = self.uv + self._judge.carried_px

@@ -17,10 +17,12 @@ from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.blobs import grey_levels
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
-from taccel_lab.calibration.frame_shift import Look, shift_between
+from taccel_lab.calibration.frame_shift import Look, Shift, shift_between
 
 _FLAT = 0.1
 """Rows that vary by less than this part of what they did are of one colour."""
+_ON = 0.4
+"""A tenth of the dots moved by more than this part of a shift just before it: it is no jump."""
 _JUMP = 0.05
 """Motion of all dots from which on it is a jump, in pitches."""
 _ALIKE = 0.15
@@ -83,9 +85,13 @@ class FrameJudge:
     def _look(self, frame: np.ndarray) -> Look:
         return Look.at(frame, float(np.median(self._dots.radius_px)), self._dots.scale.sign)
 
-    def fault(self, frame: np.ndarray) -> Unread | None:
+    def fault(self, frame: np.ndarray, motion_px: np.ndarray) -> Unread | None:
         """What is wrong with the next frame; None where it can be read, and is compared with from
-        now on."""
+        now on.
+
+        ``motion_px``: how dots moved to the frame before, shape [marker, 2]. A shift that goes on
+        as many of them moved is theirs, as lamps move, too, where they are held by hand.
+        """
         varied = _variation(frame)
         lost = np.flatnonzero(varied < _FLAT * self._varied)
         runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
@@ -95,6 +101,8 @@ class FrameJudge:
             return Unread(Fault.LOST, f"rows {longest[0]} to {longest[-1]}")
         look = self._look(frame)
         shift, self.carried_px = shift_between(self._read, look), np.zeros(2)
+        if shift is not None and _goes_on(motion_px, shift, self._pitch_px):
+            shift = None
         self._run = 0 if shift is None else self._run + 1
         if shift is not None and self._run > SHORT and shift_between(self._earlier, look) is None:
             # It is the frame before these that is shifted.
@@ -108,6 +116,15 @@ class FrameJudge:
         if len(shift.rows) == len(frame):
             return Unread(Fault.SHIFTED, way)
         return Unread(Fault.TORN, f"rows {shift.rows[0]} to {shift.rows[-1]} {way}")
+
+
+def _goes_on(motion_px: np.ndarray, shift: Shift, pitch_px: float) -> bool:
+    way = np.array([shift.right_px, shift.down_px])
+    # A lattice looks the same a pitch further.
+    other = way - pitch_px * np.round((way - np.median(motion_px, axis=0)) / pitch_px)
+    way = other if np.linalg.norm(other) > _JUMP * pitch_px else way
+    along = motion_px @ way / (way @ way)
+    return float(np.quantile(along, 0.9)) > _ON
 
 
 def _variation(frame: np.ndarray) -> np.ndarray:

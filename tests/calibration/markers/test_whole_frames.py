@@ -71,7 +71,7 @@ def one_colour(from_row: int, level: int) -> Spoil:
     [
         pytest.param(rolled(19), (3, 6, 7), "the first by about 2", id="rolled1"),
         pytest.param(rolled(-12), (4, 5), "px to the left", id="rolled2"),
-        pytest.param(rolled(48), (0, 8), "48 px to the right", id="rolled3"),
+        pytest.param(rolled(70), (0, 8), "70 px to the right", id="rolled3"),
         pytest.param(rolled(0, -30), (4,), "30 px up", id="rolled4"),
         pytest.param(rolled(90, 60), (1, 2, 3, 4), "px down", id="rolled5"),
         pytest.param(rolled(22, 0, 120), (4,), "rows 120 to 239 by about 2", id="torn"),
