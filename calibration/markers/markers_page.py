@@ -55,7 +55,6 @@ _OF_A_VIDEO = {
     "largest_px": "largest distance from rest [px]",
     "step_in_pitches": "largest step between two frames, in pitches",
     "common_step_in_pitches": "largest median step, in pitches",
-    "unread": "frames that are not read",
     "unseen_frames": "other frames with fewer than half of the dots",
     "seen_share": "share of dots and frames that is seen",
     "lost_share": "share that was lost",
@@ -93,6 +92,7 @@ def markers_page(result: MarkerCalibration) -> Page:
     pictures = [_dots(result), _residuals(result)]
     for number, video in enumerate(result.videos):
         rows = [[words, getattr(video.figures, key)] for key, words in _OF_A_VIDEO.items()]
+        rows.append(["frames that are not read", " ".join(video.figures.unread) or "none"])
         tables.append(Table(f"Motion in {video.name}", ["what", "value"], rows, folded=True))
         for one in (_tracks(result, video), _motion(video)):
             pictures.append(replace(one, name=f"video{number}_{one.name}"))

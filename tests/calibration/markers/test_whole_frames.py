@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.frame_shift import Look, shift_between
 from taccel_lab.calibration.markers.tracking import MarkerTracker, track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus, track_figures
+from taccel_lab.files.atomic_file import write_image
 from tests.calibration.drawn.dots import MARGIN, grid_points, picture
+from tests.support.commands import done
 
 PITCH = 48.0
 REST = grid_points(5, 6, (PITCH, PITCH), centre=(160.0, 119.0))
@@ -154,3 +157,21 @@ def test_lamps_and_presses_are_no_shift() -> None:
     for gain, slope in ((0.85, 0), (1.15, 0), (1.0, 8)):
         lit = np.clip(seen(3) * gain + slope * np.linspace(-1, 1, 320), 0, 255)
         assert shift_between(looks[2], Look.at(lit, 8.0)) is None
+
+
+@pytest.mark.thorough
+def test_the_command_says_which_frames_are_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, image in enumerate([seen(0)] * 6 + frames((3,), rolled(19))):
+        write_image(tmp_path / f"f{number:02d}.png", np.repeat(image[..., None], 3, axis=2))
+    (tmp_path / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "gelsight_mini"\n[markers]\nrest = "f00.png"\n'
+        'pitch_x_mm = 2.0\n[[markers.videos]]\nframes = ["f*.png"]\n'
+    )
+    out = tmp_path.with_name("profile")
+    ended = done(capsys, "calibrate", "markers", tmp_path, "--out", out)
+    assert ended.code == 0
+    assert "frame 9 is not read, sent shifted as a whole" in " ".join(ended.err.split())
+    page = (tmp_path.with_name("profile_report") / "report.html").read_text(encoding="utf-8")
+    assert "frames that are not read" in page
