@@ -91,7 +91,7 @@ def _closest(name: str, known: Iterable[str]) -> str | None:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\W_]+", "", name.lower())
+    return re.sub(r"[\W_]+", "", str(name).lower())
 
 
 def require_shape(

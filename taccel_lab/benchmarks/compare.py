@@ -37,6 +37,8 @@ SILENT = (
     "build_s",
 )
 """What is set, follows from the tolerance, or is a single moment of wall time."""
+SPREAD = {"median", "min", "max"}
+"""What a figure measured several times has."""
 UNSPREAD = 0.05
 """Part by which a figure measured once must differ to count."""
 
@@ -101,7 +103,9 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
 
 def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[FigureChange]:
     if isinstance(before, dict) and isinstance(after, dict):
-        if {"median", "min", "max"} <= before.keys() & after.keys():
+        if SPREAD <= before.keys() & after.keys():
+            if not all(_is_number(figure[name]) for figure in (before, after) for name in SPREAD):
+                raise InputError(f"{row}: {path} has a spread that is not all numbers")
             if before["max"] < after["min"] or after["max"] < before["min"]:
                 yield FigureChange(row, path, before["median"], after["median"])
             return

@@ -230,7 +230,7 @@ def _timestamps(path: Path) -> dict[int, np.ndarray]:
     numbers, first = np.unique(episodes[order], return_index=True)
     require_few(path, "episodes", len(numbers), MAX_EPISODES)
     found = {}
-    for episode, own in zip(numbers, np.split(order, first[1:]), strict=True):
+    for episode, own in zip(numbers, np.split(order, first)[1:], strict=True):
         # Its frames one after another: otherwise nobody knows which time is whose.
         if (frames[own] == np.arange(len(own))).all():
             found[int(episode)] = times[own].astype(float)

@@ -209,6 +209,10 @@ def test_compare_finds_what_changed_beyond_the_spread(speed_result: Path) -> Non
     assert remarks == ["driver: None -> 580.1"]
     assert {change.figure for change in changes} == {"fps", "newton_mean"}
     assert changes[0].percent == pytest.approx(200)
+    row["fps"] |= {"max": []}
+    with pytest.raises(InputError, match="fps has a spread that is not all numbers"):
+        compare(before, after)
+    row["fps"] = before["rows"][0]["fps"]
     with pytest.raises(InputError, match="suites differ"):
         compare(before, after | {"suite": "error"})
     with pytest.raises(InputError, match="results of 'error' are not compared"):

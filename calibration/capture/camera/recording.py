@@ -95,9 +95,10 @@ class Recording:
             chosen, count = _chosen(lerobot_cameras(source), camera, source)
             frames = partial(lerobot_frames, source, chosen)
             return made(chosen, lambda: count, frames, "the data set's timestamps")
-        if camera is not None:
+        video = source.is_file() and is_video(source)
+        if camera is not None and (video or source.is_dir() or is_picture(source)):
             raise InputError(f"{source} is of one camera; leave --camera {camera} away")
-        if source.is_file() and is_video(source):
+        if video:
             frames = partial(_of_video, source)
             return made("", lambda: count_frames(source)[0], frames, "the video's own times")
         if source.is_dir():
@@ -134,7 +135,7 @@ class Recording:
         Raises:
             InputError: A frame of another size: no camera's stream has two. An image among others
                 of a folder is refused by itself. ``MOST_REFUSED`` frames one after another cannot
-                be read.
+                be read. There are none.
         """
         episode, count, number, first_s, last_s = None, -1, 0, math.nan, -math.inf
         for frame in self._readable(size_px):
@@ -155,6 +156,9 @@ class Recording:
                 else:
                     time_s = None
             yield frame._replace(time_s=time_s, episode=count)
+        if episode is None:
+            of = f" of the camera {self.camera}" if self.camera else ""
+            raise InputError(f"{self.source} holds no frames{of}; at least one is needed")
 
     def _readable(self, size_px: tuple[int, int] | None) -> Iterator[RecordedFrame]:
         refused = 0
