@@ -111,7 +111,7 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@echo "Installing into $(VENV), once."
 	$(PYTHON) -m venv $(VENV)
 	$(if $(filter cuda,$(TORCH)),,@PIP_FLAGS="$(PIP_FLAGS)" tools/cpu_torch.sh $(PY))
-	$(INSTALL) -e ".[demo,view]"
+	$(INSTALL) -e ".[demo,video,view]"
 	@$(PY) -c 'import build123d' || \
 		{ echo "A system library is missing; on Debian: apt install libgl1 libx11-6 libexpat1"; exit 1; }
 	@touch $@

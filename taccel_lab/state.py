@@ -27,6 +27,7 @@ from taccel_lab.model.kinematics import place_at_start
 from taccel_lab.model.sameness import same_bodies
 from taccel_lab.model.turns import in_turn
 from taccel_lab.summary import Summary
+from taccel_lab.typed import typed
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -353,6 +354,7 @@ def _of_another_model() -> InputError:
     )
 
 
+@typed
 @in_turn
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     """Place all bodies at their initial poses and velocities, gels in their rest shape.

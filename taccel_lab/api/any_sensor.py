@@ -5,13 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import unknown
 from taccel_lab.profile import SensorProfile
 
 
+@runtime_checkable
 class HasProfile(Protocol):
     """What a profile came out of, such as a calibration."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.api.sensor import Sensor
 from taccel_lab.calibration import calibrate as fitting
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -24,6 +25,7 @@ class Calibration(fitting.Calibration):
     profile: Sensor
 
 
+@typed
 def calibrate(
     folder: CaptureFolder | Path | str,
     base: SensorProfile | Path | str | None = None,

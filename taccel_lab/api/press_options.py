@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from taccel_lab.errors import InputError, naming
 from taccel_lab.guards import require_known, require_positive, require_range
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from taccel_lab.presses import PressPath, PressPhysics
@@ -19,6 +20,7 @@ _FILES = ("like", "untouched", "texture")
 """Options that are files."""
 
 
+@typed
 @dataclass(frozen=True)
 class PressOptions:
     """How an indenter is pressed into a gel."""
@@ -96,6 +98,8 @@ class PressOptions:
             require_known("option of a press", name, cls.__dataclass_fields__, _LISTED_BY)
             if name in _FILES and isinstance(value, str):
                 options[name] = Path(value)
+            elif name == "indenter" and isinstance(value, Path):
+                options[name] = f"mesh:{value}"
         return cls(**options)
 
     def require_aim(self) -> None:

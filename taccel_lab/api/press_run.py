@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.touch import check_depth, deepest_mm
 from taccel_lab.processes.start_warp import first_step
 from taccel_lab.progress import watching_console
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,9 +47,10 @@ UNREAD = (
 )
 
 
+@typed
 def press(
     sensor: AnySensor,
-    indenter: str = PressOptions.indenter,
+    indenter: str | Path = PressOptions.indenter,
     *,
     progress: StepProgress | None = None,
     **options: Any,
@@ -56,7 +59,8 @@ def press(
 
     Args:
         sensor: A profile, the folder of one, a sensor of the catalogue, or a calibration.
-        indenter: Its shape, such as ``"sphere:4"``, see ``PressOptions.indenter``.
+        indenter: Its shape, such as ``"sphere:4"``, see ``PressOptions.indenter``; or the path of
+            a mesh.
         progress: Receives step, step count and what each step gave. When None, a bar is drawn where
             somebody watches.
         options: Fields of ``PressOptions``: ``depth_mm`` or ``force_n`` is needed.

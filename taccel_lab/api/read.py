@@ -11,7 +11,9 @@ import numpy as np
 
 from taccel_lab.api.any_sensor import AnySensor, reading_profile_of
 from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     import torch
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
     Pixels = np.ndarray | torch.Tensor
     Image = Pixels | Path | str
+else:
+    Pixels = Image = Any  # Judged by ``_pixels``.
 
 Method = Literal["auto", "normals", "depth"]
 
@@ -51,6 +55,7 @@ def read(
     mask: np.ndarray | None = None,
     method: Method = "auto",
 ) -> list[TouchReading]: ...
+@typed
 def read(
     sensor: AnySensor,
     image: Image | Sequence[Image],
@@ -96,6 +101,10 @@ def read(
         is_file = isinstance(background, (Path, str))
         given = Path(background) if is_file else _pixels(background, "the background")[0]
     untouched = UntouchedFrame.of(reading_profile_of(sensor), files, given, option="background=")
+    if mask is not None:
+        camera = untouched.profile.camera
+        require_shape("mask", mask, (camera.height_px, camera.width_px))
+        mask = np.asarray(mask, bool)
     surfaces = SurfaceReader(
         untouched.profile,
         background=untouched.image,
@@ -137,7 +146,11 @@ def _pixels(image: Any, name: str) -> tuple[np.ndarray, str]:
         return read_image(Path(image)), str(image)
     if hasattr(image, "detach"):
         image = image.detach().cpu()
-    levels = np.asarray(image)
+    levels: np.ndarray
+    try:
+        levels = np.asarray(image)
+    except ValueError:  # A list of lists of unequal lengths.
+        levels = np.empty(0, object)
     if levels.ndim == 3 and levels.shape[0] == 3 != levels.shape[2]:
         levels = np.moveaxis(levels, 0, 2)
     if levels.ndim != 3 or levels.shape[2] != 3:
@@ -146,6 +159,8 @@ def _pixels(image: Any, name: str) -> tuple[np.ndarray, str]:
             f"{name} has shape {list(levels.shape)}; RGB levels of shape [height, width, 3] or "
             f"[3, height, width] are needed{several}"
         )
+    if levels.dtype.kind not in "uif":
+        raise InputError(f"{name} holds no levels 0 to 255 but values of {levels.dtype}")
     if levels.dtype != np.uint8 and levels.max(initial=0) <= 1:
         raise InputError(f"{name} holds levels from 0 to 1; multiply it by 255")
     return levels, name

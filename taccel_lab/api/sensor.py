@@ -15,6 +15,7 @@ from taccel_lab.api.press_run import press
 from taccel_lab.api.read import read
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.sensors.registry import sensor_families
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from taccel_lab.api.read import Image
@@ -94,6 +95,7 @@ class Sensor(SensorProfile):
         save_profile(self, folder)
 
 
+@typed
 def load_sensor(sensor: AnySensor, /, **parameters: Any) -> Sensor:
     """Load a sensor.
 

@@ -16,6 +16,7 @@ from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.report.page import study_page
 from taccel_lab.studies.spec.study import read_study
 from taccel_lab.studies.spec.study_table import Swept, study_text
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,6 +40,7 @@ class StudyResult(StudyOutcome):
         return first_figure([study_page(self)])
 
 
+@typed
 def study(
     file: Path | str,
     out: Path | str | None = None,

@@ -21,6 +21,7 @@ from taccel_lab.bodies.primitives import Ball, TriangleMesh, checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh, quadratic_mesh
 from taccel_lab.guards import require_range, require_shape
+from taccel_lab.typed import typed
 
 
 class Element(StrEnum):
@@ -42,6 +43,7 @@ ALL_LAYERS = 0xFFFFFFFF
 """Mask of a body that may touch every layer."""
 
 
+@typed
 @dataclass(frozen=True)
 class Surface:
     """How the surface of a body meets others."""
@@ -80,6 +82,7 @@ def check_stiff_density(value: float, where: str) -> None:
         raise InputError(f"density{where} must lie in (0, 3e4] kg/m^3, got {value}")
 
 
+@typed
 @dataclass(frozen=True)
 class SoftBody:
     """A FEM body, whose bonded nodes are prescribed."""
@@ -155,6 +158,7 @@ def nodal_mesh(mesh: TetMesh, element: Element) -> TetMesh | QuadraticMesh:
     return quadratic_mesh(mesh) if element is Element.QUADRATIC else mesh
 
 
+@typed
 @dataclass(frozen=True)
 class AffineBody:
     """A stiff free body of 12 degrees of freedom [Lan et al. 2022, Affine Body Dynamics]."""
@@ -177,8 +181,6 @@ class AffineBody:
     """Mass, centre and inertia of a body that is not filled evenly; the density does not count."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.shape, TriangleMesh):
-            raise InputError(f"affine body {self.name!r} needs a closed TriangleMesh")
         check_stiff_density(self.density_kg_m3, f" of {self.name!r}")
         name = f"young_modulus_pa of {self.name!r}"
         require_range(name, self.young_modulus_pa, 1e3, 1e13, "Pa")
@@ -195,6 +197,7 @@ class AffineBody:
         return with_stated_mass(solid, self.stated_mass, self.shape)
 
 
+@typed
 @dataclass(frozen=True)
 class KinematicBody:
     """A rigid body whose pose is prescribed; it has no degrees of freedom."""
@@ -210,6 +213,7 @@ class KinematicBody:
         check_friction(self.friction_coefficient, repr(self.name))
 
 
+@typed
 @dataclass(frozen=True)
 class Plane:
     """A half-space that never moves; bodies stay on the side its normal points to."""

@@ -20,6 +20,7 @@ import numpy as np
 from taccel_lab.bodies.primitives import checked_pose
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_positive, require_range, require_shape
+from taccel_lab.typed import typed
 
 ROW_COUNT = 7
 """Scalar rows of every joint, see ``ipc.joints.rows``; those that a kind does not have are zero."""
@@ -33,6 +34,7 @@ class JointKind(IntEnum):
     PRISMATIC = 2
 
 
+@typed
 @dataclass(frozen=True)
 class PositionDrive:
     """A spring and damper towards a coordinate, as a servo: part of the implicit step."""
@@ -53,6 +55,7 @@ class PositionDrive:
         object.__setattr__(self, "target", _target(self.target))
 
 
+@typed
 @dataclass(frozen=True)
 class VelocityDrive:
     """A motor towards a rate, as strong as ``max_effort``."""
@@ -130,6 +133,7 @@ class Joint:
         return {first, second} == {self.first, self.second}
 
 
+@typed
 @dataclass(frozen=True)
 class FixedJoint(Joint):
     """The bodies move as one."""
@@ -137,6 +141,7 @@ class FixedJoint(Joint):
     kind = JointKind.FIXED
 
 
+@typed
 @dataclass(frozen=True)
 class RevoluteJoint(Joint):
     """A hinge: the first body turns about the axis, by the right-hand rule."""
@@ -149,7 +154,6 @@ class RevoluteJoint(Joint):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_limits(self.limits_deg, "limits_deg", self.name)
-        _check_drive(self.drive, self.name)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -162,6 +166,7 @@ class RevoluteJoint(Joint):
         return self.drive
 
 
+@typed
 @dataclass(frozen=True)
 class PrismaticJoint(Joint):
     """A slider: the first body moves along the axis and does not turn."""
@@ -174,7 +179,6 @@ class PrismaticJoint(Joint):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_limits(self.limits_mm, "limits_mm", self.name)
-        _check_drive(self.drive, self.name)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -249,11 +253,4 @@ def _check_limits(limits: tuple[float, float] | None, field: str, name: str) -> 
         raise InputError(
             f"{field} of joint {name!r} must be (low, high) with low <= 0 <= high: the initial "
             f"configuration is 0; got {limits}"
-        )
-
-
-def _check_drive(drive: Drive | None, name: str) -> None:
-    if drive is not None and not isinstance(drive, (PositionDrive, VelocityDrive)):
-        raise InputError(
-            f"drive of joint {name!r} must be a PositionDrive or a VelocityDrive, got {drive!r}"
         )

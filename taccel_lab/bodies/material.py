@@ -12,12 +12,14 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
+from taccel_lab.typed import typed
 
 MOST_BRANCHES = 3
 """Most branches of a material: each is one more evaluation of all elements, and three span as many
 decades of time."""
 
 
+@typed
 @dataclass(frozen=True, order=True)
 class MaxwellBranch:
     """A spring and a dashpot in a row, beside the spring of the relaxed solid.
@@ -120,6 +122,7 @@ def _check_each(check: Callable[[float, str], None], values: np.ndarray) -> None
         check(float(value), f" of tet {tet}" if values.ndim else "")
 
 
+@typed
 @dataclass(frozen=True)
 class Material:
     """An isotropic hyperelastic solid, compressible Neo-Hookean unless told otherwise."""
@@ -142,6 +145,7 @@ class Material:
         check_mooney(self.model, self.mooney_ratio, self.poisson_ratio)
 
     @classmethod
+    @typed
     def mooney_rivlin(
         cls, c10_pa: float, c01_pa: float, bulk_modulus_pa: float, density_kg_m3: float = 1000.0
     ) -> Material:
@@ -185,6 +189,7 @@ class Material:
         return None
 
 
+@typed
 @dataclass(frozen=True)
 class MaterialField:
     """A solid whose moduli differ by tet; a number stands for all tets.

@@ -9,8 +9,10 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_shape
+from taccel_lab.typed import typed
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class TriangleMesh:
     """A triangle surface in its body frame."""
@@ -61,6 +63,7 @@ def checked_pose(name: str, value: np.ndarray, *shapes: tuple[int | str, ...]) -
     return pose
 
 
+@typed
 @dataclass(frozen=True)
 class Ball:
     """A perfect sphere about its body frame's origin: smooth, and one distance per gel face."""
@@ -82,6 +85,7 @@ def _require_length(name: str, value_m: float) -> None:
         raise InputError(f"{name} must lie between 0.01 mm and 1 m, got {value_m * 1e3:g} mm")
 
 
+@typed
 def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
     """Make a sphere about the origin as a subdivided icosahedron with edges of about ``edge_m``.
 
@@ -139,6 +143,7 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
     return TriangleMesh(vertices * radius_m * (1 + 0.75 * mean_dip), faces)
 
 
+@typed
 def box_mesh(size_m: tuple[float, float, float]) -> TriangleMesh:
     """Make an axis-aligned box about the origin, 12 triangles."""
     for value in size_m:
@@ -150,6 +155,7 @@ def box_mesh(size_m: tuple[float, float, float]) -> TriangleMesh:
     return TriangleMesh(signs * half, np.array(faces))
 
 
+@typed
 def cylinder_mesh(radius_m: float, height_m: float, segments: int = 64) -> TriangleMesh:
     """Make a flat-ended cylinder about the origin, axis along z; ends are fans of ``segments``."""
     _require_length("cylinder radius", radius_m)

@@ -23,6 +23,7 @@ from taccel_lab.bodies.joints import Joint, check_joints
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_known, require_range, require_shape
 from taccel_lab.summary import Summary
+from taccel_lab.typed import typed
 
 
 class TimeScheme(StrEnum):
@@ -43,6 +44,7 @@ def check_dt(dt_s: float, longest_s: float = 10.0) -> None:
     require_range("dt", dt_s, SHORTEST_STEP_S, longest_s, "s")
 
 
+@typed
 @dataclass(frozen=True)
 class TimeStepping:
     """How a step advances time."""

@@ -55,6 +55,8 @@ ABOUT_KEYS = {
     "sensors": list,
     "recipe": dict,
 }
+CHANNEL_KEYS = {"dtype": str, "row": list, "unit": str, "what": str, "may_be_nan": bool}
+SENSOR_KEYS = {"name": str, "profile_digest": str, "grid": dict, "units": list}
 PARTS = "parts"
 MAX_TABLE_VALUES = 1 << 30
 """Values of all rows and columns: 26 million steps."""
@@ -95,10 +97,11 @@ class DatasetFolder:
         if not path.is_file():
             raise InputError(f"{self.root} holds no data set: it has no {ABOUT}")
         about = read_json(path)
-        for key, kind in ABOUT_KEYS.items():
-            if not isinstance(about.get(key), kind) or (kind is list and not about[key]):
-                found = shown(about[key]) if key in about else "missing"
-                raise InputError(f"{path} is no description of a data set: {key!r} is {found}")
+        _require_keys(path, about, ABOUT_KEYS)
+        for name, channel in about["channels"].items():
+            _require_keys(path, channel, CHANNEL_KEYS, f"channels.{name}.")
+        for number, sensor in enumerate(about["sensors"] or [None]):
+            _require_keys(path, sensor, SENSOR_KEYS, f"sensors.{number}.")
         return about
 
     def begin(self, plan: DatasetPlan, source: str) -> None:
@@ -234,6 +237,15 @@ def _index_bytes(table: Any) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()
+
+
+def _require_keys(path: Path, table: Any, keys: dict[str, type], above: str = "") -> None:
+    """InputError for a table of ``dataset.json`` that lacks a key, or has it of another type."""
+    for key, kind in keys.items():
+        value = table.get(key) if isinstance(table, dict) else None
+        if not isinstance(value, kind):
+            found = "missing" if value is None else shown(value)
+            raise InputError(f"{path} is no description of a data set: '{above}{key}' is {found}")
 
 
 def is_as_written(path: Path, table: Any) -> bool:

@@ -23,6 +23,7 @@ from taccel_lab.files.inner_path import inner_files, inner_path
 from taccel_lab.guards import require_known
 from taccel_lab.report.style import BLUE, ORANGE, in_report_style, new_figure
 from taccel_lab.summary import Summary
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -301,6 +302,7 @@ class Dataset(Summary):
         )
 
 
+@typed
 def open_dataset(
     folders: str | Path | Sequence[str | Path], split: Literal["train", "test"] | None = None
 ) -> Dataset:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Video files, decoded frame by frame by PyAV's FFmpeg in the readers' process.
+"""Video files, decoded frame by frame by PyAV's FFmpeg in the readers' process. PyAV is an extra:
+its wheels ship x264 and x265, which are GPL.
 
 A frame's time is its presentation time in the file: recordings of variable frame rate keep their
 pauses. Pixels are as the file stores them, as those of images are: how a player would turn them is
@@ -101,9 +102,9 @@ def _frames(path: Path) -> Iterator[TimedImage]:
 
 def _counts(path: Path) -> Iterator[tuple[int, int]]:
     """The count so far now and then: to count a long video may take long."""
-    import av
-
     with _opened(path) as (container, stream):
+        import av
+
         stated, duration_s = stream.frames, (container.duration or 0) / av.time_base
     count, first_s, last_s = 0, None, 0.0
     # Each decodes, but makes no picture.
@@ -124,10 +125,10 @@ def _decoded(path: Path) -> Iterator[VideoFrame]:
 
     Raises InputError for fewer than two, too many, and too large ones.
     """
-    from av.error import FFmpegError
-
     count = 0
     with _opened(path) as (container, stream):
+        from av.error import FFmpegError
+
         for packet in _packets(container, stream):
             try:
                 frames = stream.decode(packet)
@@ -158,10 +159,16 @@ def _packets(container: InputContainer, stream: VideoStream) -> Iterator[Packet]
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """The file and its first stream of pictures; InputError for what is no video."""
-    import av
-    from av.error import FFmpegError
-
+    """The file and its first stream of pictures; InputError for what is no video, or without
+    PyAV."""
+    try:
+        import av
+        from av.error import FFmpegError
+    except ImportError:
+        raise InputError(
+            f"{path} is decoded by PyAV, which is not installed: pip install 'taccel-lab[video]', "
+            "or give the frames as images"
+        ) from None
     path = require_regular_file(path, LARGEST_BYTES, "a video")
     try:
         # FFmpeg takes some names for addresses, never those that begin with a slash.

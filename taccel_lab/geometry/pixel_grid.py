@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.typed import typed
 
 
+@typed
 @dataclass(frozen=True)
 class PixelGrid:
     """Pixel centres of an image laid over the gel, in the gel frame.

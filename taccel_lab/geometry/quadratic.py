@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.geometry.tet_mesh import RegionFaces, TetMesh
+from taccel_lab.typed import typed
 
 TET_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """Ends of the middle nodes 4 to 9 of a tet."""
@@ -22,6 +23,7 @@ MIDDLE_MASS = 4.0 / 27.0
 [Hinton, Rock and Zienkiewicz 1976]. Row sums would make corner masses negative."""
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class QuadraticMesh(RegionFaces):
     """Ten-node tets on a linear mesh; reads like a TetMesh where only nodes and faces matter."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.summary import Summary
+from taccel_lab.typed import typed
 
 
 class Region(enum.IntEnum):
@@ -40,6 +41,7 @@ class RegionFaces(Summary):
         return self.region_nodes(Region.BOND, Region.WINDOW)
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class TetMesh(RegionFaces):
     """Tetrahedra of one soft body with the region of each surface face.

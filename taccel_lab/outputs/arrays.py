@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from taccel_lab.model.launches import launch
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +29,7 @@ def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
     return result
 
 
+@typed
 def to_torch(array: wp.array) -> torch.Tensor:
     """Return a tensor on the same memory; vectors and matrices become trailing axes."""
     return wp.to_torch(array, requires_grad=False)

@@ -23,11 +23,13 @@ from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.outputs.surface_load import SurfaceLoad, SurfaceLoadReader
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, check_state
+from taccel_lab.typed import typed
 
 _STORED = ("elastic", "affine", "joints")
 """Potentials whose value is energy that is stored, not a means to a step."""
 
 
+@typed
 class Outputs:
     """Construct once, ``update(state)`` after a step, then read.
 

@@ -26,6 +26,7 @@ from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.guards import nearest
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 from taccel_lab.signals.texture import Texture
+from taccel_lab.typed import typed
 
 ALLOWED = (
     "sphere:RADIUS, cylinder:RADIUS (flat end), box:XxY (flat end), roller:RADIUSxLENGTH (lies "
@@ -108,9 +109,11 @@ class Indenter:
             )
 
 
-def parse_indenter(text: str, texture: Texture | None = None) -> Indenter:
-    """Read an indenter description; raises InputError that lists what is allowed. ``texture``: laid
-    over its surface."""
+@typed
+def parse_indenter(text: str | Path, texture: Texture | None = None) -> Indenter:
+    """Read an indenter description, or a mesh by its path; raises InputError that lists what is
+    allowed. ``texture``: laid over its surface."""
+    text = f"mesh:{text}" if isinstance(text, Path) else text
     kind, _, value = text.partition(":")
     if kind == "mesh":
         shape, remarks = _read_mesh(value)

@@ -13,6 +13,7 @@ from taccel_lab.bodies.material import MaxwellBranch
 from taccel_lab.bodies.scene_description import LONGEST_HOLD_S
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_positive, require_range
+from taccel_lab.typed import typed
 
 SPEED_MM_S = 1.0
 """Speed of an indenter of which nothing is known: as by hand."""
@@ -33,6 +34,7 @@ Waypoint = tuple[float, tuple[float, float], float]
 """Depth [mm], shear [mm], twist [deg]."""
 
 
+@typed
 @dataclass(frozen=True)
 class PressPath:
     """Where the indenter goes: down, then sideways and about its vertical axis."""

@@ -19,11 +19,13 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
 )
+from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from taccel_lab.profile import MaterialBlock, SensorProfile
 
 
+@typed
 def profile_scene(
     profile: SensorProfile,
     *,
@@ -65,6 +67,7 @@ def profile_gel(profile: SensorProfile, mesh: TetMesh | None = None, **options: 
     )
 
 
+@typed
 def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | MaterialField:
     """Make the gel and the layers over it by the layers of ``mesh``; uniform for a mesh of one
     layer.

@@ -39,6 +39,7 @@ from taccel_lab.profile.sensor_view import (
     SensorView,
     require_view_name,
 )
+from taccel_lab.typed import typed
 
 MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
 LAYER_KEY = "tet_layers"
@@ -147,6 +148,7 @@ class Finding:
         return f"{self.where}: {self.message}"
 
 
+@typed
 def save_profile(
     profile: SensorProfile, path: Path | str, only: Collection[str] | None = None
 ) -> None:
@@ -230,6 +232,7 @@ def split_view(name: Path | str) -> tuple[str, str | None]:
     return sensor, view
 
 
+@typed
 def validate_profile(path: Path | str) -> list[Finding]:
     """Everything wrong (errors) or odd (warnings) with the profile folder; empty when sound."""
     return _read(Path(split_view(path)[0]))[1]

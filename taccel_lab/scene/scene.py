@@ -12,6 +12,7 @@ from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model import Model, build_model
 from taccel_lab.model.turns import in_turn
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.typed import typed
 
 SOFT_EXTENT_M = (1e-5, 1.0)
 """Sizes of a soft body: a gel of 8 m was meant in millimetres."""
@@ -19,10 +20,12 @@ RIGID_EXTENT_M = (1e-5, 10.0)
 """Sizes of an affine or kinematic body: one of 20 m was meant in millimetres."""
 
 
+@typed
 class Scene(SceneDescription):
     """Bodies and how they meet, in ``env_count`` copies; ``finalize`` makes a model of it."""
 
     @in_turn
+    @typed
     def finalize(self, device: str | None = None) -> Model:
         """Build the device arrays; raises InputError for meshes that cannot be used.
 

@@ -23,6 +23,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.signals.eye import Eye, eye_of, seen_at
+from taccel_lab.typed import typed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,6 +31,7 @@ wp.set_module_options({"enable_backward": False})
 _INSIDE = -1e-9
 
 
+@typed
 @dataclass(frozen=True)
 class MarkerLayout:
     """Which point of which contact face each marker is."""
@@ -115,6 +117,7 @@ class MarkerLayout:
         return 1e3 * places
 
     @classmethod
+    @typed
     def from_points(
         cls,
         mesh: TetMesh | QuadraticMesh,

@@ -13,6 +13,7 @@ from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_range
 from taccel_lab.scene import TimeStepping
+from taccel_lab.typed import typed
 
 MOST_LEFT = 1e-6
 """Part of a gel's modulus times its size squared: a cube of a millimetre and 0.1 MPa has 1e-7 N of
@@ -21,6 +22,7 @@ tolerance."""
 LEAST_N = 1e-15
 
 
+@typed
 @dataclass(frozen=True)
 class SolverConfig:
     """Tolerances and limits; lengths in metres, forces in newtons."""

@@ -22,8 +22,10 @@ from taccel_lab.solvers.config import Control
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import State
+from taccel_lab.typed import typed
 
 
+@typed
 class ReadySteps:
     """Steps a solver's environments each at its own pace.
 

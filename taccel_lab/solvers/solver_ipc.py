@@ -39,6 +39,7 @@ from taccel_lab.solvers.step_graph import launch_step
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.solvers.step_report import EnvStatus, StepReport, flagged_blocked
 from taccel_lab.state import State, as_poses, check_state, poses_array
+from taccel_lab.typed import typed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -58,6 +59,7 @@ HALVING_HELPS = [
 too much on its way."""
 
 
+@typed
 class SolverIPC(SolverParts):
     """Steps a model.
 

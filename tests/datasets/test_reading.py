@@ -268,9 +268,17 @@ def test_damage_is_said_with_its_file(made: Path, copied: Path) -> None:
     (copied / "steps.parquet").unlink()
     with pytest.raises(InputError, match=r"steps\.parquet cannot be read as Parquet"):
         _ = Dataset(copied).steps
-    (copied / "dataset.json").write_text('{"format": 1}')
-    with pytest.raises(InputError, match=r"dataset\.json is no description of a data set"):
-        Dataset(copied)
+    path = copied / "dataset.json"
+    about = json.loads(path.read_text())
+    for changed, said in (
+        ({"format": 1}, "'name' is missing"),
+        (about | {"sensors": []}, r"'sensors\.0\.name' is missing"),
+        (about | {"sensors": [{**about["sensors"][0], "units": 3}]}, r"'sensors\.0\.units' is 3"),
+        (about | {"channels": {"rgb": {}}}, r"'channels\.rgb\.dtype' is missing"),
+    ):
+        path.write_text(json.dumps(changed))
+        with pytest.raises(InputError, match=rf"json is no description of a data set: {said}"):
+            Dataset(copied)
 
 
 @pytest.fixture

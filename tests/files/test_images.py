@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 from taccel_lab.errors import InputError
-from taccel_lab.files import images
+from taccel_lab.files import apart, images
 from taccel_lab.files.images import KeptImages, image_size, levels, read_grey, read_image
 from taccel_lab.files.videos import count_frames, read_frames
 
@@ -189,6 +189,19 @@ def test_frames_are_those_that_opencv_decodes(name: str, code: str, tmp_path: Pa
         count += 1
     assert count == 120 and not capture.read()[0]
     assert count_frames(path) == (120, 120)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_without_the_extra_a_video_asks_for_it(
+    read: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "v.avi", "MJPG", 3)
+    (tmp_path / "av.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(apart, "_readers", apart._Readers())
+    with pytest.raises(InputError, match=r"v\.avi is decoded by PyAV, .*'taccel-lab\[video\]', or"):
+        read(path)
+    apart._readers.end()
 
 
 def test_a_damaged_frame_is_left_out_and_an_end_cut_off_is_counted(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: KinematicBody(Ball(1e-3), 11.0, name="pin"), "friction coefficient of 'pin'"),
     (lambda: AffineBody(BOX, -1.0, name="peg"), "density of 'peg'.*got -1"),
     (lambda: AffineBody(BOX, young_modulus_pa=-1e9, name="peg"), "young_modulus_pa of 'peg'"),
-    (lambda: AffineBody(Ball(1e-3)), "needs a closed TriangleMesh"),  # type: ignore[arg-type]
+    (lambda: AffineBody(Ball(1e-3)), "shape must be a TriangleMesh"),  # type: ignore[arg-type]
     (lambda: AffineBody(BOX, initial_pose=np.zeros(6)), r"pose.*got \[6\]"),
     (lambda: AffineBody(BOX, initial_pose=np.zeros(7)), "unit length"),
     (lambda: AffineBody(BOX, initial_pose=pose(NAN, 0, 0)), "pose.*NaN"),
