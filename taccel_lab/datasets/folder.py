@@ -55,7 +55,7 @@ ABOUT_KEYS = {
     "sensors": list,
     "recipe": dict,
 }
-CHANNEL_KEYS = {"dtype": str, "row": list, "unit": str, "what": str, "may_be_nan": bool}
+CHANNEL_KEYS = {"dtype": str, "row": str, "unit": str, "what": str, "may_be_nan": bool}
 SENSOR_KEYS = {"name": str, "profile_digest": str, "grid": dict, "units": list}
 PARTS = "parts"
 MAX_TABLE_VALUES = 1 << 30
