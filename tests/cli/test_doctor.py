@@ -54,7 +54,7 @@ def test_requirements_are_those_of_the_project_or_of_the_installed_wheel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = dict(doctor.requirements())
-    assert (names["numpy>=2.1,<3"], names["mujoco>=4,<5"]) == ("", "peers")
+    assert (names["numpy>=2.2,<3"], names["mujoco>=4,<5"]) == ("", "peers")
     # Not ours: other projects leave such files in site-packages.
     (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
     lines = ["numpy<3,>=2.1", "taxim==1.4.1; extra == 'demo'"]
