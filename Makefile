@@ -28,7 +28,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile --no-loadscope-reorder
 NOTEBOOKS := --nbmake --nbmake-timeout=600 notebooks
 
-.PHONY: help demo test thorough ci style lint types check dear both slow explore mutants notebook docs wheel doctor clean
+.PHONY: help demo test thorough ci style lint types check dear both slow explore mutants notebook docs wheel lowest doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
@@ -43,6 +43,7 @@ help:
 	@echo "make notebook  execute the notebooks"
 	@echo "make docs      the documentation as a site: out/docs/index.html"
 	@echo "make wheel     build sdist and wheel, install the wheel elsewhere and use it there"
+	@echo "make lowest    the lowest allowed versions, once a release: commands and their tests"
 	@echo "make doctor    is this installation complete?"
 	@echo "make clean     remove .venv, out and caches"
 
@@ -100,6 +101,9 @@ docs: $(VENV)/.installed-dev
 
 wheel: $(VENV)/.installed-dev
 	PIP_FLAGS="$(PIP_FLAGS)" tools/try_wheel.sh $(PYTHON) $(PY)
+
+lowest: $(VENV)/.installed-dev
+	PIP_FLAGS="$(PIP_FLAGS)" tools/try_lowest.sh $(PYTHON) $(PY)
 
 doctor: $(VENV)/.installed-demo
 	$(VENV)/bin/taccel-lab doctor
