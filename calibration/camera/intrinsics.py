@@ -15,7 +15,7 @@ none among those that are predicted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ from taccel_lab.calibration.camera.lens import (
     fit_pose,
     initial_pose,
 )
+from taccel_lab.calibration.camera.view_focals import ViewFocals, differing_focals
 from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
@@ -175,6 +176,11 @@ def calibrate_intrinsics(
     used = np.array([any(view is one for one in kept) for view in views])
     scores = _score_lenses(views, used, fits, folds, progress)
     chosen = next(score for score in scores if score.within_one_error)
+    focals = differing_focals(views, chosen.fit)
+    if focals is not None:
+        wider = replace(chosen, fit=replace(chosen.fit, focal_spread=focals.spread))
+        scores = [wider if score is chosen else score for score in scores]
+        chosen = wider
     points = np.concatenate([view.uv_px for view in kept])
     coverage = float(ConvexHull(points).volume / np.prod(kept[0].size_px))
     # Unit normals of the boards in the camera's frame.
@@ -190,7 +196,7 @@ def calibrate_intrinsics(
         len(chosen.fold_parameters),
         coverage,
         tilt,
-        tuple(_remarks(chosen, kept, coverage, tilt[1], float(apart_deg.max()))),
+        tuple(_remarks(chosen, kept, coverage, tilt[1], float(apart_deg.max()), focals)),
     )
 
 
@@ -267,9 +273,15 @@ def _heldout(view: BoardView, lens: Lens, parameters: np.ndarray) -> np.ndarray:
 
 
 def _remarks(
-    chosen: LensScore, views: list[BoardView], coverage: float, tilt_deg: float, apart_deg: float
+    chosen: LensScore,
+    views: list[BoardView],
+    coverage: float,
+    tilt_deg: float,
+    apart_deg: float,
+    focals: ViewFocals | None,
 ) -> list[Remark]:
-    """``tilt_deg``: the largest tilt; ``apart_deg``: the largest angle between two boards."""
+    """``tilt_deg``: the largest tilt; ``apart_deg``: the largest angle between two boards;
+    ``focals``: those of the views, where they differ."""
     said = []
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
@@ -284,7 +296,9 @@ def _remarks(
     elif apart_deg < MIN_TILT_DEG:
         reason = f"all views show the board from one side, within {apart_deg:.1f} degrees"
         said.append(remarks.VIEWS_ALIKE(reason=reason))
-    if (sigma > MAX_FOCAL_SIGMA * focal).any():
+    if focals is not None:
+        said.append(remarks.FOCALS_DIFFER(**focals.figures()))
+    elif (sigma > MAX_FOCAL_SIGMA * focal).any():
         said.append(
             remarks.FOCAL_UNCERTAIN(
                 percent=100 * float((sigma / focal).max()),

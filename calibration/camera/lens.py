@@ -190,6 +190,8 @@ class BundleFit:
     """Fit of the lens's parameters, then of the views' poses."""
     view: np.ndarray
     """Which view each point is of, int, shape [point]."""
+    focal_spread: float = 0.0
+    """Standard deviation of the views' own focal lengths, as a part of the common one."""
 
     @property
     def parameters(self) -> np.ndarray:
@@ -210,7 +212,10 @@ class BundleFit:
     def covariance(self) -> np.ndarray:
         """Covariance of the parameters, [p, p]; wider where views disagree more than points."""
         count = self.lens.parameter_count
-        return self.fit.covariance((self.view,))[:count, :count]
+        covariance = self.fit.covariance((self.view,))[:count, :count]
+        focal = self.focal_spread * self.parameters[:2]
+        covariance[:2, :2] += np.outer(focal, focal)
+        return covariance
 
     @property
     def rms_px(self) -> float:

@@ -37,6 +37,12 @@ FOCAL_UNCERTAIN = warning(
     graver=Severity.ERROR,
 )
 
+FOCALS_DIFFER = error(
+    "focals_differ",
+    "views differ in focal length, from {least:.0f} to {largest:.0f} px ({names}); one for all "
+    "leaves {common:.2f} px, one each {corners:.2f}: fix focus and zoom, and take them again",
+)
+
 # Boards on the gel.
 DISTORTED = warning(
     "distorted",
