@@ -16,6 +16,7 @@ from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
 from taccel_lab.calibration.frame_light import LightDrift, fit_light
+from taccel_lab.calibration.whole_frame import BrokenFrameError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.processes.ahead import ahead
@@ -48,6 +49,8 @@ class FrameFigures:
     """Why no contact was found; empty when one was."""
     cut: bool
     """Whether the border of the image cuts the contact."""
+    broken: bool
+    """Whether the image did not come whole from the camera."""
     untouched: bool
     """Whether nothing in the image stands out from the noise."""
     saturated_share: float
@@ -132,6 +135,7 @@ def _measure(
         contact=contact,
         fault="" if contact is not None else str(found).removeprefix(f"{press.source}: "),
         cut=isinstance(found, CutContactError),
+        broken=isinstance(found, BrokenFrameError),
         untouched=isinstance(found, UntouchedError),
         saturated_share=float(saturated[disc].mean(dtype=np.float64)) if disc.any() else 0.0,
         texture=texture,

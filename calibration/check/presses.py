@@ -53,6 +53,7 @@ MIN_DUPLICATE_LEVELS = 1.5
 def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
     """All findings of this module on presses of one ball."""
     return [
+        *_check_whole(frames),
         *_check_found(frames),
         *_check_places(frames, grid),
         *_check_labels(frames, grid),
@@ -64,8 +65,26 @@ def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Rema
     ]
 
 
+def _check_whole(frames: Sequence[FrameFigures]) -> list[Remark]:
+    broken = [frame for frame in frames if frame.broken]
+    if not broken:
+        return []
+    names = [frame.press.name for frame in broken]
+    return [
+        remarks.NOT_WHOLE(
+            broken=len(names),
+            count=len(frames),
+            names=name_some(names),
+            first=names[0],
+            reason=broken[0].fault,
+            frames=names,
+            grave=too_many_lost(len(frames), [False] * len(names)),
+        )
+    ]
+
+
 def _check_found(frames: Sequence[FrameFigures]) -> list[Remark]:
-    lost = [frame for frame in frames if frame.contact is None]
+    lost = [frame for frame in frames if frame.contact is None and not frame.broken]
     if not lost:
         return []
     names = [frame.press.name for frame in lost]

@@ -92,6 +92,13 @@ MIXED_SENSORS = error(
 )
 
 # Ball presses.
+NOT_WHOLE = warning(
+    "not_whole",
+    "{broken} of {count} presses did not come whole from the camera ({names}) and are left out. "
+    "{first} {reason}",
+    ("color", "normals", "scale"),
+    graver=Severity.ERROR,
+)
 NO_CONTACT = warning(
     "no_contact",
     "no contact was found in {lost} of {count} presses ({names}). {first}: {reason}.{border}",

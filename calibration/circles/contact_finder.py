@@ -52,6 +52,7 @@ from taccel_lab.calibration.circles.labels import (
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
 from taccel_lab.calibration.frame_light import LightDrift, enough_pixels
 from taccel_lab.calibration.robust_fit import spread_about_median
+from taccel_lab.calibration.whole_frame import require_whole
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
@@ -110,6 +111,7 @@ def detect_contact(
     ``label`` lies in it, the part in the image is enough.
     """
     if grey is not None:
+        require_whole(image, background, mask, name)
         drop = channel_of(background, grey) - channel_of(image, grey)
         return find_grey_contact(drop, grid, mask=mask, name=name, label=label)
     scene = _Scene.of(background, grid, mask)
@@ -330,6 +332,7 @@ class _LostContactError(InputError):
 
 
 def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
+    require_whole(scene.size.picture(read()), scene.background, scene.mask, name)
     change = scene.change(read())
     circle = first_circle(change)
     far = scene.far(replace(circle, v_px=circle.v_px / scene.ratio))

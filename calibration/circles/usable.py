@@ -18,7 +18,7 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-from taccel_lab.calibration import frame_light
+from taccel_lab.calibration import frame_light, whole_frame
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
@@ -129,7 +129,8 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 @cache
 def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
-    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(frame_light.__file__)]
+    others = (frame_light, whole_frame)
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(m.__file__) for m in others)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

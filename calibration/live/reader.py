@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.dots.marker_picture import DotMask, find_markers
 from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
@@ -20,6 +20,7 @@ from taccel_lab.calibration.markers.tracks import TrackStatus
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
 from taccel_lab.calibration.pressure.touch import TouchReader, TouchReading
+from taccel_lab.calibration.whole_frame import broken_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
@@ -129,6 +130,7 @@ class LiveReader:
             self.surface = SurfaceReader(profile, background=background, device=device)
             self._touch = TouchReader(self.surface)
         self.no_pressure = "" if self.surface is None else self._touch.no_press
+        self._dots = DotMask.of(background.astype(np.float32))
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
         """Why markers are not followed though the profile has some; empty otherwise."""
@@ -156,6 +158,10 @@ class LiveReader:
         """
         stages: dict[str, float] = {}
         touch, figures, refused = None, {}, ""
+        with _timed(stages, "whole"):
+            broken = broken_frame(image, self.background, self._seen(image))
+        if broken is not None:
+            return LiveReading(image, None, {}, f"the frame {broken}", None, {}, stages)
         if self.surface is not None:
             with _timed(stages, "light"):
                 lit = self.surface.lit(image)
@@ -188,6 +194,10 @@ class LiveReader:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
         return LiveReading(image, touch, figures, refused, markers, forces, stages)
+
+    def _seen(self, image: np.ndarray) -> np.ndarray | None:
+        """Pixels that no dot covers, bool, [height_px, width_px]; None for all."""
+        return None if self._dots is None else self._dots.uncovered(image.astype(np.float32), None)
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:

@@ -60,6 +60,10 @@ times since the first frame (of its episode, in a data set of several), remarks 
 TEXTS = ("name", "refused", "remarks")
 EPISODE_S = 1e7
 """Longer than any episode [s]."""
+STUCK = (
+    "the picture is that of the frame before, to the level: camera or recorder hung, or one frame "
+    "was written twice; what is read is of that frame's time"
+)
 CURVES = (
     ("depth [mm]", "depth_mm", "depth_low_mm", "depth_high_mm"),
     ("contact [mm2]", "contact_mm2", "", ""),
@@ -126,7 +130,7 @@ def _read_further(
 ) -> None:
     """Read the frames behind ``rows``: each one's row goes to the file that keeps them, then to
     ``rows``."""
-    before = len(rows)
+    before, last = len(rows), None
     height, width = reader.background.shape[:2]
     frames = recording.frames((width, height))
     first = list(islice(frames, 1))  # Before they are counted, which takes long of a video.
@@ -136,6 +140,9 @@ def _read_further(
             kept.truncate(0)
             kept.write(json.dumps({"key": key}) + "\n")
         for number, frame in enumerate(chain(first, frames)):
+            image = frame.image if isinstance(frame.image, np.ndarray) else None
+            stuck = image is not None and last is not None and np.array_equal(image, last)
+            last = image
             if number < before:
                 if reader.relaxes and frame.time_s is not None:
                     _row(reader, frame)  # Its force depends on the frames before.
@@ -144,6 +151,8 @@ def _read_further(
                 continue
             row = {"frame": number, "name": frame.name, "time_s": frame.time_s}
             row |= _row(reader, frame)
+            if stuck:
+                row["remarks"].append(STUCK)
             kept.write(json.dumps(row) + "\n")
             kept.flush()
             rows.append(row)

@@ -21,8 +21,10 @@ import numpy as np
 
 from taccel_lab.calibration.dots.marker_picture import DotMask
 from taccel_lab.calibration.frame_light import LightDrift, fit_light, fit_press_light
+from taccel_lab.calibration.light.common_gain import common_gain
 from taccel_lab.calibration.light.image_match import light_of_background, pattern_shift, unlike
 from taccel_lab.calibration.normals.surface_reading import SigmaOf, SurfaceReading, touch_of
+from taccel_lab.calibration.whole_frame import lost_rows, torn_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -52,6 +54,8 @@ class LitImage:
     """The same if nothing touches: a contact takes part of a gradient of the light."""
     mask: np.ndarray | None
     """Pixels that tell a slope, bool, [h, w]: those under dots do not; None for all."""
+    remark: str = ""
+    """Which common change of all channels was taken off; empty where there was none."""
 
 
 class SurfaceReader:
@@ -157,9 +161,16 @@ class SurfaceReader:
     def unlike(self, image: np.ndarray, lit: LitImage) -> str:
         """Why an image, of which ``lit`` is, is not of the untouched sensor's gel, or nothing."""
         levels = image.astype(np.float32)
+        # An image of another sensor has seams against the background, too.
+        lost = lost_rows(image, self.untouched, lit.mask)
+        if lost is not None:
+            return str(lost)
         why = unlike(levels, self.untouched, lit.light, lit.mask)
         if why is not None:
             return f"is no image of the sensor that was calibrated: {why}"
+        torn = torn_frame(levels, self.untouched, lit.mask)
+        if torn is not None:
+            return str(torn)
         # Dots go with the gel that a press drags along; only what else there is stands still.
         shift = pattern_shift(lit.light.remove(levels), self.untouched, lit.mask)
         if shift is None:
@@ -179,18 +190,27 @@ class SurfaceReader:
         it, and its light is fitted as that of a press.
         """
         levels = image.astype(np.float32)
-        mask = self.mask if self._dots is None else self._dots.uncovered(levels, self.mask)
-
+        mask = self._seen(levels)
         still = fit_light(levels, self.untouched, mask)
+        remark = ""
+        if self.normal_model is not None:
+            common = common_gain(still.remove(levels), self.untouched, mask)
+            if common is not None:
+                levels = still.apply(still.remove(levels) / common.factor[..., None])
+                still, remark = fit_light(levels, self.untouched, mask), common.remark
 
         def shown(light: LightDrift) -> LitImage:
             own = self._day.remove(light.remove(levels))
-            return LitImage(own.astype(np.float32), light, still, mask)
+            return LitImage(own.astype(np.float32), light, still, mask, remark)
 
         first = shown(still)
         if not self._is_dented(first):
             return first
         return shown(fit_press_light(levels, self.untouched, mask))
+
+    def _seen(self, levels: np.ndarray) -> np.ndarray | None:
+        """Pixels of an image that count and that no dot covers, bool, [h, w]; None for all."""
+        return self.mask if self._dots is None else self._dots.uncovered(levels, self.mask)
 
     def in_own_light(self, levels: np.ndarray) -> np.ndarray:
         """An image in the profile's light as the untouched sensor's own light shows it."""
@@ -233,7 +253,7 @@ class SurfaceReader:
             method="depth",
             touch=touch_of(found.height_m, alone_m, self.grid),
             sigma_of=self.sigma_of,
-            remarks=self.remarks,
+            remarks=self._remarks(lit),
         )
 
     def _heights(self, lit: LitImage, *, every: int = 1) -> ReadHeights:
@@ -269,8 +289,11 @@ class SurfaceReader:
             method="normals",
             touch=touch_of(found.rise_m, alone_m, self.grid),
             sigma_of=self.sigma_of,
-            remarks=self.remarks,
+            remarks=self._remarks(lit),
         )
+
+    def _remarks(self, lit: LitImage) -> tuple[str, ...]:
+        return (*self.remarks, lit.remark) if lit.remark else self.remarks
 
     @property
     def _rest_normals(self) -> np.ndarray | None:

@@ -19,6 +19,7 @@ from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_marke
 from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
+from taccel_lab.calibration.whole_frame import require_whole
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.force.force_page import draw_forces
@@ -77,6 +78,7 @@ class ForceReader:
     def read(self, image: np.ndarray, name: str = "image") -> ForceReading:
         """The force behind one image, RGB levels, shape [height_px, width_px, 3]."""
         self._require_size(image, name)
+        require_whole(image, self.background, name=name)
         found = self._read(image, name)
         levels, rest = image.astype(np.float32), self.background.astype(np.float32)
         why = unlike(levels, rest, fit_light(levels, rest, gradient=False))

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a frame came whole from its camera: rows that were lost, or that belong to another frame.
+
+A camera sends rows. Rows that it lost are filled by whoever decodes them, with one colour or with
+copies of the row before: no camera's rows are alike to the level over the whole width. Rows of the
+frame before, or moved sideways, leave a seam: the change against the untouched gel jumps from one
+row to the next, and nowhere beside it. The lens blurs whatever touches the gel over several rows,
+so that of real presses no seam is as sharp over as many columns. What a reading would take for a
+touch is that jump; where it is too small to be seen, so is its effect.
+
+Images whose camera is turned have columns for rows, and an image that is moved sideways and wrapped
+round has a seam between columns: both are looked for along both axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+ALIKE_LEVELS = 1.0
+"""Two rows that differ by no more than this anywhere are copies; an encoder may round."""
+LEAST_RUN_SHARE = 1 / 60
+"""Fewest rows that a camera loses, as a part of the image: a row of blocks of its encoder."""
+KNOWN_RANGE_LEVELS = 3.0
+"""Range that the background has over these rows, in most columns: where it is as even itself, rows
+that are alike say nothing."""
+ACROSS = 128
+"""Places along a row that seams are looked for in, means of its pixels."""
+SEAM_LEVELS, SEAM_TIMES = 5.0, 3.0
+"""A seam jumps by so many levels (over the channels, root of the sum of squares) in a column, and
+so many times as far as any row within two beside it does."""
+SEAM_SHARE, SEAM_FILLED = 0.16, 0.85
+"""Part of the width that a seam has at least, and part of its columns that show it. Of 500 presses
+of thirteen sensors none has more than 0.6; of those cut off at the middle of their contact 0.85 and
+more, but for the faintest."""
+WIDE_LEVELS, WIDE_TIMES = 3.0, 2.5
+"""Likewise, of the median over the whole width: presses have up to 1.7 times where the jump has
+``WIDE_LEVELS``, rows moved sideways by 20 px 3.5 times and more."""
+SMOOTH_SHARE = 1 / 20
+"""Part of the width over which jumps are averaged for that."""
+NEAR = (1, 2, 3, 8, 16, 24, 32)
+"""Rows beside a seam over the whole width that have less of it: the next ones, and those at which
+an encoder of video has the borders of its blocks, which are seams, too, but all of them."""
+LESS = 0.5
+"""Part of the difference from the untouched gel that is left of rows that are moved sideways, once
+they are moved back."""
+
+Fault = Literal["lost_rows", "torn", "shift"]
+Axis = Literal["rows", "columns"]
+AGAIN = (
+    "take the frame again; where it happens often, a shorter cable, another USB port or fewer "
+    "pixels help"
+)
+
+
+@dataclass(frozen=True)
+class BrokenFrame:
+    """Part of a frame that is not what the camera saw."""
+
+    kind: Fault
+    axis: Axis
+    first: int
+    last: int
+    """Rows (or columns) concerned, both among them."""
+    why: str
+    """Clause about them, to go on "rows 3 to 5" with."""
+
+    def __str__(self) -> str:
+        """What is wrong and what to do, to follow the frame's name."""
+        return f"is not whole: {self.axis} {self.first} to {self.last} {self.why}; {AGAIN}"
+
+
+class BrokenFrameError(InputError):
+    """A frame that did not come whole from its camera."""
+
+
+def require_whole(
+    image: np.ndarray, untouched: np.ndarray, mask: np.ndarray | None = None, name: str = "image"
+) -> None:
+    """BrokenFrameError that names ``name`` for a broken frame; arguments as of ``broken_frame``."""
+    found = broken_frame(image, untouched, mask)
+    if found is not None:
+        raise BrokenFrameError(f"{name} {found}")
+
+
+def broken_frame(
+    image: np.ndarray, untouched: np.ndarray, mask: np.ndarray | None = None
+) -> BrokenFrame | None:
+    """The part of a frame that is broken; None of a whole one.
+
+    Args:
+        image: RGB levels, shape [height_px, width_px, 3].
+        untouched: The sensor's untouched image, likewise; its light may differ.
+        mask: Pixels that count, bool, shape [height_px, width_px].
+    """
+    return lost_rows(image, untouched, mask) or torn_frame(image, untouched, mask)
+
+
+def lost_rows(
+    image: np.ndarray, untouched: np.ndarray, mask: np.ndarray | None = None
+) -> BrokenFrame | None:
+    """The longest run of rows, or of columns, that are copies of one another where the untouched
+    gel's are not; arguments as of ``broken_frame``. None of an image that is of one colour."""
+    seen = _Seen(image, untouched, mask, "rows")
+    return _lost(seen) or _lost(seen.turned())
+
+
+def torn_frame(
+    image: np.ndarray, untouched: np.ndarray, mask: np.ndarray | None = None
+) -> BrokenFrame | None:
+    """The rows, or columns, beyond a seam, or the whole of a frame that is moved along its rows and
+    wrapped round; arguments as of ``broken_frame``."""
+    change = image.astype(np.float32) - untouched
+    if mask is not None:
+        change = np.where(mask[..., None], change, np.float32(0))
+    seen = _Seen(image, untouched, mask, "rows")
+    at = _seam(change, mask, "rows")
+    if at is not None:
+        return _beyond(seen, at)
+    at = _seam(change, mask, "columns")
+    if at is None:
+        return None
+    height, width = image.shape[:2]
+    if at == _sideways(seen) % width:
+        why = f"lie {min(at, width - at)} px along them from where they should, wrapped round"
+        return BrokenFrame("shift", "rows", 0, height - 1, why)
+    return _beyond(seen.turned(), at)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A frame, the untouched gel and the pixels that count, by rows of the camera's."""
+
+    image: np.ndarray
+    untouched: np.ndarray
+    mask: np.ndarray | None
+    axis: Axis
+
+    def turned(self) -> _Seen:
+        """The same with columns for rows."""
+        image, untouched = (np.swapaxes(each, 0, 1) for each in (self.image, self.untouched))
+        return _Seen(image, untouched, None if self.mask is None else self.mask.T, "columns")
+
+    def part(self, rows: slice) -> _Seen:
+        """Some of the rows."""
+        mask = None if self.mask is None else self.mask[rows]
+        return _Seen(self.image[rows], self.untouched[rows], mask, self.axis)
+
+
+def _lost(seen: _Seen) -> BrokenFrame | None:
+    image, untouched, mask, axis = seen.image, seen.untouched, seen.mask, seen.axis
+    count = len(image)
+    inside = np.ones(image.shape[:2], dtype=bool) if mask is None else mask
+    # Every sixteenth column first: of whole frames hardly a row is left to look at.
+    sparse = np.s_[:, ::16]
+    likely = np.flatnonzero(_copies(image[sparse], inside[sparse]))
+    copied = np.zeros(count + 1, dtype=np.int8)
+    if len(likely):
+        first, end = int(likely[0]), int(likely[-1]) + 2
+        copied[first + 1 : end] = _copies(image[first:end], inside[first:end])
+    starts, ends = np.flatnonzero(np.diff(copied) == 1), np.flatnonzero(np.diff(copied) == -1)
+    # The first row of a run is no copy, but as good as none: what filled the others stands in it.
+    runs = [
+        (end - start + 1, int(start), int(end)) for start, end in zip(starts, ends, strict=True)
+    ]
+    for length, first, last in sorted(runs, reverse=True):
+        if length < max(4, round(LEAST_RUN_SHARE * count)) or length == count:
+            break
+        band = image[first : last + 1].astype(np.int16)
+        known = np.ptp(untouched[first : last + 1].astype(np.float32), axis=0).max(axis=-1)
+        apart = np.ptp(band, axis=0).max(axis=-1)
+        whole = inside[first : last + 1].all(axis=0)
+        if not whole.any():
+            continue
+        known, apart, band = known[whole], apart[whole], band[:, whole]
+        # Copies of copies may drift by a level a row.
+        if apart.max() <= 2 * ALIKE_LEVELS and np.median(known) > KNOWN_RANGE_LEVELS:
+            even = float(np.ptp(band.reshape(-1, 3), axis=0).max()) <= 2 * ALIKE_LEVELS
+            why = "are of one colour" if even else "are copies of one another"
+            return BrokenFrame("lost_rows", axis, first, last, why)
+    return None
+
+
+def _copies(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Rows, without the first, that are copies of the one before, bool."""
+    change = np.abs(np.diff(image.astype(np.int16), axis=0)).max(axis=-1)
+    change *= inside[1:] & inside[:-1]
+    return change.max(axis=1) <= ALIKE_LEVELS
+
+
+def _seam(change: np.ndarray, mask: np.ndarray | None, axis: Axis) -> int | None:
+    """The row, or column, behind the clearest seam in a change [levels], [h, w, 3]; None without
+    one."""
+    jump = np.diff(_narrow(change, axis), axis=0)
+    if mask is not None:
+        kept = _narrow(mask.astype(np.float32)[..., None], axis) > 0.999
+        jump *= kept[1:] & kept[:-1]
+    at = _partial_seam(jump)
+    return _wide_seam(jump) if at is None else at
+
+
+def _narrow(picture: np.ndarray, axis: Axis) -> np.ndarray:
+    """Means along each row, or column, shape [row, ``ACROSS``, channel]."""
+    height, width, channels = picture.shape
+    size = (min(ACROSS, width), height) if axis == "rows" else (width, min(ACROSS, height))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    small = small.reshape(size[1], size[0], channels)
+    return small if axis == "rows" else np.swapaxes(small, 0, 1)
+
+
+def _beside(values: np.ndarray, away: Sequence[int]) -> np.ndarray:
+    """Largest of the values so many rows before and behind, of their shape."""
+    reach = min(max(away), len(values) - 1)
+    padded = np.pad(values, [(reach, reach)] + [(0, 0)] * (values.ndim - 1), mode="reflect")
+    both = [reach + sign * k for k in away if k <= reach for sign in (-1, 1)]
+    return np.max([padded[k : k + len(values)] for k in both], axis=0)
+
+
+def _partial_seam(jump: np.ndarray) -> int | None:
+    """The row behind the longest sharp seam, of jumps [row, column, channel]; None without one."""
+    size = np.sqrt(np.square(jump).sum(axis=-1))
+    sharp = (size > SEAM_LEVELS) & (size > SEAM_TIMES * _beside(size, (1, 2)))
+    width = max(4, round(SEAM_SHARE * jump.shape[1]))
+    filled = cv2.blur(sharp.astype(np.float32), (width, 1), borderType=cv2.BORDER_CONSTANT)
+    best = filled.max(axis=1)
+    row = int(np.argmax(best))
+    return row + 1 if best[row] > SEAM_FILLED else None
+
+
+def _wide_seam(jump: np.ndarray) -> int | None:
+    """The row behind a seam over the whole width; None without one."""
+    smooth = cv2.blur(jump, (max(3, round(SMOOTH_SHARE * jump.shape[1])), 1))
+    size = np.median(np.sqrt(np.square(smooth).sum(axis=-1)), axis=1)
+    sharp = np.where(size > WIDE_LEVELS, size / np.maximum(_beside(size, NEAR), 0.1), 0.0)
+    row = int(np.argmax(sharp))
+    return row + 1 if sharp[row] > WIDE_TIMES else None
+
+
+def _beyond(seen: _Seen, at: int) -> BrokenFrame:
+    """The side of a seam that does not fit the untouched gel, and how far it is moved."""
+    sides = [(at, len(seen.image) - 1), (0, at - 1)]
+    for first, last in sides:
+        px = abs(_sideways(seen.part(slice(first, last + 1))))
+        if px:
+            why = f"lie {px} px along them from where the others have the gel"
+            return BrokenFrame("torn", seen.axis, first, last, why)
+    first, last = min(sides, key=lambda side: side[1] - side[0])
+    return BrokenFrame("torn", seen.axis, first, last, "are of another moment than the others")
+
+
+def _sideways(seen: _Seen) -> int:
+    """How far rows lie along themselves from the untouched gel's [px], wrapped round: the shift of
+    least squares. 0 where they lie there, or where a shift explains too little."""
+    mask = seen.mask
+
+    def rows(picture: np.ndarray) -> np.ndarray:
+        grey = picture.astype(np.float32).mean(axis=-1)
+        if mask is not None:
+            grey = np.where(mask, grey, grey[mask].mean() if mask.any() else np.float32(0))
+        return grey - grey.mean()
+
+    width = seen.image.shape[1]
+    shown, known = rows(seen.image), rows(seen.untouched)
+    together = np.fft.rfft(shown, axis=1) * np.fft.rfft(known, axis=1).conj()
+    alike = np.fft.irfft(together.sum(axis=0), n=width)
+    left = float(np.square(shown).sum() + np.square(known).sum()) - 2.0 * alike
+    best = int(np.argmin(left))
+    if left[best] > LESS * left[0]:
+        return 0
+    return best if best <= width // 2 else best - width
