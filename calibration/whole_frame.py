@@ -39,8 +39,8 @@ SEAM_SHARE, SEAM_FILLED = 0.16, 0.85
 """Part of the width that a seam has at least, and part of its columns that show it. Of 500 presses
 of thirteen sensors none has more than 0.6; of those cut off at the middle of their contact 0.85 and
 more, but for the faintest."""
-WIDE_LEVELS, WIDE_TIMES = 3.0, 2.5
-"""Likewise, of the median over the whole width: presses have up to 1.7 times where the jump has
+WIDE_LEVELS, WIDE_TIMES = 1.5, 2.5
+"""Likewise, of the median over the whole width: presses have up to 2.2 times where the jump has
 ``WIDE_LEVELS``, rows moved sideways by 20 px 3.5 times and more."""
 SMOOTH_SHARE = 1 / 20
 """Part of the width over which jumps are averaged for that."""

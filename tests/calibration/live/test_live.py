@@ -194,8 +194,11 @@ def test_several_sensors_go_on_in_turn_until_each_is_over(tmp_path: Path) -> Non
 
 
 def test_what_lies_beyond_the_calibration_is_marked_or_refused(monkeypatch) -> None:
-    reader, dark = reader_of(), grey_unit().rest.copy()
-    dark[40:80, 60:90] = 0
+    reader, hidden = reader_of(), np.zeros((GRID.height_px, GRID.width_px, 1))
+    hidden[40:80, 60:90] = 1.0
+    # Its border is as soft as a lens has it.
+    soft = gaussian_filter(hidden, (3.0, 3.0, 0.0))
+    dark = np.rint(grey_unit().rest * (1.0 - soft)).astype(np.uint8)
     reading = reader.read(dark)
     title, picture = next(p for p in live.pictures(reading, reader.background) if "depth" in p[0])
     assert (picture[50, 75] == live.BEYOND).all() and "beyond" in title
