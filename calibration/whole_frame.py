@@ -53,6 +53,8 @@ they are moved back."""
 
 Fault = Literal["lost_rows", "torn", "shift"]
 Axis = Literal["rows", "columns"]
+AXES: tuple[Axis, Axis] = ("rows", "columns")
+EVEN = "are of one colour"
 AGAIN = (
     "take the frame again; where it happens often, a shorter cable, another USB port or fewer "
     "pixels help"
@@ -86,7 +88,7 @@ def require_whole(
     """BrokenFrameError that names ``name`` for a broken frame; arguments as of ``broken_frame``."""
     found = broken_frame(image, untouched, mask)
     if found is not None:
-        raise BrokenFrameError(f"{name} {found}")
+        raise BrokenFrameError(f"{name}: it {found}")
 
 
 def broken_frame(
@@ -120,12 +122,10 @@ def torn_frame(
     if mask is not None:
         change = np.where(mask[..., None], change, np.float32(0))
     seen = _Seen(image, untouched, mask, "rows")
-    at = _seam(change, mask, "rows")
-    if at is not None:
-        return _beyond(seen, at)
-    at = _seam(change, mask, "columns")
-    if at is None:
-        return None
+    # Rows that are moved have a seam across them, too, where they are wrapped round.
+    (rows_at, rows_share), (at, share) = (_seam(change, mask, axis) for axis in AXES)
+    if rows_share >= share:
+        return _beyond(seen, rows_at) if rows_share else None
     height, width = image.shape[:2]
     if at == _sideways(seen) % width:
         why = f"lie {min(at, width - at)} px along them from where they should, wrapped round"
@@ -151,6 +151,15 @@ class _Seen:
         """Some of the rows."""
         mask = None if self.mask is None else self.mask[rows]
         return _Seen(self.image[rows], self.untouched[rows], mask, self.axis)
+
+    def change(self) -> float:
+        """Mean change from the untouched gel [levels]."""
+        return float(np.abs(self.image.astype(np.float32) - self.untouched).mean())
+
+    def is_even(self) -> bool:
+        """Whether it is of one colour, but for noise."""
+        shown = self.image[np.ones(self.image.shape[:2], bool) if self.mask is None else self.mask]
+        return bool(len(shown)) and float(shown.std(axis=0).max()) <= 2 * ALIKE_LEVELS
 
 
 def _lost(seen: _Seen) -> BrokenFrame | None:
@@ -178,11 +187,11 @@ def _lost(seen: _Seen) -> BrokenFrame | None:
         whole = inside[first : last + 1].all(axis=0)
         if not whole.any():
             continue
-        known, apart, band = known[whole], apart[whole], band[:, whole]
+        known, apart = known[whole], apart[whole]
         # Copies of copies may drift by a level a row.
         if apart.max() <= 2 * ALIKE_LEVELS and np.median(known) > KNOWN_RANGE_LEVELS:
-            even = float(np.ptp(band.reshape(-1, 3), axis=0).max()) <= 2 * ALIKE_LEVELS
-            why = "are of one colour" if even else "are copies of one another"
+            even = seen.part(slice(first, last + 1)).is_even()
+            why = EVEN if even else "are copies of one another"
             return BrokenFrame("lost_rows", axis, first, last, why)
     return None
 
@@ -194,15 +203,15 @@ def _copies(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return change.max(axis=1) <= ALIKE_LEVELS
 
 
-def _seam(change: np.ndarray, mask: np.ndarray | None, axis: Axis) -> int | None:
-    """The row, or column, behind the clearest seam in a change [levels], [h, w, 3]; None without
-    one."""
+def _seam(change: np.ndarray, mask: np.ndarray | None, axis: Axis) -> tuple[int, float]:
+    """The row, or column, behind the clearest seam in a change [levels], [h, w, 3], and the part of
+    it that shows the seam; 0 without one."""
     jump = np.diff(_narrow(change, axis), axis=0)
     if mask is not None:
         kept = _narrow(mask.astype(np.float32)[..., None], axis) > 0.999
         jump *= kept[1:] & kept[:-1]
-    at = _partial_seam(jump)
-    return _wide_seam(jump) if at is None else at
+    at = _wide_seam(jump)
+    return (at, 1.0) if at else _partial_seam(jump)
 
 
 def _narrow(picture: np.ndarray, axis: Axis) -> np.ndarray:
@@ -222,34 +231,40 @@ def _beside(values: np.ndarray, away: Sequence[int]) -> np.ndarray:
     return np.max([padded[k : k + len(values)] for k in both], axis=0)
 
 
-def _partial_seam(jump: np.ndarray) -> int | None:
-    """The row behind the longest sharp seam, of jumps [row, column, channel]; None without one."""
+def _partial_seam(jump: np.ndarray) -> tuple[int, float]:
+    """The row behind the longest sharp seam, of jumps [row, place, channel], and its part of the
+    width; 0 without one."""
     size = np.sqrt(np.square(jump).sum(axis=-1))
     sharp = (size > SEAM_LEVELS) & (size > SEAM_TIMES * _beside(size, (1, 2)))
     width = max(4, round(SEAM_SHARE * jump.shape[1]))
     filled = cv2.blur(sharp.astype(np.float32), (width, 1), borderType=cv2.BORDER_CONSTANT)
     best = filled.max(axis=1)
     row = int(np.argmax(best))
-    return row + 1 if best[row] > SEAM_FILLED else None
+    return (row + 1, float(sharp[row].mean())) if best[row] > SEAM_FILLED else (0, 0.0)
 
 
-def _wide_seam(jump: np.ndarray) -> int | None:
-    """The row behind a seam over the whole width; None without one."""
+def _wide_seam(jump: np.ndarray) -> int:
+    """The row behind a seam over the whole width; 0 without one."""
     smooth = cv2.blur(jump, (max(3, round(SMOOTH_SHARE * jump.shape[1])), 1))
     size = np.median(np.sqrt(np.square(smooth).sum(axis=-1)), axis=1)
     sharp = np.where(size > WIDE_LEVELS, size / np.maximum(_beside(size, NEAR), 0.1), 0.0)
     row = int(np.argmax(sharp))
-    return row + 1 if sharp[row] > WIDE_TIMES else None
+    return row + 1 if sharp[row] > WIDE_TIMES else 0
 
 
 def _beyond(seen: _Seen, at: int) -> BrokenFrame:
     """The side of a seam that does not fit the untouched gel, and how far it is moved."""
     sides = [(at, len(seen.image) - 1), (0, at - 1)]
-    for first, last in sides:
-        px = abs(_sideways(seen.part(slice(first, last + 1))))
+    parts = [seen.part(slice(first, last + 1)) for first, last in sides]
+    for (first, last), part in zip(sides, parts, strict=True):
+        px = abs(_sideways(part))
         if px:
             why = f"lie {px} px along them from where the others have the gel"
             return BrokenFrame("torn", seen.axis, first, last, why)
+    # Of one colour, on a gel that is as even itself: the seam says that they are not its own.
+    even = [k for k, part in enumerate(parts) if part.change() > SEAM_LEVELS and part.is_even()]
+    if len(even) == 1:
+        return BrokenFrame("lost_rows", seen.axis, *sides[even[0]], EVEN)
     first, last = min(sides, key=lambda side: side[1] - side[0])
     return BrokenFrame("torn", seen.axis, first, last, "are of another moment than the others")
 

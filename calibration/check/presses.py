@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -67,41 +68,30 @@ def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Rema
 
 def _check_whole(frames: Sequence[FrameFigures]) -> list[Remark]:
     broken = [frame for frame in frames if frame.broken]
-    if not broken:
-        return []
-    names = [frame.press.name for frame in broken]
-    return [
-        remarks.NOT_WHOLE(
-            broken=len(names),
-            count=len(frames),
-            names=name_some(names),
-            first=names[0],
-            reason=broken[0].fault,
-            frames=names,
-            grave=too_many_lost(len(frames), [False] * len(names)),
-        )
-    ]
+    return [remarks.NOT_WHOLE(**_lost(frames, broken))] if broken else []
 
 
 def _check_found(frames: Sequence[FrameFigures]) -> list[Remark]:
     lost = [frame for frame in frames if frame.contact is None and not frame.broken]
     if not lost:
         return []
-    names = [frame.press.name for frame in lost]
     cut = sum(frame.cut for frame in lost)
     border = f" In {cut} of them the border of the image cuts it." if cut else ""
-    return [
-        remarks.NO_CONTACT(
-            lost=len(lost),
-            count=len(frames),
-            names=name_some(names),
-            first=names[0],
-            reason=lost[0].fault,
-            border=border,
-            frames=names,
-            grave=too_many_lost(len(frames), [frame.cut for frame in lost]),
-        )
-    ]
+    return [remarks.NO_CONTACT(border=border, **_lost(frames, lost))]
+
+
+def _lost(frames: Sequence[FrameFigures], lost: Sequence[FrameFigures]) -> dict[str, Any]:
+    """Figures of a remark on frames that no fit can use."""
+    names = [frame.press.name for frame in lost]
+    return {
+        "lost": len(lost),
+        "count": len(frames),
+        "names": name_some(names),
+        "first": names[0],
+        "reason": lost[0].fault,
+        "frames": names,
+        "grave": too_many_lost(len(frames), [frame.cut for frame in lost]),
+    }
 
 
 @dataclass(frozen=True)

@@ -94,8 +94,8 @@ MIXED_SENSORS = error(
 # Ball presses.
 NOT_WHOLE = warning(
     "not_whole",
-    "{broken} of {count} presses did not come whole from the camera ({names}) and are left out. "
-    "{first} {reason}",
+    "{lost} of {count} presses did not come whole from the camera ({names}) and are left out. "
+    "{first}: {reason}",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )

@@ -87,24 +87,30 @@ def _bands(seen: np.ndarray, known: np.ndarray, shape: tuple[int, int]) -> Commo
     whole = float(np.square(common).sum())
     if whole < len(ratio) * LEAST_AMPLITUDE**2 / 2:
         return None
-    tried = [np.pi * cycles for cycles in CYCLES if 4 * cycles < len(ratio)]
-    waves = [rest(np.stack([np.sin(w * rows), np.cos(w * rows)], axis=1)) for w in tried]
-    fits = [np.linalg.lstsq(wave, common, rcond=None)[0] for wave in waves]
-    left = [
-        float(np.square(common - wave @ fit).sum()) for wave, fit in zip(waves, fits, strict=True)
-    ]
-    best = int(np.argmin(left))
-    fit, amplitude = fits[best], float(np.hypot(*fits[best]))
-    each = np.linalg.lstsq(waves[best], rest(columns), rcond=None)[0]
+
+    def fitted(cycles: float) -> tuple[float, float, np.ndarray, np.ndarray]:
+        """What is left of the sum of squares, the cycles, the wave's parts and their sizes."""
+        phase = np.pi * cycles * rows
+        wave = rest(np.stack([np.sin(phase), np.cos(phase)], axis=1))
+        size = np.linalg.lstsq(wave, common, rcond=None)[0]
+        return float(np.square(common - wave @ size).sum()), cycles, wave, size
+
+    def best_of(tried: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
+        return min((fitted(cycles) for cycles in tried), key=lambda one: one[0])
+
+    coarse = best_of(CYCLES[len(ratio) > 4 * CYCLES])[1]
+    left, cycles, wave, fit = best_of(coarse + np.linspace(-0.25, 0.25, 11))
+    amplitude = float(np.hypot(*fit))
+    each = np.linalg.lstsq(wave, rest(columns), rcond=None)[0]
     alike = np.sort(fit @ each / max(amplitude**2, 1e-12))
     if (
-        left[best] > (1.0 - BANDS_EXPLAINED) * whole
+        left > (1.0 - BANDS_EXPLAINED) * whole
         or amplitude < LEAST_AMPLITUDE
         or alike[1] < ALIKE[0]
         or alike[-2] > ALIKE[1]
     ):
         return None
-    fine = tried[best] * np.linspace(-1.0, 1.0, shape[0])
+    fine = np.pi * cycles * np.linspace(-1.0, 1.0, shape[0])
     factor = np.exp(fit[0] * np.sin(fine) + fit[1] * np.cos(fine)).astype(np.float32)
     return CommonGain(
         np.repeat(factor[:, None], shape[1], axis=1),

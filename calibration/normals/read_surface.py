@@ -169,10 +169,10 @@ class SurfaceReader:
         if why is not None:
             return f"is no image of the sensor that was calibrated: {why}"
         torn = torn_frame(levels, self.untouched, lit.mask)
-        if torn is not None:
-            return str(torn)
         # Dots go with the gel that a press drags along; only what else there is stands still.
         shift = pattern_shift(lit.light.remove(levels), self.untouched, lit.mask)
+        if torn is not None and (shift is None or torn.last - torn.first >= max(map(abs, shift))):
+            return str(torn)
         if shift is None:
             return ""
         right, down = shift

@@ -49,6 +49,7 @@ from taccel_lab.calibration.record.lamps import (
     touched_pixels,
 )
 from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
+from taccel_lab.calibration.whole_frame import BrokenFrameError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
@@ -255,7 +256,7 @@ class Recorder:
 
     def _take(self, image: np.ndarray, *, by_hand: bool) -> None:
         circle, fault = self._find(image, "this frame")
-        if circle is None and not by_hand:
+        if isinstance(fault, BrokenFrameError) or (circle is None and not by_hand):
             self._say(f"not kept: {fault}")
             return
         name = self.folder.add_press(image)
@@ -268,7 +269,7 @@ class Recorder:
         where = cell_name(*cell_of(circle, image.shape[1], image.shape[0]))
         self._say(f"took {name}: {where}, a contact {2 * circle.radius_px:.0f} px wide")
 
-    def _find(self, image: np.ndarray, name: str) -> tuple[ContactCircle | None, str]:
+    def _find(self, image: np.ndarray, name: str) -> tuple[ContactCircle | None, str | InputError]:
         """The contact as calibrations will find it, or why they will not."""
         background = self._background
         assert background is not None
@@ -279,7 +280,7 @@ class Recorder:
             channel = "grey" if self._grey else None
             return detect_contact(image, background, grid, name=name, grey=channel).circle, ""
         except InputError as error:
-            return None, str(error).removeprefix(f"{name}: ")
+            return None, type(error)(str(error).removeprefix(f"{name}: "))
 
     def _advice(self) -> Advice | None:
         if self._background is None:

@@ -21,6 +21,7 @@ from taccel_lab.calibration.check.balls import check_balls
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.signals.frame_operators import lost_rows
 from tests.calibration.drawn.faults import blur, drift
 from tests.support.capture_sets import HEIGHT, WIDTH, CaptureMaker, gel, press, spread_circles
 from tests.support.synthetic_presses import GRID
@@ -285,6 +286,16 @@ def test_what_a_block_lacks(
     assert state is None or status.readiness == state
     if maker in (darkened, with_bar):
         assert "grey_or_colour" not in by_code(found)
+
+
+def test_frames_that_are_not_whole_are_named_and_left_out(tmp_path: Path) -> None:
+    maker = few(spread_circles(7), labelled=False)
+    maker.change([2], lambda image: lost_rows(image.astype(np.uint8), HEIGHT // 2))
+    found = check(maker, tmp_path)
+    finding = by_code(found)["not_whole"]
+    assert finding.severity == WARNING and finding.frames == ("p02",)
+    assert f"rows {HEIGHT // 2} to {HEIGHT - 1} are of one colour" in finding.message
+    assert "no_contact" not in by_code(found) and set(finding.blocks) >= {"color", "normals"}
 
 
 @pytest.mark.thorough

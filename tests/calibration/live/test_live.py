@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from taccel_lab.api.read import read
 from taccel_lab.benchmarks.readings import networks, presses

@@ -23,6 +23,7 @@ from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.videos import RecordedFrame
 from taccel_lab.profile import BranchEntry
+from taccel_lab.signals.frame_operators import lost_rows, torn
 from tests.calibration.grey.test_depth import grey_unit
 from tests.support.capture_sets import write_image
 from tests.support.oblong_grey import grey_profile
@@ -77,6 +78,28 @@ def test_ways_of_dots_are_told_in_millimetres_of_oblong_pixels() -> None:
     assert row["marker_largest_mm"] == pytest.approx(np.hypot(0.6, 0.4))
     assert row["marker_mean_mm"] == pytest.approx(np.hypot(0.6, 0.4) / 2)
     assert row["markers_seen"] == 2
+
+
+def test_broken_frames_are_refused_with_their_rows_and_repeated_ones_said(tmp_path: Path) -> None:
+    unit, folder = grey_unit(), tmp_path / "frames"
+    folder.mkdir()
+    height = len(unit.rest)
+    images = [
+        unit.rest, lost_rows(unit.pressed, 70), unit.rest, unit.pressed, unit.pressed,
+        torn(unit.pressed, height // 2, before=unit.rest),
+    ]  # fmt: skip
+    for number, image in enumerate(images):
+        write_image(folder / f"frame_{number}.png", image)
+    out = tmp_path / "out"
+    read_recorded(Recording.of(folder), reader_of(relaxes=False), out, {"of": 1})
+    table = table_of(out)
+    assert f"rows 70 to {height - 1} are of one colour" in table[1]["refused"]
+    assert "of another moment" in table[5]["refused"]
+    assert table[1]["depth_mm"] == table[1]["force_n"] == ""
+    assert not any(table[k]["refused"] for k in (0, 2, 3, 4))
+    said = ["that of the frame before" in row["remarks"] for row in table]
+    assert said == [False] * 4 + [True, False]
+    assert table[3]["force_n"] == table[4]["force_n"]
 
 
 @pytest.mark.thorough

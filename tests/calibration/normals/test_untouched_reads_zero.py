@@ -14,6 +14,7 @@ from taccel_lab.calibration.pressure.touch import TouchReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.sensors.profile import stock_sensor
+from taccel_lab.signals.frame_operators import bands, lost_rows, shift, torn, wear
 from tests.calibration.drawn.faults import quantise
 from tests.support.real_data import real_data
 
@@ -90,6 +91,32 @@ def test_a_marked_mini_rests_until_it_is_touched() -> None:
         assert reading.force_interval_n is not None and reading.force_interval_n[1] <= MOST_N
     depths = [1e3 * reading.depth_m.max() for reading in found[5:]]
     assert 0.3 < depths[0] < depths[1] < depths[2] < 1.5
+
+
+@pytest.mark.parametrize("name", MINIS[:1])
+def test_light_that_is_no_touch_reads_zero_and_is_said(name: str) -> None:
+    image = mini_image(name)
+    reader = TouchReader(reader_on(image))
+    for changed, said in (
+        (wear(image, 0.06, radius=0.3), "the background is old"),
+        (bands(image, 0.03, 3.0), "goes up and down along the rows"),
+    ):
+        figures = reader.read(changed).figures()
+        assert not figures["touched"] and figures["force_n"] == 0.0
+        assert any(said in warning for warning in figures["warnings"])
+
+
+@pytest.mark.parametrize("name", MINIS[:1])
+def test_a_frame_that_is_not_whole_is_refused_with_its_rows(name: str) -> None:
+    image = mini_image(name)
+    reader, last = TouchReader(reader_on(image)), len(image) - 1
+    for broken, said in (
+        (lost_rows(image, 160), f"rows 160 to {last} are of one colour"),
+        (torn(image, 130, px=20), f"rows 130 to {last} lie 20 px along them"),
+        (shift(image, 20), f"rows 0 to {last} lie 20 px along them from where they should"),
+    ):
+        with pytest.raises(InputError, match=f"f.png is not whole: {said}"):
+            reader.read(broken, "f.png")
 
 
 def test_a_gel_that_was_put_back_elsewhere_is_refused() -> None:
