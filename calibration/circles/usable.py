@@ -129,8 +129,8 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 @cache
 def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
-    others = (frame_light, whole_frame)
-    files = [
+    others = [Path(str(module.__file__)) for module in (frame_light, whole_frame)]
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *others]
         *sorted(Path(__file__).parent.glob("*.py")),
         *(Path(str(module.__file__)) for module in others),
     ]
