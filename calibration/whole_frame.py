@@ -42,6 +42,8 @@ more, but for the faintest."""
 WIDE_LEVELS, WIDE_TIMES = 1.5, 2.5
 """Likewise, of the median over the whole width: presses have up to 2.2 times where the jump has
 ``WIDE_LEVELS``, rows moved sideways by 20 px 3.5 times and more."""
+ROUNDED_LEVELS = 0.8
+"""Jumps that rounding to whole levels makes of a smooth image: half a level in each channel."""
 SMOOTH_SHARE = 1 / 20
 """Part of the width over which jumps are averaged for that."""
 NEAR = (1, 2, 3, 8, 16, 24, 32)
@@ -247,7 +249,9 @@ def _wide_seam(jump: np.ndarray) -> int:
     """The row behind a seam over the whole width; 0 without one."""
     smooth = cv2.blur(jump, (max(3, round(SMOOTH_SHARE * jump.shape[1])), 1))
     size = np.median(np.sqrt(np.square(smooth).sum(axis=-1)), axis=1)
-    sharp = np.where(size > WIDE_LEVELS, size / np.maximum(_beside(size, NEAR), 0.1), 0.0)
+    sharp = np.where(
+        size > WIDE_LEVELS, size / np.maximum(_beside(size, NEAR), ROUNDED_LEVELS), 0.0
+    )
     row = int(np.argmax(sharp))
     return row + 1 if sharp[row] > WIDE_TIMES else 0
 

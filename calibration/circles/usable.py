@@ -131,9 +131,6 @@ def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
     others = [Path(str(module.__file__)) for module in (frame_light, whole_frame)]
     files = [*sorted(Path(__file__).parent.glob("*.py")), *others]
-        *sorted(Path(__file__).parent.glob("*.py")),
-        *(Path(str(module.__file__)) for module in others),
-    ]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
