@@ -25,7 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
 SAMPLE_COUNT = 8000
-"""Pixels that the robust fit looks at, on a regular lattice."""
+"""Pixels that an image's light is told by, on a regular lattice."""
 MIN_PIXELS = 200
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
@@ -77,11 +77,13 @@ class LightDrift:
 
         A gradient needs a whole image, shape [height_px, width_px, 3].
         """
-        return image * self.gain + self.offset + self._plane(image)
+        rows, gain, offset = self._by_rows(image)
+        return (rows * gain + offset + self._plane(image)).reshape(image.shape)
 
     def remove(self, image: np.ndarray) -> np.ndarray:
         """The frame as the background's light would show it."""
-        return (image - self.offset - self._plane(image)) / self.gain
+        rows, gain, offset = self._by_rows(image)
+        return ((rows - offset - self._plane(image)) / gain).reshape(image.shape)
 
     def shift(self, level: np.ndarray) -> np.ndarray:
         """Change of a channel of this ``level`` in the middle of the image [levels], shape [3]."""
@@ -110,13 +112,24 @@ class LightDrift:
         moved[:, 1, 0] = level - self.level
         return moved @ self.covariance @ moved.transpose(0, 2, 1)
 
+    def _by_rows(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """An image with one axis for columns and channels, gain and offset along it: an axis of
+        three alone takes four times as long. Pixels in a list stay as they are."""
+        if image.ndim != 3:
+            return image, self.gain, self.offset
+        height, width = image.shape[:2]
+        rows = image.reshape(height, -1)
+        return rows, np.tile(self.gain, width), np.tile(self.offset, width)
+
     def _plane(self, image: np.ndarray) -> np.ndarray | float:
+        """What the gradient adds, in the shape of ``_by_rows``."""
         if not self.gradient.any():
             return 0.0
         if image.ndim != 3:
             raise InputError(f"a drift with a gradient needs a whole image, got {image.shape}")
         u, v = unit_position(image.shape[0], image.shape[1])
-        return u[..., None] * self.gradient[:, 0] + v[..., None] * self.gradient[:, 1]
+        across = np.outer(u, self.gradient[:, 0]).ravel()
+        return across + np.tile(v * self.gradient[:, 1], image.shape[1])
 
 
 def unit_position(height_px: int, width_px: int) -> tuple[np.ndarray, np.ndarray]:
@@ -131,9 +144,9 @@ def smoothed(image: np.ndarray, mask: np.ndarray | None, sigma_px: float) -> np.
     """
     if mask is None or mask.all():
         return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma_px)
-    weight = mask.astype(np.float32)
-    filled = np.where(mask[..., None], image, 0.0).astype(np.float32)
-    total = cv2.GaussianBlur(weight, (0, 0), sigma_px)[..., None]
+    channels = (...,) + (None,) * (image.ndim - mask.ndim)
+    filled = np.where(mask[channels], image, 0.0).astype(np.float32)
+    total = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma_px)[channels]
     spread = cv2.GaussianBlur(filled, (0, 0), sigma_px)
     return np.where(total > 1e-3, spread / np.maximum(total, 1e-3), 0.0).astype(np.float32)
 
@@ -156,7 +169,7 @@ def fit_light(
     out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
     """
     height, width = background.shape[:2]
-    rows, columns = _samples(np.ones((height, width), bool) if mask is None else mask)
+    rows, columns = lattice_pixels(np.ones((height, width), bool) if mask is None else mask)
     if len(rows) < _needed(height, width):
         raise InputError(
             f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
@@ -221,15 +234,16 @@ def fit_press_light(
 
 def enough_pixels(mask: np.ndarray) -> bool:
     """Whether ``fit_light`` takes a light by the pixels of ``mask``, [height_px, width_px]."""
-    return len(_samples(mask)[0]) >= _needed(*mask.shape)
+    return len(lattice_pixels(mask)[0]) >= _needed(*mask.shape)
 
 
 def _needed(height: int, width: int) -> int:
     return min(MIN_PIXELS, height * width // 4)
 
 
-def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the lattice's pixels in ``mask``."""
+def lattice_pixels(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of some ``SAMPLE_COUNT`` pixels of a regular lattice, those in ``mask``,
+    bool, [height_px, width_px]."""
     height, width = mask.shape
     step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
     rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]

@@ -272,7 +272,7 @@ class SurfaceReader:
         assert self.normal_model is not None
         found = self._heights(lit)
         read = found.normals
-        tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
+        tilt_deg = np.degrees(np.hypot(read.tilt_rad[..., 0], read.tilt_rad[..., 1]))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)

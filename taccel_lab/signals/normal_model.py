@@ -203,7 +203,7 @@ class NormalModel:
             sigma_deg = torch.rad2deg(error) / RAYLEIGH_MEAN
             if self.config.presses_px:
                 away = tensor_of(self.config.away(every), sigma_deg.dtype, on)
-                lean_deg = torch.rad2deg(tilt.norm(dim=-1)).to(sigma_deg.dtype)
+                lean_deg = torch.rad2deg(length2(tilt)).to(sigma_deg.dtype)
                 sigma_deg = torch.hypot(sigma_deg, (away / AWAY) ** 2 * lean_deg)
             found = NormalMap(normals, tilt, sigma_deg, self.config.radius95_sigmas * sigma_deg)
         return found.like(image)

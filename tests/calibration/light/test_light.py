@@ -131,3 +131,18 @@ def test_what_is_not_is_named(image: np.ndarray, why: str) -> None:
 def test_masked_pixels_do_not_count() -> None:
     mask = np.broadcast_to(np.arange(80) >= 64, (60, 80))
     assert say(np.where(mask[..., None], BACKGROUND, 0.0), mask) is None
+
+
+def test_light_goes_on_and_off_by_its_formula_to_the_bit():
+    """Whole images are worked on by rows of all channels, lists of pixels as they are."""
+    rng = np.random.default_rng(3)
+    image = rng.uniform(0, 255, (7, 9, 3)).astype(np.float32)
+    gain, offset, gradient = 1 + 0.1 * rng.random(3), rng.random(3), rng.random((3, 2))
+    light = LightDrift(gain, offset, gradient)
+    u, v = np.linspace(-1, 1, 9)[None, :, None], np.linspace(-1, 1, 7)[:, None, None]
+    plane = u * gradient[:, 0] + v * gradient[:, 1]
+    assert np.array_equal(light.remove(image), (image - offset - plane) / gain)
+    assert np.array_equal(light.apply(image), image * gain + offset + plane)
+    pixels = image.reshape(-1, 3)
+    there = light.at(np.arange(63), 7, 9).remove(pixels)
+    assert np.allclose(there, light.remove(image).reshape(-1, 3), rtol=1e-12)
