@@ -44,6 +44,14 @@ def place_kernels() -> None:
         os.environ.pop(_SYSTEMS_VARIABLE, None)
 
 
+def kernels_variable() -> str:
+    """Name of the environment variable that moves Warp's kernels: $WARP_CACHE_PATH where the user
+    set it, ours otherwise."""
+    named, kept = os.environ.get(CACHE_VARIABLE), os.environ.get(_WARPS_VARIABLE)
+    ours = named and str(Path(named).absolute() / "warp")
+    return CACHE_VARIABLE if not kept or kept == ours else _WARPS_VARIABLE
+
+
 def place_fonts() -> None:
     """Have matplotlib keep its list of fonts in our cache folder where $TACCEL_LAB_CACHE names one
     and the user has no home folder: it would make a list anew, and say so, in every run."""

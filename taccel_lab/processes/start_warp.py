@@ -15,7 +15,7 @@ from typing import Any
 import warp as wp
 
 from taccel_lab.errors import InputError, InputWarning
-from taccel_lab.processes.cache_place import CACHE_VARIABLE, place_kernels
+from taccel_lab.processes.cache_place import kernels_variable, place_kernels
 
 _DRIVERS = ("libcuda.so", "libcuda.so.1")
 _started: list[bool] = []
@@ -54,16 +54,22 @@ def _initialise() -> None:
     try:
         wp.init()
     except OSError as error:
-        raise InputError(
-            f"Warp cannot keep its kernels in {error.filename} ({error.strerror}); set "
-            f"{CACHE_VARIABLE} to a folder that can be written"
-        ) from None
+        raise _unkept(error) from None
     _rebuild_what_is_damaged()
     _started.append(True)
 
 
+def _unkept(error: OSError) -> InputError:
+    where = error.filename2 or error.filename or wp.config.kernel_cache_dir
+    return InputError(
+        f"Warp cannot keep its kernels in {where} ({error.strerror or error}); set "
+        f"{kernels_variable()} to a folder that can be written"
+    )
+
+
 def _rebuild_what_is_damaged() -> None:
-    """Have Warp compile a module again whose kept files cannot be loaded, where it would end."""
+    """Have Warp compile a module again whose kept files cannot be loaded, where it would end; and
+    say in a sentence where it can keep none."""
     modules = type(wp.get_module(__name__))
     load = modules.load
 
@@ -75,6 +81,8 @@ def _rebuild_what_is_damaged() -> None:
             size = module.options["block_dim"] if block_dim is None else block_dim
             folder = Path(wp.config.kernel_cache_dir or "") / module.get_module_identifier(size)
             if given or isinstance(error, InputError) or not any(folder.glob("*.meta")):
+                if isinstance(error, OSError) and not given:
+                    raise _unkept(error) from None
                 raise
             said = f"kept kernels {folder} are damaged ({error})"
             try:
@@ -82,7 +90,7 @@ def _rebuild_what_is_damaged() -> None:
             except OSError as why:
                 raise InputError(
                     f"{said} and cannot be removed ({why.strerror}); remove them, or set "
-                    f"{CACHE_VARIABLE} to a folder that can be written"
+                    f"{kernels_variable()} to a folder that can be written"
                 ) from None
             warnings.warn(InputWarning(f"{said}: made again"), stacklevel=2)
         return load(module, device, block_dim)

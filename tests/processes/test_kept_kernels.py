@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels that Warp has kept and that were damaged since."""
+"""Kernels that Warp has kept and that were damaged since, or cannot keep."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -52,3 +53,18 @@ def test_damaged_kernels_are_named_and_made_again(tmp_path: Path) -> None:
         assert f"kept kernels {file.parent} are damaged" in again.stderr
         assert "made again" in again.stderr and "Traceback" not in again.stderr
     assert ended(program, cache).stderr == ""
+
+
+@pytest.mark.thorough
+def test_where_none_can_be_kept_is_said_in_a_sentence(tmp_path: Path) -> None:
+    """Files stand where the folders of the cache, of Warp's version and of the module have to."""
+    program, cache = tmp_path / "program.py", tmp_path / "cache"
+    program.write_text(PROGRAM, encoding="utf-8")
+    ended(program, cache)
+    (module,) = cache.glob("*/wp_*")
+    for place in (module, module.parent, cache):
+        shutil.rmtree(place)
+        place.touch()
+        said = ended(program, cache).stderr.splitlines()[-1]
+        assert f"InputError: Warp cannot keep its kernels in {place}" in said
+        assert said.endswith("; set WARP_CACHE_PATH to a folder that can be written")
