@@ -14,6 +14,8 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError, SimulationError, keeping, naming
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from taccel_lab.datasets.plan import DatasetPlan
     from taccel_lab.datasets.runner import DatasetOutcome
     from taccel_lab.files.shard import Shard
@@ -256,13 +258,14 @@ class DatasetChannels:
 class DatasetFaults:
     """Show each fault that [faults] of a data set's file, or of a task, gives to frames of yours.
 
-    Writes report.html with every fault on the last frame, and what was drawn.
+    Writes report.html with every fault on the last frame, what was drawn, and what the judge of
+    frames makes of it that readers ask.
 
     Example: taccel-lab dataset faults rest.png press.png --out out/faults
     """
 
     frames: Positional[tuple[Path, ...]]
-    """Two images of a sensor or more, of one size, in their order."""
+    """Two images of a sensor or more, of one size, in their order, the untouched gel first."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     spec: Path | None = None
@@ -273,6 +276,7 @@ class DatasetFaults:
     """Print what was drawn as JSON."""
 
     def run(self) -> None:
+        from taccel_lab.calibration.whole_frame import broken_frame
         from taccel_lab.cli.console import print_json, say
         from taccel_lab.datasets.faults_page import faults_page
         from taccel_lab.datasets.spec import load_spec
@@ -290,7 +294,15 @@ class DatasetFaults:
         faults = FrameFaults()
         if self.spec is not None:
             faults = load_spec(file_or_example(self.spec, "datasets")).faults
-        page = faults_page([read_image(path) for path in self.frames], faults, self.seed)
+        frames = [read_image(path) for path in self.frames]
+
+        def judged(image: np.ndarray) -> str:
+            found = broken_frame(image, frames[0])
+            if found is None:
+                return "whole"
+            return f"{found.kind}: {found.axis} {found.first} to {found.last}"
+
+        page = faults_page(frames, faults, judged, self.seed)
         write_page(page, self.out)
         if self.json:
             print_json(page.figures)

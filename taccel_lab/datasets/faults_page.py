@@ -4,7 +4,7 @@ like."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -97,17 +97,25 @@ def draw_faults(
     return figure
 
 
-def faults_page(frames: Sequence[np.ndarray], faults: FrameFaults, seed: int = 0) -> Page:
-    """The page of all faults, see ``faulty_examples``."""
+def faults_page(
+    frames: Sequence[np.ndarray],
+    faults: FrameFaults,
+    judged: Callable[[np.ndarray], str],
+    seed: int = 0,
+) -> Page:
+    """The page of all faults, see ``faulty_examples``; ``judged`` says what readers make of a
+    frame."""
     examples = faulty_examples(frames, faults, seed)
     stated, names = vars(faults), [name for name, _ in FIELDS]
     drawn = {kind: numbers_of(kind, names, label) for kind, (_, label) in examples.items()}
+    verdicts = {kind: judged(image) for kind, (image, _) in examples.items()}
     rows = [
         (
             kind,
             f"{stated[kind]:g} of a{' frame' if kind in FRAME_KINDS else 'n episode'}",
             _text(numbers_of(kind, stated, stated)),
             _text(drawn[kind]),
+            verdicts[kind],
         )
         for kind in examples
     ]
@@ -115,8 +123,10 @@ def faults_page(frames: Sequence[np.ndarray], faults: FrameFaults, seed: int = 0
         "Faults of frames",
         f"Seed {seed} draws one example of each. Data sets and environments draw them by their "
         "chances, with these numbers as labels.",
-        tables=[Table("Faults", ("kind", "chance", "drawn from", "here"), rows)],
+        tables=[Table("Faults", ("kind", "chance", "drawn from", "here", "judged as"), rows)],
         pictures=[draw_faults(frames, examples)],
-        figures={kind: {"bit": BITS[kind], **drawn[kind]} for kind in examples},
+        figures={
+            kind: {"bit": BITS[kind], "judged": verdicts[kind], **drawn[kind]} for kind in examples
+        },
         headline=f"{len(KINDS)} kinds of faults",
     )

@@ -139,6 +139,7 @@ def test_a_page_shows_every_fault_on_frames_at_hand(
     words = ("dataset", "faults", *paths, "--spec", tmp_path / "set.toml", "--json")
     code, out, _ = done(capsys, *words, "--out", tmp_path / "page", "--seed", 3)
     drawn = json.loads(out[: out.rindex("}") + 1])
+    assert drawn["lost_rows"]["judged"] == "lost_rows: rows 12 to 23"
     assert code == 0 and set(drawn) == set(KINDS) and drawn["lost_rows"]["lost_from_row"] == [12]
     html = (tmp_path / "page" / "report.html").read_text().replace("<wbr>", "")
     assert all(kind in html for kind in KINDS) and "0.3 of an episode" in html
