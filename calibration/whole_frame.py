@@ -99,7 +99,7 @@ def broken_frame(
     """The part of a frame that is broken; None of a whole one.
 
     Args:
-        image: RGB levels, shape [height_px, width_px, 3].
+        image: Levels, shape [height_px, width_px, channel].
         untouched: The sensor's untouched image, likewise; its light may differ.
         mask: Pixels that count, bool, shape [height_px, width_px].
     """

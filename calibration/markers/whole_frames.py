@@ -18,9 +18,8 @@ from scipy.spatial import KDTree
 from taccel_lab.calibration.dots.blobs import grey_levels
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.frame_shift import Look, Shift, shift_between
+from taccel_lab.calibration.whole_frame import ALIKE_LEVELS, lost_rows
 
-_FLAT = 0.1
-"""Rows that vary by less than this part of what they did are of one colour."""
 _ON = 0.4
 """A tenth of the dots moved by more than this part of a shift just before it: it is no jump."""
 _JUMP = 0.05
@@ -77,7 +76,7 @@ class FrameJudge:
         """``rest``: what the first frame is compared with."""
         self._dots, self._pitch_px = rest.dots, min(rest.layout_px.pitch)
         self._read = self._earlier = self._look(rest.image)
-        self._varied = _variation(rest.image)
+        self._rest = grey_levels(rest.image)[..., None]
         self._run = 0
         self.carried_px = np.zeros(2)
         """How far the latest frame, which is read, is shifted for good, as the camera was moved."""
@@ -92,13 +91,11 @@ class FrameJudge:
         ``motion_px``: how dots moved to the frame before, shape [marker, 2]. A shift that goes on
         as many of them moved is theirs, as lamps move, too, where they are held by hand.
         """
-        varied = _variation(frame)
-        lost = np.flatnonzero(varied < _FLAT * self._varied)
-        runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
-        longest = max(runs, key=len)
-        # Between the dots of an even picture rows are of one colour, too.
-        if len(longest) > self._pitch_px:
-            return Unread(Fault.LOST, f"rows {longest[0]} to {longest[-1]}")
+        if np.ptp(frame) <= 2 * ALIKE_LEVELS:
+            return Unread(Fault.LOST, f"rows 0 to {len(frame) - 1}")
+        lost = lost_rows(grey_levels(frame)[..., None], self._rest)
+        if lost is not None:
+            return Unread(Fault.LOST, f"{lost.axis} {lost.first} to {lost.last}")
         look = self._look(frame)
         shift, self.carried_px = shift_between(self._read, look), np.zeros(2)
         if shift is not None and _goes_on(motion_px, shift, self._pitch_px):
@@ -110,7 +107,7 @@ class FrameJudge:
         if shift is not None and self._run > LASTING:
             self.carried_px, shift = np.array([shift.right_px, shift.down_px]), None
         if shift is None:
-            self._run, self._earlier, self._read, self._varied = 0, self._read, look, varied
+            self._run, self._earlier, self._read = 0, self._read, look
             return None
         way = shift_words(shift.right_px, shift.down_px)
         if len(shift.rows) == len(frame):
@@ -125,11 +122,6 @@ def _goes_on(motion_px: np.ndarray, shift: Shift, pitch_px: float) -> bool:
     way = other if np.linalg.norm(other) > _JUMP * pitch_px else way
     along = motion_px @ way / (way @ way)
     return float(np.quantile(along, 0.9)) > _ON
-
-
-def _variation(frame: np.ndarray) -> np.ndarray:
-    """Standard deviation of each row's levels."""
-    return grey_levels(frame).std(axis=1)
 
 
 def shift_words(right_px: float, down_px: float) -> str:

@@ -276,6 +276,10 @@ class DatasetFaults:
     """Print what was drawn as JSON."""
 
     def run(self) -> None:
+        import numpy as np
+
+        from taccel_lab.calibration.frame_light import fit_light
+        from taccel_lab.calibration.light.common_gain import common_gain
         from taccel_lab.calibration.whole_frame import broken_frame
         from taccel_lab.cli.console import print_json, say
         from taccel_lab.datasets.faults_page import faults_page
@@ -298,9 +302,11 @@ class DatasetFaults:
 
         def judged(image: np.ndarray) -> str:
             found = broken_frame(image, frames[0])
-            if found is None:
-                return "whole"
-            return f"{found.kind}: {found.axis} {found.first} to {found.last}"
+            if found is not None:
+                return f"{found.kind}: {found.axis} {found.first} to {found.last}"
+            levels, rest = (each.astype(np.float32) for each in (image, frames[0]))
+            common = common_gain(fit_light(levels, rest).remove(levels), rest)
+            return "whole" if common is None else f"whole; {common.remark}"
 
         page = faults_page(frames, faults, judged, self.seed)
         write_page(page, self.out)
