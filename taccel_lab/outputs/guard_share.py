@@ -31,9 +31,13 @@ from taccel_lab.ipc.potentials.elements.quadratic_shape import (
     needs_guard,
     row_of,
 )
+from taccel_lab.model import BodyKind
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.tangent import Tangent
 from taccel_lab.state import State
+
+MOST_SHARE = 0.01
+"""Part of a force that the guard may be answerable for unsaid [1]."""
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,6 +78,22 @@ def add_guard_load(
         if part.group.element is Element.QUADRATIC and part.group.law not in BEARS_INVERSION:
             part.write_forces(active, positions, _guard_load_kernel)
             part.gather_forces(active, load)
+
+
+def guard_shares(solver: SolverIPC, state: State) -> np.ndarray:
+    """Part of the force on each kinematic body, along that force, that depends on the guard:
+    ``guard_force`` over it [1], [env_count, kinematic_count]; 0 of bodies without a force."""
+    nodal = -(solver.contact_gradient.numpy() + solver.friction_gradient.numpy())
+    tools = [body for body in solver.model.bodies if body.kind is BodyKind.KINEMATIC]
+    shares = np.zeros((len(nodal), len(tools)))
+    for index, tool in enumerate(tools):
+        force = nodal[:, tool.node_slice].sum(axis=1)
+        size = np.linalg.norm(force, axis=-1)
+        size[size == 0.0] = np.inf
+        moves = np.zeros_like(nodal)
+        moves[:, tool.node_slice] = -(force / size[:, None])[:, None]
+        shares[:, index] = np.abs(guard_force(solver, state, moves)) / size
+    return shares
 
 
 def guard_force(solver: SolverIPC, state: State, moves: np.ndarray) -> np.ndarray:

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import cached_property
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.errors import InputWarning
 from taccel_lab.model import BodyKind
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.arrays import negated
@@ -16,6 +18,7 @@ from taccel_lab.outputs.contact_wrenches import (
     contact_wrenches,
     friction_wrenches,
 )
+from taccel_lab.outputs.guard_share import MOST_SHARE, guard_shares
 from taccel_lab.outputs.momentum import Momentum, MomentumReader
 from taccel_lab.outputs.sliding import Sliding, read_sliding
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
@@ -129,6 +132,28 @@ class Outputs:
         motion = s.motion_to(state.positions, state.poses)
         geometry = s.collisions.geometry
         return friction_wrenches(self._model, s.friction, geometry, motion, center_m)
+
+    @in_turn
+    def guard_shares(self) -> np.ndarray:
+        """Part of the force on each kinematic body that depends on the guard against inverted
+        elements [1], [env_count, kinematic_count]: 0 where none is near it, NaN where the gel is
+        about to buckle. Takes a linear solve a body where the guard acts. Warns (``InputWarning``)
+        above a hundredth: the gel is pressed past what its mesh resolves.
+
+        Raises:
+            InputError: The guard acts in a scene with inertia or affine bodies.
+        """
+        shares = guard_shares(self._solver, self._latest)
+        names = [body.name for body in self._model.bodies if body.kind is BodyKind.KINEMATIC]
+        for name, share in zip(names, shares.T, strict=True):
+            most = float(np.max(share, initial=0.0, where=~np.isnan(share)))
+            if most > MOST_SHARE:
+                said = (
+                    f"the guard against inverted elements carries {100 * most:.2g} % of the force "
+                    f"on {name!r}: the gel is pressed past what its mesh resolves"
+                )
+                warnings.warn(InputWarning(said), stacklevel=3)
+        return shares
 
     # Stress ----------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from taccel_lab.benchmarks.stress.gaps import SurfacePairs
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import GelFrames, Outputs, to_torch
@@ -19,6 +19,7 @@ from taccel_lab.scene import (
     Material,
     Plane,
     Scene,
+    SoftBody,
     TimeStepping,
     box_mesh,
 )
@@ -266,3 +267,28 @@ def test_a_state_of_another_model_is_read_by_nobody() -> None:
         ):
             with pytest.raises(InputError, match="the state is one of another model"):
                 read(state)
+
+
+@pytest.mark.thorough
+def test_a_gel_pressed_past_its_mesh_is_told() -> None:
+    """A ball of a quarter of the gel's height: unsaid at 0.4 mm, said at 1.4 mm; what is read,
+    and the step after it, stay as they are."""
+    mesh = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3))
+    gel = SoftBody(mesh, Material(1e5, 0.48), friction_coefficient=0.3)
+    scene = Scene(gel, KinematicBody(Ball(5e-4), 0.3, name="ball"))
+    run, unread = (Stepped(scene, pose(0, 0, 5.5e-4)) for _ in range(2))
+    for depth in 1e-4 * np.arange(1, 15):
+        for one in (run, unread):
+            one.step(pose(0, 0, 5.5e-4 - depth))
+        if depth == 1e-4 * 4:
+            shares = Outputs(run.solver).update(run.state).guard_shares()
+            assert np.array_equal(shares, [[0.0]])
+    outputs = Outputs(run.solver).update(run.state)
+    force = outputs.contact_wrenches().wrenches.numpy()
+    with pytest.warns(InputWarning, match=r"carries 1\.9 % of the force on 'ball': the gel is"):
+        shares = outputs.guard_shares()
+    assert shares.shape == (1, 1) and 0.018 < shares[0, 0] < 0.02
+    assert np.array_equal(outputs.contact_wrenches().wrenches.numpy(), force)
+    for one in (run, unread):
+        one.step(pose(0, 0, -9.5e-4))
+    assert np.array_equal(run.state.positions.numpy(), unread.state.positions.numpy())

@@ -21,6 +21,7 @@ from taccel_lab.ipc.potentials.elements import quadratic_shape
 from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.ipc.potentials.elements.quadratic_kernels import create_quadratic_kernels
 from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_point_law
+from taccel_lab.outputs import Outputs
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.scene import Material, MaxwellBranch
 from taccel_lab.sensors.press_mesh import press_mesh
@@ -322,6 +323,8 @@ def test_a_batch_says_what_each_press_does_alone():
         env.move_to(np.array([0.05, 0.2 * step]))
     gentle, hard = env.guard_share()
     assert gentle == 0.0 < hard
+    told = Outputs(env.solver).update(env.state).guard_shares()[:, -1]
+    assert told == pytest.approx(env.guard_share(), rel=0.01)
     assert hard == pytest.approx(alone.guard_share()[0], rel=1e-3)
 
 
