@@ -32,7 +32,7 @@ class ViewFocals:
     """Focal lengths of views that differ by more than their corners can tell apart."""
 
     focal_px: np.ndarray
-    """Along x, of each view, shape [view]."""
+    """Focal length along x of each view, shape [view]."""
     common_px: float
     """Residual of the median view with one focal length for all."""
     corners_px: float

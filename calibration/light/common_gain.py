@@ -50,7 +50,7 @@ class CommonGain:
     """A factor of all channels that is no touch."""
 
     factor: np.ndarray
-    """Of each pixel, float32, shape [height_px, width_px]."""
+    """Factor of each pixel, float32, shape [height_px, width_px]."""
     remark: str
     """What was found and what to do, a sentence."""
 
@@ -78,7 +78,7 @@ def _bands(seen: np.ndarray, known: np.ndarray, shape: tuple[int, int]) -> Commo
     smooth = np.vander(rows, 3)
 
     def rest(values: np.ndarray) -> np.ndarray:
-        """Without what is quadratic along the rows: the gel sinks beside a press."""
+        """Values less what is quadratic along the rows: the gel sinks beside a press."""
         return values - smooth @ np.linalg.lstsq(smooth, values, rcond=None)[0]
 
     groups = np.array_split(ratio, GROUPS, axis=1)

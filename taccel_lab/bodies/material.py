@@ -43,14 +43,7 @@ class MaxwellBranch:
 
 
 def check_branches(branches: Sequence[MaxwellBranch]) -> tuple[MaxwellBranch, ...]:
-    """Return branches as a tuple, of at most ``MOST_BRANCHES``.
-
-    Raises:
-        InputError: There are more, or something else among them.
-    """
-    for branch in branches:
-        if not isinstance(branch, MaxwellBranch):
-            raise InputError(f"branches must hold MaxwellBranch objects, got {branch!r}")
+    """Return branches as a tuple, of at most ``MOST_BRANCHES``; InputError for more."""
     if len(branches) > MOST_BRANCHES:
         raise InputError(
             f"a material has at most {MOST_BRANCHES} Maxwell branches, got {len(branches)}"

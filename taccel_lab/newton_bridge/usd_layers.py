@@ -70,7 +70,7 @@ def checked_layers(path: Path) -> list[Any]:
     ``path``, for a layer that is not there, cannot be read or is a package, for names that are
     computed, prims that are not understood, and more of them than are read.
     """
-    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+    from pxr import Sdf
 
     # What the user names may be a link, as tools that version data leave them.
     folder, waiting, seen, layers = path.parent, [(path.name, path)], {path.name}, []
@@ -112,7 +112,7 @@ def checked_layers(path: Path) -> list[Any]:
 
 def _read(file: Path) -> tuple[Any, list[tuple[str, bool]]]:
     """A layer, and the files that it names."""
-    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+    from pxr import Sdf
 
     try:
         layer = Sdf.Layer.FindOrOpen(str(file))
@@ -128,7 +128,7 @@ def _read(file: Path) -> tuple[Any, list[tuple[str, bool]]]:
 
 def _names(layer: Any) -> Iterator[tuple[str, bool]]:
     """Files that a layer names, and whether they are layers of the stage."""
-    from pxr import Sdf, UsdUtils  # pyright: ignore[reportMissingImports]
+    from pxr import Sdf, UsdUtils
 
     composed = set(layer.GetCompositionAssetDependencies())
     others: set[str] = set()
@@ -151,7 +151,7 @@ def _names(layer: Any) -> Iterator[tuple[str, bool]]:
 
 def _look_at(spec: Any, note: Callable[[str], str]) -> None:
     """Note patterns that name files of value clips; refuse what is not understood."""
-    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+    from pxr import Sdf
 
     if isinstance(spec, Sdf.VariantSpec):
         spec = spec.primSpec

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 from taccel_lab.bodies.bodies import AffineBody, SoftBody
 from taccel_lab.bodies.mesh_checks import check_extent, check_surface, check_tets
@@ -13,6 +14,9 @@ from taccel_lab.model import Model, build_model
 from taccel_lab.model.turns import in_turn
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.typed import typed
+
+if TYPE_CHECKING:
+    from warp import Device
 
 SOFT_EXTENT_M = (1e-5, 1.0)
 """Sizes of a soft body: a gel of 8 m was meant in millimetres."""
@@ -26,15 +30,15 @@ class Scene(SceneDescription):
 
     @in_turn
     @typed
-    def finalize(self, device: str | None = None) -> Model:
+    def finalize(self, device: str | Device | None = None) -> Model:
         """Build the device arrays; raises InputError for meshes that cannot be used.
 
-        ``device``: "cpu" or "cuda:0", "cuda:1", ...; when None what the environment variable
-        TACCEL_LAB_DEVICE says, else the CPU.
+        ``device``: "cpu" or "cuda:0", "cuda:1", ..., or a device of Warp; when None what the
+        environment variable TACCEL_LAB_DEVICE says, else the CPU.
         """
         start_warp()
         check_scene(self)
-        return build_model(self, device or os.environ.get("TACCEL_LAB_DEVICE", "cpu"))
+        return build_model(self, str(device or os.environ.get("TACCEL_LAB_DEVICE", "cpu")))
 
 
 def check_scene(scene: SceneDescription) -> None:

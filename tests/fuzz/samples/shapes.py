@@ -246,7 +246,7 @@ def Xform "gripper" (
 
 def usd(given: Path) -> None:
     """A finger on a palm, of three layers as text and as bytes, the last one a mesh's."""
-    from pxr import Sdf  # pyright: ignore[reportMissingImports]
+    from pxr import Sdf
 
     (given / "gripper.usda").write_text(_USDA)
     (given / "parts").mkdir()

@@ -22,7 +22,7 @@ def read(source: Path, options: ImportOptions) -> list[Draft]:
     tables = [p for name in TABLES if (p := source / "annotations" / name).is_file()]
     if not tables:
         return []
-    digit = "digit" in "/".join(source.resolve().parts[-3:]).lower()
+    digit = "digit" in "/".join(source.absolute().parts[-3:]).lower()
     draft = Draft("", "digit" if digit else "gelsight_mini", source)
     why = "since the folder's path does not say digit; --sensor names another"
     draft.assume_sensor("by the folder's path" if digit else why)

@@ -177,7 +177,7 @@ def test_an_element_inside_out_does_not_relax() -> None:
 def test_bad_branches_are_refused() -> None:
     for branches, sentence in (
         ((BRANCH,) * 4, "at most 3 Maxwell branches"),
-        (((0.1, 1.0),), "must hold MaxwellBranch"),
+        (((0.1, 1.0),), "branches must be a list, each of it a MaxwellBranch"),
     ):
         with pytest.raises(InputError, match=sentence):
             Material(1e5, 0.42, branches=branches)
