@@ -213,7 +213,10 @@ def _seam(change: np.ndarray, mask: np.ndarray | None, axis: Axis) -> tuple[int,
         kept = _narrow(mask.astype(np.float32)[..., None], axis) > 0.999
         jump *= kept[1:] & kept[:-1]
     at = _wide_seam(jump)
-    return (at, 1.0) if at else _partial_seam(jump)
+    if at:
+        return at, 1.0
+    # A tool's straight edge may lie along columns, and be sharp in a drawn image.
+    return _partial_seam(jump) if axis == "rows" else (0, 0.0)
 
 
 def _narrow(picture: np.ndarray, axis: Axis) -> np.ndarray:

@@ -167,11 +167,17 @@ def _kind(path: Path) -> str:
 def _by_kernel(what: str, function: str, *arguments: Any) -> Any:
     """What a function of ``step_gel`` gives in the readers' process."""
     return read_apart(
-        what, _of_step_gel, function, *arguments, by="OCP", limit_s=LIMIT_S, records=_records
-    )
+        what, _of_step_gel, function, *arguments, by="OCP", limit_s=LIMIT_S,
+        records=_faces if function == "faces_of_step" else _records,
+    )  # fmt: skip
+
+
+def _faces() -> tuple[type, ...]:
+    return FaceInfo, FaceSelection, PartFaces, Region
 
 
 def _records() -> tuple[type, ...]:
+    # Solids are the kernel's, which this loads.
     from taccel_lab.cad.parts.part import LabelledSolid
 
     return (

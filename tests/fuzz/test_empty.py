@@ -49,7 +49,7 @@ def cases(reader: Reader, given: Path, sample: dict[str, bytes]) -> Iterator[str
         yield f"no {name}"
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", NAMES)
 def test_nothing_is_read_or_refused_in_a_sentence(
     reader: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -117,11 +117,10 @@ def readings(folder: Path) -> None:
 
 def real_boards_and_edges(folder: Path) -> None:
     """Of real captures, where they are on this machine."""
-    layouts = Path(__file__).parents[2] / "docs" / "examples" / "layouts"
     board = ImportOptions(board="dots:9x7:2.5")
     for name, layout, options in (
         ("9dtact_official", "auto", board),
-        ("gsmini_cube_edges", str(layouts / "cube-edges.py"), ImportOptions()),
+        ("gsmini_cube_edges", "cube-edges", ImportOptions()),
     ):
         if not (data_folder() / name).exists():
             continue

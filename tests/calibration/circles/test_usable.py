@@ -54,9 +54,8 @@ def test_contacts_that_the_border_cuts_are_left_out() -> None:
     captures, _ = synthetic_captures(10)
     images, circles = {}, circles_of(captures)
     for i in (1, 3, 8):
-        away = round(circles[i].u_px - 0.4 * circles[i].radius_px)
-        images[i] = np.roll(captures.presses[i].image(), -away, axis=1)
-        images[i][:, -away:] = captures.background[:, -away:]
+        cut = replace(circles[i], u_px=0.4 * circles[i].radius_px)
+        images[i] = synthetic.press_image(cut, np.random.default_rng(i))[0]
     kept, _, (remark,) = usable_presses(synthetic.with_images(captures, images))
     assert len(kept.presses) == 7 and "out of the image" in remark.message
 
