@@ -25,7 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
 SAMPLE_COUNT = 8000
-"""Pixels that an image's light is told by, on a regular lattice."""
+"""Pixels that an image's light is fitted to, on a regular lattice."""
 MIN_PIXELS = 200
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
@@ -122,7 +122,7 @@ class LightDrift:
         return rows, np.tile(self.gain, width), np.tile(self.offset, width)
 
     def _plane(self, image: np.ndarray) -> np.ndarray | float:
-        """What the gradient adds, in the shape of ``_by_rows``."""
+        """Levels that the gradient adds, in the shape of ``_by_rows``."""
         if not self.gradient.any():
             return 0.0
         if image.ndim != 3:

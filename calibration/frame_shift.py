@@ -68,7 +68,7 @@ to 110 frames apart, have none."""
 
 @dataclass(frozen=True)
 class Look:
-    """What of a frame is compared with another's."""
+    """The parts of a frame that are compared with another's."""
 
     size_px: tuple[int, int]
     """Width and height of the frame."""
@@ -117,7 +117,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Shift:
-    """How a frame's rows are displaced against another frame."""
+    """Displacement of a frame's rows against another frame."""
 
     right_px: float
     down_px: float

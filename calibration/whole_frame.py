@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a frame came whole from its camera: rows that were lost, or that belong to another frame.
+"""Frames that did not come whole from their camera: rows were lost, or are of another frame.
 
 A camera sends rows. Rows that it lost are filled by whoever decodes them, with one colour or with
 copies of the row before: no camera's rows are alike to the level over the whole width. Rows of the
@@ -9,7 +9,8 @@ so that of real presses no seam is as sharp over as many columns. What a reading
 touch is that jump; where it is too small to be seen, so is its effect.
 
 Images whose camera is turned have columns for rows, and an image that is moved sideways and wrapped
-round has a seam between columns: both are looked for along both axes.
+round has a seam between columns: both are looked for along both axes, but seams over a part of the
+width along rows alone.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class ViewFocals:
     """Views whose focal length differs from the usual one, the farthest first."""
 
     def figures(self) -> dict[str, Any]:
-        """What a remark says of them."""
+        """Figures of the remark on them."""
         more = f" and {len(self.names) - _NAMED} more" if self.names[_NAMED:] else ""
         return {
             "least": float(self.focal_px.min()),
