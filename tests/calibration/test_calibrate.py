@@ -175,8 +175,8 @@ def test_a_block_is_fitted_with_its_options_on_the_scale_of_the_base(captures, r
     replace_fit("color", fit)
     grid, seeded = load_capture_folder(captures).grid(), ColorOptions(seed=3)
     calibrate(captures, only=BOTH, options={"color": seeded})
-    for axis in "xy":
-        edit_manifest(captures, f"mm_per_px_{axis} = {grid.mm_per_px_x}\n", "")
+    for axis, mm_per_px in (("x", grid.mm_per_px_x), ("y", grid.mm_per_px_y)):
+        edit_manifest(captures, f"mm_per_px_{axis} = {mm_per_px}\n", "")
     on_board = Provenance(
         kind="measured", method="for this test", source="none", inputs={"board": "0" * 64}
     )
