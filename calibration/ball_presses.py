@@ -37,7 +37,6 @@ from taccel_lab.calibration.circles.ball_surface import (
 )
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import usable_circles
-from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.light.background import calibrate_background
 from taccel_lab.calibration.light.background_result import BackgroundCalibration
 from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness
@@ -48,6 +47,7 @@ from taccel_lab.calibration.result import BlockResult, Placed, in_figures
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.light import LightDrift
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.rest_surface import rest_surface
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.fft import irfft2, rfft2
 
-from taccel_lab.calibration.robust_fit import spread_about_zero
+from taccel_lab.robust_fit import spread_about_zero
 
 _LONGEST_PX = 320
 """Larger frames are shrunk to this: light is smooth."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.remarks import BLOCK, BLOCK_STATE
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.calibration.scores import profile_scores
 from taccel_lab.files.atomic_file import eight_bit
 from taccel_lab.profile import Block, SensorProfile
@@ -23,6 +22,7 @@ from taccel_lab.report.style import BLUE, GREY, ORANGE, in_report_style, new_fig
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.perturbation import draw_perturbation
 from taccel_lab.signals.perturbed_sensors import PerturbedSensors
+from taccel_lab.with_error import NORMAL_95
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,11 +14,10 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.summary import Summary
+from taccel_lab.with_error import NORMAL_95
 
 MOST_SHOWN = 10
 """Figures that a result shows of itself."""
-NORMAL_95 = 1.959963984540054
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True)

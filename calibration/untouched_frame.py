@@ -30,13 +30,13 @@ from taccel_lab.calibration.capture.framing import (
     BACKGROUND_NAME,
     MIN_CONTACT_LEVELS,
     contact_strength,
-    thumb,
 )
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.thumb import thumb
 from taccel_lab.sensors.starters import is_starter
 
 if TYPE_CHECKING:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 
+NORMAL_95 = 1.959963984540054
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 UNSTATED_DIGITS = 4
 """Digits of a value whose error nobody knows."""
 

@@ -14,7 +14,7 @@ from collections.abc import Generator, Iterator
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 # Before numpy or torch start their thread pools: tests run in parallel processes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -32,6 +32,9 @@ from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import TetMesh
 from taccel_lab.sensors import press_mesh, profile
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture import CaptureSet
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
 # derandomised, so that a change that passed keeps passing; they still depend on the version of the
@@ -222,3 +225,12 @@ def small_drive(tmp_path: Path) -> Iterator[Path]:
         pytest.skip("this user may not mount a file system")
     yield drive
     subprocess.run(["umount", str(drive)], check=True)
+
+
+@pytest.fixture(scope="session")
+def taxim_captures() -> CaptureSet:
+    """The real presses, where they are installed."""
+    from taccel_lab.calibration.capture import load_captures
+    from tests.support.real_data import taxim_presses
+
+    return load_captures(taxim_presses())

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from taccel_lab.calibration.capture.captures import Frame
-from taccel_lab.calibration.dots.lattice_growth import (
+from taccel_lab.reading.dots.lattice_growth import (
     FLIPS,
     TURNS,
     largest_growth,

@@ -23,11 +23,11 @@ from taccel_lab.calibration.camera.plane import (
 )
 from taccel_lab.calibration.remarks import HELDOUT_ERROR
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.robust_fit import slopes
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark
+from taccel_lab.robust_fit import slopes
 
 MIN_POINTS = 8
 DISTORTED = 0.02

@@ -15,11 +15,11 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
-from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.printable import counted
 from taccel_lab.report.lead import Picture, Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
+from taccel_lab.robust_fit import rms
 from taccel_lab.with_error import with_error
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import BoardView, board_lattice, oriented
-from taccel_lab.calibration.dots.blobs import find_blobs, is_inside
 from taccel_lab.errors import InputError
 from taccel_lab.guards import unknown
+from taccel_lab.reading.dots.blobs import find_blobs, is_inside
 
 MIN_SHARE = 0.5
 """Least share of the corners that a partly hidden board must show."""

@@ -20,12 +20,12 @@ from taccel_lab.calibration.camera.board import BoardLattice, BoardView, board_l
 from taccel_lab.calibration.camera.chessboard import detect_charuco, detect_chessboard
 from taccel_lab.calibration.capture.folder import BoardCaptures
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.dots.detection import Dots
-from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_size
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.dots.detection import Dots
+from taccel_lab.reading.dots.dot_fit import fit_dots
+from taccel_lab.reading.dots.marker_picture import markers_or_none
 
 MIN_SHARE = 0.4
 """Least share of the dots that must be found."""

@@ -35,11 +35,11 @@ from taccel_lab.calibration.camera.lens import (
 )
 from taccel_lab.calibration.camera.view_focals import ViewFocals, differing_focals
 from taccel_lab.calibration.remarks import HELDOUT_ERROR, TOO_FEW
-from taccel_lab.calibration.robust_fit import rms, robust_scale
 from taccel_lab.errors import InputError
 from taccel_lab.printable import counted
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
+from taccel_lab.robust_fit import rms, robust_scale
 
 MIN_COVERAGE = 0.35
 MIN_TILT_DEG = 10.0

@@ -19,10 +19,10 @@ from scipy.sparse import csr_array
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.options import LensName
-from taccel_lab.calibration.robust_fit import RobustFit, fit_robustly, rms
 from taccel_lab.camera.gel_camera import CameraModel
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile.optical_design import DesignedCamera
+from taccel_lab.robust_fit import RobustFit, fit_robustly, rms
 
 _GRAZING = 0.05
 """Smallest cosine of a ray to the optical axis: beyond, x / z is no use."""

@@ -23,9 +23,9 @@ from scipy.optimize import root
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import Lens, excess_over_best, planar_pose
-from taccel_lab.calibration.robust_fit import fit_robustly, rms
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
+from taccel_lab.robust_fit import fit_robustly, rms
 
 _FOLDS = 5
 _EXACT_PX = 1e-7

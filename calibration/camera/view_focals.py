@@ -16,8 +16,8 @@ import numpy as np
 
 from taccel_lab.calibration.camera.board import BoardView
 from taccel_lab.calibration.camera.lens import BundleFit, Lens, initial_pose
-from taccel_lab.calibration.robust_fit import fit_robustly, robust_scale
 from taccel_lab.errors import InputError
+from taccel_lab.robust_fit import fit_robustly, robust_scale
 
 _SIGMAS, _SHARE = 4.0, 0.003
 """A view differs whose focal length is off by this many standard deviations, and by this share."""

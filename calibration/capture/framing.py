@@ -13,15 +13,13 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import Image, levels, read_image
+from taccel_lab.reading.light import fit_light
+from taccel_lab.reading.thumb import thumb
 
-THUMB_PX = 160
-"""Longer side of the small images."""
 FITTED_PIXELS = 5000
 """Pixels that a fit of the light takes, evenly picked."""
 OTHER_FRAMING_LEVELS = 5.0
@@ -29,13 +27,6 @@ OTHER_FRAMING_LEVELS = 5.0
 CLEAR_GAIN = 2.0
 """One picture is nearer than another when its misfit is this many times smaller."""
 ORDERS: tuple[tuple[int, int, int], ...] = tuple(itertools.permutations(range(3)))  # type: ignore[assignment]
-
-
-def thumb(image: np.ndarray, longer_px: int = THUMB_PX) -> np.ndarray:
-    """The image made small by area averaging, float32, shape [h, w, 3]."""
-    scale = min(1.0, longer_px / max(image.shape[:2]))
-    size = (max(8, round(image.shape[1] * scale)), max(8, round(image.shape[0] * scale)))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
 def in_light_of(image: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -21,16 +21,16 @@ from taccel_lab.calibration.capture.folder import (
     MarkerCaptures,
     Video,
 )
-from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.capture.records import LIKELY_MPA, apparent_modulus_mpa
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
 from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.remarks import LABELS_OFF, TOO_FEW, name_some
 from taccel_lab.errors import InputError
 from taccel_lab.printable import counted
+from taccel_lab.reading.dots.marker_picture import find_markers
+from taccel_lab.reading.thumb import thumb
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.registry import known_sensor
 

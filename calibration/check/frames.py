@@ -11,17 +11,17 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
-from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.circles.color_change import WorkingSize
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact, UntouchedError
-from taccel_lab.calibration.frame_light import LightDrift, fit_light
-from taccel_lab.calibration.whole_frame import BrokenFrameError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.processes.ahead import ahead
 from taccel_lab.processes.process_pool import one_blas_thread
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.reading.light import LightDrift, fit_light
+from taccel_lab.reading.thumb import thumb
+from taccel_lab.reading.whole_frame import BrokenFrameError
 from taccel_lab.signals.depth_response import Channel
 
 SATURATED_LEVEL = 254

@@ -20,17 +20,17 @@ from taccel_lab.calibration.capture.framing import (
     best_channel_order,
     in_light_of,
     misfit_levels,
-    thumb,
 )
 from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
 from taccel_lab.calibration.circles.color_change import WorkingSize
-from taccel_lab.calibration.frame_light import drift_remarks
+from taccel_lab.calibration.light_drift import drift_remarks
 from taccel_lab.calibration.remarks import name_some
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.thumb import thumb
 from taccel_lab.report.remark import Remark
 
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3

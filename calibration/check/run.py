@@ -12,7 +12,6 @@ import numpy as np
 
 from taccel_lab.calibration.capture.coverage import coverage_map, empty_cells
 from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
-from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
@@ -41,6 +40,7 @@ from taccel_lab.calibration.remarks import GREY_OR_COLOUR
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.thumb import thumb
 from taccel_lab.report.remark import Remark, Severity
 
 ANY_SCALE_MM_PER_PX = 0.05

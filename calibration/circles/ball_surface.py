@@ -11,17 +11,17 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, check_radius
-from taccel_lab.calibration.circles.bonded_layer import (
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.bonded_layer import (
     FAR_MM,
     BondedLayer,
     LayerPress,
     press_layer,
 )
-from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.slope_integration import border_of, plane_of
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.rest_surface import RestSurface
-from taccel_lab.signals.slope_integration import border_of, plane_of
 
 LARGEST_RADII = 0.985
 """Contacts up to the ball's equator are taken this much smaller: its slope has no bound there."""

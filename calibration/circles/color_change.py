@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.frame_light import LightDrift, fit_light, smoothed, without_light
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.light import LightDrift, fit_light, smoothed, without_light
 
 SMOOTHING_SHARE = 1 / 240
 """Standard deviation of the smoothing, as a part of the image's shorter side."""

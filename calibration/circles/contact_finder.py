@@ -50,13 +50,13 @@ from taccel_lab.calibration.circles.labels import (
     UntouchedError,
 )
 from taccel_lab.calibration.circles.uncertainty import circle_covariances
-from taccel_lab.calibration.frame_light import LightDrift, enough_pixels
-from taccel_lab.calibration.robust_fit import spread_about_median
-from taccel_lab.calibration.whole_frame import require_whole
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.light import LightDrift, enough_pixels
+from taccel_lab.reading.whole_frame import require_whole
+from taccel_lab.robust_fit import spread_about_median
 from taccel_lab.signals.depth_response import Channel, channel_of
 
 TASK = "finding the contacts"

@@ -23,9 +23,9 @@ from taccel_lab.calibration.circles.color_change import (
     square_pixels,
 )
 from taccel_lab.calibration.circles.labels import CutContactError, DetectedContact
-from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.robust_fit import spread_about_zero
 
 SMOOTHING_PX = 2.0
 PROFILE_SMOOTHING_PX = 1.0

@@ -32,7 +32,7 @@ from taccel_lab.calibration.circles.press_model import (
     MapTerms,
     slope_law,
 )
-from taccel_lab.calibration.robust_fit import spread_about_zero
+from taccel_lab.robust_fit import spread_about_zero
 
 RING_COUNT = 34
 RAY_COUNT = 48

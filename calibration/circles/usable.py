@@ -18,7 +18,6 @@ from typing import BinaryIO, Literal
 
 import numpy as np
 
-from taccel_lab.calibration import frame_light, whole_frame
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.contact_finder import detect_contact, find_contacts
 from taccel_lab.calibration.circles.labels import (
@@ -33,6 +32,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.file_cache import CachedFile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading import light, whole_frame
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import Channel
 
@@ -129,7 +129,7 @@ def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> Found:
 @cache
 def _code_sha256() -> str:
     """Digest of the modules that search, so that contacts of another version are never taken."""
-    others = [Path(str(module.__file__)) for module in (frame_light, whole_frame)]
+    others = [Path(str(module.__file__)) for module in (light, whole_frame)]
     files = [*sorted(Path(__file__).parent.glob("*.py")), *others]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.press_options import ColorFitOptions
 from taccel_lab.calibration.response.frame import (
     CaptureScene,
@@ -30,6 +29,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig, pixel_uv, stack_inputs
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.light import LightDrift
 from taccel_lab.signals.color_model import ColorModel, color_change
 from taccel_lab.signals.tensors import layer_tensors
 

@@ -20,10 +20,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
+from taccel_lab.reading.light import LightDrift
 from taccel_lab.signals.normals import normals_from_slopes
 
 BINS = 125

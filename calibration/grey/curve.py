@@ -18,11 +18,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.robust_fit import radius_factor
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.heights import BAND_SIGMAS
+from taccel_lab.robust_fit import radius_factor
 from taccel_lab.signals.depth_response import Channel, DepthResponse
-from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 INNER_RADII = 0.95
 """Pixels within this many contact radii are used."""

@@ -11,13 +11,6 @@ import numpy as np
 from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.check.light import check_background
-from taccel_lab.calibration.frame_light import (
-    LightDrift,
-    drift_remarks,
-    drift_spread,
-    fit_light,
-    smoothed,
-)
 from taccel_lab.calibration.light import remarks
 from taccel_lab.calibration.light.background_result import (
     BackgroundCalibration,
@@ -31,10 +24,12 @@ from taccel_lab.calibration.light.untouched import (
     background_from_presses,
     untouched_pixels,
 )
+from taccel_lab.calibration.light_drift import drift_remarks, drift_spread
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.light import LightDrift, fit_light, smoothed
 from taccel_lab.report.remark import Remark, Severity
 
 _COMPARED = "background of all frames"

@@ -12,19 +12,20 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.frame_light import DriftSpread, LightDrift, smoothed
 from taccel_lab.calibration.light.perturbation import UnitSpread, perturbation_block
+from taccel_lab.calibration.light_drift import DriftSpread
 from taccel_lab.calibration.result import BlockResult, calibrated
-from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.printable import counted
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, SensorProfile
+from taccel_lab.reading.light import LightDrift, smoothed
 from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture, sentence
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.report.style import CHANNELS, new_figure
+from taccel_lab.robust_fit import spread_about_median
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

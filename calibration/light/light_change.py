@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.frame_light import LightDrift, biweight, unit_position
-from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
+from taccel_lab.reading.light import LightDrift, biweight, unit_position
+from taccel_lab.robust_fit import spread_about_zero
 
 FRAME_PIXELS = 12_000
 """Pixels taken of each frame, half of them in and around the contact."""

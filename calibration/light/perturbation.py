@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.frame_light import LightDrift, drift_spread, fit_light, triple
+from taccel_lab.calibration.light_drift import drift_spread
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.calibration.result import calibrated
 from taccel_lab.errors import InputError
 from taccel_lab.printable import counted
 from taccel_lab.profile import PerturbationBlock, SensorProfile
+from taccel_lab.reading.light import LightDrift, fit_light, triple
 from taccel_lab.report.remark import Remark
 
 FEW = 5

@@ -20,7 +20,6 @@ from taccel_lab.calibration.capture.captures import HOLDOUT_EVERY, CaptureSet, C
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.circles.ball_surface import BallSurface, layer_of, layer_surfaces
 from taccel_lab.calibration.circles.usable import place_heldout, usable_circles
-from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light import remarks
 from taccel_lab.calibration.light.light_change import (
     LightChange,
@@ -33,6 +32,7 @@ from taccel_lab.calibration.light.untouched import RunningMean, steady_pixels, u
 from taccel_lab.calibration.pad import require_view_on_pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.light import fit_light
 from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.registry import is_of_sensor
 from taccel_lab.signals.color_model import ColorModel

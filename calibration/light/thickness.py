@@ -23,7 +23,6 @@ from taccel_lab.calibration.circles.ball_surface import (
     deeper_per_mm,
     layer_of,
 )
-from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.light.thickness_rings import (
     STEPS,
     THICKEST_MM,
@@ -36,6 +35,7 @@ from taccel_lab.calibration.pad import with_thickness
 from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.errors import InputError
 from taccel_lab.profile import Provenance, SensorProfile
+from taccel_lab.reading.light import fit_light
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.signals.rest_surface import rest_surface
 

@@ -19,8 +19,8 @@ from scipy.interpolate import CubicSpline
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.circles.ball_surface import LARGEST_RADII, ball_in_layer
-from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.bonded_layer import BondedLayer
 
 RINGS = np.arange(0.1, 3.05, 0.1)
 """Edges of the rings, in contact radii."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.frame_light import LightDrift, fit_light, smoothed, without_light
-from taccel_lab.calibration.robust_fit import spread_of_lengths
 from taccel_lab.errors import InputError
+from taccel_lab.reading.light import LightDrift, fit_light, smoothed, without_light
+from taccel_lab.robust_fit import spread_of_lengths
 
 TOUCHED_SIGMAS = 4.0
 TOUCHED_LEVELS = 3.0

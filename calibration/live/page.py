@@ -22,10 +22,10 @@ import numpy as np
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading, SeenMarkers
 from taccel_lab.calibration.live.run import Latency
 from taccel_lab.calibration.live.surface_view import SurfaceView
-from taccel_lab.calibration.normals.read_surface import SurfaceReading
-from taccel_lab.calibration.pressure.touch import write_reading
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
 from taccel_lab.files.atomic_file import parents_made, write_image
+from taccel_lab.reading.reading import write_reading
+from taccel_lab.reading.surface import SurfaceReading
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:

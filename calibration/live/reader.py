@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.dots.marker_picture import DotMask, find_markers
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import TrackStatus
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure
-from taccel_lab.calibration.pressure.touch import TouchReader, TouchReading
-from taccel_lab.calibration.whole_frame import broken_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.dots.marker_picture import DotMask, find_markers
+from taccel_lab.reading.light import fit_light
+from taccel_lab.reading.pressure import ContactPressure
+from taccel_lab.reading.reading import TouchReader, TouchReading
+from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.thumb import thumb
+from taccel_lab.reading.whole_frame import broken_frame
+from taccel_lab.reading.whose import unlike
 
 REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.geometry.height_surface import triangles_of_pixels
+from taccel_lab.reading.reading import TouchReading
 from taccel_lab.report.painted_mesh import painted_mesh
 
 if TYPE_CHECKING:

@@ -11,20 +11,20 @@ from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.captures import Frame
 from taccel_lab.calibration.capture.folder import Video
 from taccel_lab.calibration.capture.load import cut_short
-from taccel_lab.calibration.dots.detection import Dots
-from taccel_lab.calibration.dots.lattice import LayoutFit, fit_layout, renumbered
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.gel_view import PixelView, choose_view, pixel_jacobian
 from taccel_lab.calibration.markers.remarks import GRID_BENT, VIDEO_CUT_SHORT, WEAK_CONTRAST
 from taccel_lab.calibration.markers.rest import MarkerRest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, track_figures
-from taccel_lab.calibration.robust_fit import spread_about_median
 from taccel_lab.errors import InputError, naming
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.reading.dots.detection import Dots
+from taccel_lab.reading.dots.lattice import LayoutFit, fit_layout, renumbered
+from taccel_lab.reading.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.report.remark import Remark
+from taccel_lab.robust_fit import spread_about_median
 
 _BENT = 0.05
 """RMS residual of the grid, in pitches, above which it is worth a remark."""

@@ -16,13 +16,13 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.dots.lattice import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.remarks import SCALE_DISAGREES, SCALE_NOT_MEASURED
 from taccel_lab.camera.gel_camera import CameraModel, profile_media, resized
 from taccel_lab.camera.refraction import Media, without_refraction
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.dots.lattice import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.report.remark import Remark
 
 _FLAT_MM = 0.01

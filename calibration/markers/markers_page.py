@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.detection import DotFlag
 from taccel_lab.calibration.image_axes import frame_image, round_enlargement
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.printable import counted
+from taccel_lab.reading.dots import soft_ellipse as model
+from taccel_lab.reading.dots.detection import DotFlag
 from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, new_figure

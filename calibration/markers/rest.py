@@ -21,11 +21,11 @@ from scipy.stats import f as variance_ratio
 
 from taccel_lab.calibration.capture.captures import Frame
 from taccel_lab.calibration.capture.folder import MarkerCaptures, Video
-from taccel_lab.calibration.dots.detection import DotFlag
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture, markers_or_none
 from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES
 from taccel_lab.calibration.markers.still_frames import Stillness, still_stretches
 from taccel_lab.errors import InputError
+from taccel_lab.reading.dots.detection import DotFlag
+from taccel_lab.reading.dots.marker_picture import MarkerPicture, markers_or_none
 from taccel_lab.report.remark import Remark
 
 _LOOKED_AT = 6

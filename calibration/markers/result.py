@@ -9,16 +9,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.folder import Video
-from taccel_lab.calibration.dots.detection import DotFlag
-from taccel_lab.calibration.dots.lattice import (
-    CENTRE_X,
-    CENTRE_Y,
-    PITCH_X,
-    PITCH_Y,
-    ROTATION,
-    LayoutFit,
-)
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.gel_view import PixelView
 from taccel_lab.calibration.markers.tracks import (
     MarkerFlow,
@@ -28,6 +18,16 @@ from taccel_lab.calibration.markers.tracks import (
 )
 from taccel_lab.calibration.result import BlockResult, Estimate, calibrated
 from taccel_lab.profile import MarkersBlock, SensorProfile
+from taccel_lab.reading.dots.detection import DotFlag
+from taccel_lab.reading.dots.lattice import (
+    CENTRE_X,
+    CENTRE_Y,
+    PITCH_X,
+    PITCH_Y,
+    ROTATION,
+    LayoutFit,
+)
+from taccel_lab.reading.dots.marker_picture import MarkerPicture
 from taccel_lab.report.remark import Remark
 
 

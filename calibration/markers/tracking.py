@@ -18,13 +18,6 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.blobs import grey_levels
-from taccel_lab.calibration.dots.detection import DotFlag, Dots, detect_dots
-from taccel_lab.calibration.dots.dot_fit import fit_dots
-from taccel_lab.calibration.dots.lattice import lattice_index
-from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.calibration.markers.whole_frames import (
     REPEATED_SHARE,
@@ -38,6 +31,13 @@ from taccel_lab.calibration.markers.whole_frames import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.guards import require_size
+from taccel_lab.reading.dots import soft_ellipse as model
+from taccel_lab.reading.dots.blobs import grey_levels
+from taccel_lab.reading.dots.detection import DotFlag, Dots, detect_dots
+from taccel_lab.reading.dots.dot_fit import fit_dots
+from taccel_lab.reading.dots.lattice import lattice_index
+from taccel_lab.reading.dots.lattice_growth import Neighbourhood
+from taccel_lab.reading.dots.marker_picture import MarkerPicture
 
 MIN_MARKERS = 4
 LOST_AFTER = 12

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
 from taccel_lab.calibration.markers.gel_view import PixelView, pixel_jacobian
 from taccel_lab.calibration.markers.remarks import FAST_MOTION, MARKERS_LOST, UNREAD_FRAMES
 from taccel_lab.calibration.markers.whole_frames import Unread, in_sentences
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_by
+from taccel_lab.reading.dots.lattice_growth import Neighbourhood
 from taccel_lab.report.remark import Remark
 
 

@@ -15,10 +15,10 @@ from enum import Enum
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.dots.blobs import grey_levels
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.frame_shift import Look, Shift, shift_between
-from taccel_lab.calibration.whole_frame import ALIKE_LEVELS, lost_rows
+from taccel_lab.reading.dots.blobs import grey_levels
+from taccel_lab.reading.dots.marker_picture import MarkerPicture
+from taccel_lab.reading.whole_frame import ALIKE_LEVELS, lost_rows
 
 _ON = 0.4
 """A tenth of the dots moved by more than this part of a shift just before it: it is no jump."""

@@ -21,13 +21,13 @@ from numpy.polynomial.chebyshev import chebpts1
 from scipy.interpolate import CubicSpline
 
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import cached_arrays
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import PressEnv, PressPath, profile_material
 from taccel_lab.presses.physics import expected_error
 from taccel_lab.progress import Progress, silent
+from taccel_lab.with_error import NORMAL_95
 
 NU_RANGE = (0.30, 0.499)
 """Poisson's ratios that a free fit may take."""

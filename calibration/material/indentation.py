@@ -32,7 +32,7 @@ from taccel_lab.calibration.material.likelihood import (
     hull,
     widened,
 )
-from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.with_error import NORMAL_95
 
 LAW_NAMES = ("ln_e", "nu")
 """Parameters of the law; the others are of single presses."""

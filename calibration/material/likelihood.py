@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, t
 
-from taccel_lab.calibration.robust_fit import Expanded, damped_search
+from taccel_lab.robust_fit import Expanded, damped_search
 
 TINY = 1e-12
 """Floor of a mean square: noise below a millionth of the residuals' unit is none, as of perfect

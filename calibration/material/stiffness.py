@@ -35,8 +35,9 @@ from taccel_lab.calibration.material.remarks import (
     residual_remarks,
     young_uncertain,
 )
-from taccel_lab.calibration.result import NORMAL_95, Estimate
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.report.remark import Remark
+from taccel_lab.with_error import NORMAL_95
 
 USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of most gels, over which an unknown one is varied to say what it does to E."""

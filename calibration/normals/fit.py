@@ -25,7 +25,6 @@ from taccel_lab.calibration.circles.ball_surface import (
     layer_of,
     sunk_share,
 )
-from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals.network_fit import InverseFit, InverseTraining, fold_of
@@ -61,9 +60,10 @@ from taccel_lab.calibration.result import in_figures
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import scale_sigma, thickness_interval_mm
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.reading.bonded_layer import BondedLayer
+from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
 CHECKED = 16

@@ -41,7 +41,7 @@ from taccel_lab.calibration.response.training import (
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.progress import Progress, silent
-from taccel_lab.signals.normal_model import (
+from taccel_lab.reading.slopes import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,
     NormalModel,

@@ -38,19 +38,19 @@ from taccel_lab.calibration.response.frame import (
     Ring,
     draw_pixels,
 )
-from taccel_lab.calibration.robust_fit import MIN_PRESSES, radius_factor
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import RAYLEIGH_95, NormalModelConfig
 from taccel_lab.processes.ahead import ahead
-from taccel_lab.signals.normal_features import color_change, image_features
-from taccel_lab.signals.normal_model import NormalModel, relative_normals
-from taccel_lab.signals.normals import rotate_to_z
-from taccel_lab.signals.read_heights import (
+from taccel_lab.reading.features import color_change, image_features
+from taccel_lab.reading.heights import (
     BAND_SIGMAS,
     HeightUncertainty,
     ReadHeights,
     read_heights,
 )
+from taccel_lab.reading.slopes import NormalModel, relative_normals
+from taccel_lab.robust_fit import MIN_PRESSES, radius_factor
+from taccel_lab.signals.normals import rotate_to_z
 
 STEEPEST = 0.9986
 """Largest distance from the centre that gives a normal, in radii: the ball is 87 degrees steep."""

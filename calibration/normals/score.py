@@ -34,8 +34,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 from taccel_lab.processes.ahead import ahead
 from taccel_lab.progress import Progress, counted, silent
-from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
-from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights, with_deviations
+from taccel_lab.reading.heights import BAND_SIGMAS, ReadHeights, read_heights, with_deviations
+from taccel_lab.reading.slopes import RAYLEIGH_MEAN, NormalMap, NormalModel
 
 READING = "reading the held-out presses"
 RIM_BAND = 0.04

@@ -21,15 +21,15 @@ import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
 from taccel_lab.calibration.circles.ball_surface import slope_of
-from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_in_view
 from taccel_lab.calibration.normals.samples import KnownPress, NormalSamples
 from taccel_lab.calibration.press_options import UNTOUCHED_RADII
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.processes.ahead import ahead
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_in_view
+from taccel_lab.reading.features import blurred, color_change, image_features
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_features import blurred, color_change, image_features
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing synthetic presses"

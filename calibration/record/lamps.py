@@ -17,12 +17,8 @@ from taccel_lab.calibration.capture.camera.camera import ControlLock, Shot
 from taccel_lab.calibration.check.frames import SATURATED_LEVEL, texture_seen
 from taccel_lab.calibration.check.light import DARK_LEVELS, SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
-from taccel_lab.calibration.frame_light import (
-    BALANCE_LEVELS,
-    BALANCE_SHARE,
-    NOTABLE_LEVELS,
-    LightDrift,
-)
+from taccel_lab.calibration.light_drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
+from taccel_lab.reading.light import LightDrift
 
 PLAIN_LEVELS = 8.0
 """Range of colours over a small image below which a black or white one shows no gel: untouched gels

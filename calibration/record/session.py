@@ -31,12 +31,10 @@ from taccel_lab.calibration.capture.coverage import (
     contact_radius_mm,
     next_press,
 )
-from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import catalogue_scale, sensor_facts
 from taccel_lab.calibration.circles.contact_finder import detect_contact
-from taccel_lab.calibration.frame_light import fit_light
 from taccel_lab.calibration.record.folder import RecordFacts, RecordFolder
 from taccel_lab.calibration.record.lamps import (
     FrozenWatch,
@@ -49,10 +47,12 @@ from taccel_lab.calibration.record.lamps import (
     touched_pixels,
 )
 from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
-from taccel_lab.calibration.whole_frame import BrokenFrameError
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.guards import require_size
+from taccel_lab.reading.light import fit_light
+from taccel_lab.reading.thumb import thumb
+from taccel_lab.reading.whole_frame import BrokenFrameError
 
 LAMPS_EVERY_S = 0.4
 UNTOUCHED_COUNT = 6

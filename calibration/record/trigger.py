@@ -16,9 +16,9 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.frame_light import LightDrift, fit_light, without_light
 from taccel_lab.calibration.record.lamps import nothing_seen
+from taccel_lab.reading.light import LightDrift, fit_light, without_light
+from taccel_lab.reading.thumb import thumb
 
 SMOOTHING_SHARE = 1 / 60
 """Standard deviation of the smoothing, as a part of the small image's shorter side."""

@@ -33,14 +33,14 @@ from taccel_lab.calibration.capture.captures import (
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.circles.usable import place_heldout
-from taccel_lab.calibration.frame_light import (
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.light import (
     PRIOR_SIGMA,
     LightDrift,
     enough_pixels,
     fit_press_light,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.rest_surface import RestSurface
 
 CircleSigma = tuple[float, float]

@@ -31,10 +31,10 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.circles.contact_finder import seen_contact
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.robust_fit import spread_about_zero
 
 ONE_SIDED_95 = 1.645
 MIN_SIGMA_PX = 1.0

@@ -15,12 +15,12 @@ from taccel_lab.calibration.capture.folder import EdgeCapture
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.remarks import TOO_FEW
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.result import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark
+from taccel_lab.robust_fit import spread_about_zero
 
 SQUARE_SIGMA = 0.03
 """How far pixels are from square, as a share, where the edges do not tell: cameras have square

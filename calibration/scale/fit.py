@@ -10,7 +10,6 @@ from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
 from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.camera.result import origin_px, stated_scale_remarks
 from taccel_lab.calibration.capture.folder import BoardCaptures, CaptureFolder, MarkerCaptures
-from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.remarks import SCALE_NOT_MEASURED
 from taccel_lab.calibration.result import Estimate
@@ -32,6 +31,7 @@ from taccel_lab.calibration.scale.result import (
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.reading.dots.marker_picture import marker_pitch_px
 from taccel_lab.report.remark import Remark
 
 STATED_ERROR = 0.05

@@ -20,10 +20,10 @@ from taccel_lab.files.atomic_file import eight_bit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.calibration.normals.read_surface import SurfaceReader
-    from taccel_lab.calibration.normals.surface_reading import SurfaceReading
     from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.reading.surface import SurfaceReader
+    from taccel_lab.reading.touch import SurfaceReading
 
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
@@ -119,9 +119,9 @@ class PressPhoto:
                 starter profile without an untouched image.
         """
 
-        from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.files.images import read_image
+        from taccel_lab.reading.surface import SurfaceReader
 
         if profile.color is None or profile.background_rgb is None:
             raise InputError(

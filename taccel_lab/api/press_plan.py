@@ -17,11 +17,11 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.launches import require_device
 from taccel_lab.presses import parse_indenter, physics_difference
-from taccel_lab.presses.force_interval import measured_range
 from taccel_lab.presses.touch import check_depth
 from taccel_lab.processes.process_pool import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.assumed import is_modulus_known
+from taccel_lab.profile.measured_range import measured_range
 from taccel_lab.report.style import save_drawing
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.press_mesh import profile_press_mesh

@@ -18,7 +18,7 @@ from taccel_lab.typed import typed
 if TYPE_CHECKING:
     import torch
 
-    from taccel_lab.calibration.pressure.touch import TouchReading
+    from taccel_lab.reading.reading import TouchReading
 
     Pixels = np.ndarray | torch.Tensor
     Image = Pixels | Path | str
@@ -87,9 +87,9 @@ def read(
         InputError: A profile without such a block, an image of another size or sensor, a folder
             without images, a starter profile without an untouched image.
     """
-    from taccel_lab.calibration.normals.read_surface import SurfaceReader
-    from taccel_lab.calibration.pressure.touch import TouchReader
     from taccel_lab.calibration.untouched_frame import UntouchedFrame
+    from taccel_lab.reading.reading import TouchReader
+    from taccel_lab.reading.surface import SurfaceReader
 
     start_warp()
     images = _each(image)

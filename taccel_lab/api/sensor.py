@@ -19,8 +19,8 @@ from taccel_lab.typed import typed
 
 if TYPE_CHECKING:
     from taccel_lab.api.read import Image
-    from taccel_lab.calibration.pressure.touch import TouchReading
     from taccel_lab.geometry import TetMesh
+    from taccel_lab.reading.reading import TouchReading
 
 
 class Sensor(SensorProfile):

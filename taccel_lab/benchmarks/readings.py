@@ -20,10 +20,10 @@ from taccel_lab.benchmarks.measure import seconds_of
 from taccel_lab.benchmarks.results import ResultFile, Suite, spread
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.signals.normal_features import color_change, image_features
-from taccel_lab.signals.normal_model import NormalMap, NormalModel, network, relative_normals
-from taccel_lab.signals.read_heights import read_heights
-from taccel_lab.signals.slope_integration import resting_height
+from taccel_lab.reading.features import color_change, image_features
+from taccel_lab.reading.heights import read_heights
+from taccel_lab.reading.slope_integration import resting_height
+from taccel_lab.reading.slopes import NormalMap, NormalModel, network, relative_normals
 
 SIZES = ((320, 320), (640, 480))
 WIDTH_MM = 19.0

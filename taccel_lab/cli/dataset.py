@@ -278,9 +278,6 @@ class DatasetFaults:
     def run(self) -> None:
         import numpy as np
 
-        from taccel_lab.calibration.frame_light import fit_light
-        from taccel_lab.calibration.light.common_gain import common_gain
-        from taccel_lab.calibration.whole_frame import broken_frame
         from taccel_lab.cli.console import print_json, say
         from taccel_lab.datasets.faults_page import faults_page
         from taccel_lab.datasets.spec import load_spec
@@ -288,6 +285,9 @@ class DatasetFaults:
         from taccel_lab.files.inner_path import file_or_example
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.reading.common_gain import common_gain
+        from taccel_lab.reading.light import fit_light
+        from taccel_lab.reading.whole_frame import broken_frame
         from taccel_lab.report.page import PAGE, write_page
         from taccel_lab.signals.frame_faults import FrameFaults
 

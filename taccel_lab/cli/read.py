@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.calibration.pressure.touch import TouchReading
+    from taccel_lab.reading.reading import TouchReading
     from taccel_lab.signals.force_model import ForceReading
 
 
@@ -228,12 +228,12 @@ class Depth:
 
     def run(self) -> None:
         from taccel_lab.calibration.camera.rectification import RectificationMaps
-        from taccel_lab.calibration.normals.read_surface import SurfaceReader
-        from taccel_lab.calibration.pressure.touch import TouchReader, read_mask, write_reading
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.reading.reading import TouchReader, read_mask, write_reading
+        from taccel_lab.reading.surface import SurfaceReader
         from taccel_lab.sensors.profile import stock_sensor
 
         start_warp()

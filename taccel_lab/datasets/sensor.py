@@ -18,7 +18,7 @@ from taccel_lab.camera.gel_camera import View, camera_of, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.presses import profile_material
-from taccel_lab.presses.force_interval import measured_ranges
+from taccel_lab.profile.measured_range import measured_ranges
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.dots import PaintedDots, radius_px

@@ -27,10 +27,11 @@ from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.networks.color_settings import UPRIGHT_DEG
 from taccel_lab.networks.force_settings import LEVELS, MARKER_PLANES, MARKER_UNIT_MM, TARGETS
 from taccel_lab.profile import ColorBlock, ForceBlock, NormalsBlock, SensorProfile
-from taccel_lab.signals import color_model, force_network, normal_model
+from taccel_lab.reading import slopes
+from taccel_lab.reading.slopes import NormalModel
+from taccel_lab.signals import color_model, force_network
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
-from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.tensors import layer_tensors
 
 if TYPE_CHECKING:
@@ -280,7 +281,7 @@ def _normals(profile: SensorProfile) -> Made:
             ((values - mean) / scale).expand(config.members, -1, -1)
             for values in (features, features * torch.from_numpy(kept))
         ]
-        tilts, errors = normal_model.tilt_and_error(layers, *seen)
+        tilts, errors = slopes.tilt_and_error(layers, *seen)
         tilt = tilts.mean(dim=0)
         spread2 = (tilts - tilt).square().sum(dim=-1).mean(dim=0)
         own = config.error_factor * errors.mean(dim=0)

@@ -62,7 +62,7 @@ def sensor_ranges(
             given; or as of ``ranges_of``.
     """
     # Profiles need pydantic, which the machines of a cluster may lack.
-    from taccel_lab.presses.force_interval import measured_ranges
+    from taccel_lab.profile.measured_range import measured_ranges
 
     check_given(given, {item.what for item in listed} | {"poisson_ratio", "young_modulus_pa"})
     stated = measured_ranges(sensor)

@@ -18,11 +18,11 @@ import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_plan import PressPlan
 from taccel_lab.api.press_result import Press
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.profile import NormalsBlock, PerturbationBlock
+from taccel_lab.reading.surface import SurfaceReader
 from tests.networks.weights import random_weights
 from tests.presses.formula_presses import DEFAULT, Resolution, outcome
 from tests.support.dotted_profiles import LIGHT, with_painted_dots

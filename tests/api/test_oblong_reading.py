@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.calibration.normals.surface_reading import touch_of
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.reading.touch import touch_of
 from tests.support.oblong_grey import (
     AT_MM,
     BALL_MM,

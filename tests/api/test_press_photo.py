@@ -16,9 +16,9 @@ import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto, SeenPress
 from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
-from taccel_lab.calibration.normals.surface_reading import SurfaceReading, Touch
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.touch import SurfaceReading, Touch
 from taccel_lab.with_error import with_error
 from tests.signals.pressed_surface import pixel_xy
 from tests.support.commands import done, refusal

@@ -17,7 +17,6 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.samples import angle_between_deg
 from taccel_lab.calibration.response.frame import psnr_db
 from taccel_lab.cli.app import main
@@ -27,6 +26,7 @@ from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.presses.physics import PHYSICS, Accuracy
 from taccel_lab.profile import SensorProfile, load_profile
+from taccel_lab.reading.surface import SurfaceReader
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import taccel_lab as tl
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.surface import SurfaceReader
 from tests.support.real_data import real_data
 from tests.support.small_captures import write_image
 from tests.support.synthetic_presses import GRID, flat_profile

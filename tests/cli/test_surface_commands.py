@@ -21,11 +21,11 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.run import joined, refusing_with
 from taccel_lab.calibration.normals import fit as normals_fit
-from taccel_lab.calibration.pressure import touch as reading_files
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.learning.force.training_file import TrainingFile
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
+from taccel_lab.reading import reading as reading_files
 from taccel_lab.report.remark import Remark, Severity
 from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_image

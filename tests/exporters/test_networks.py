@@ -16,10 +16,10 @@ from taccel_lab.errors import InputError
 from taccel_lab.exporters.export import export_profile
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_network import marker_planes
-from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
 from tests.exporters.profiles import (

@@ -28,7 +28,6 @@ from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.capture.camera.replay import open_replay
 from taccel_lab.calibration.capture.load import cut_short
 from taccel_lab.calibration.live import recorded
-from taccel_lab.calibration.pressure import touch
 from taccel_lab.cli import app
 from taccel_lab.cli.capture import CaptureCheckCommand, CaptureImport, CaptureRectify
 from taccel_lab.cli.catalogue import RobotShow
@@ -45,6 +44,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import TetMesh
 from taccel_lab.learning.force.training_file import TrainingFile
 from taccel_lab.presses import Indenter, parse_indenter
+from taccel_lab.reading import reading as touch
 from taccel_lab.signals.texture import Texture
 from taccel_lab.studies import report
 from taccel_lab.studies.evaluate.runner import default_kit

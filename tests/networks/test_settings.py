@@ -13,9 +13,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import MAX_BANDS
+from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.force_model import ForceModel
-from taccel_lab.signals.normal_model import NormalModel
 from tests.networks.weights import COLOR, FORCE, NORMAL, random_weights
 
 SCALED = NormalModelConfig(

@@ -20,9 +20,9 @@ from taccel_lab.presses.force_interval import (
     ForceInterval,
     force_causes,
     force_power,
-    measured_ranges,
 )
 from taccel_lab.profile import PerturbationBlock, Provenance
+from taccel_lab.profile.measured_range import measured_ranges
 from tests.presses.formula_presses import Presses, Resolution, outcome
 
 BALL = parse_indenter("sphere:4")

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile, load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION
+from taccel_lab.reading.slopes import NormalModel
+from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.touch import SurfaceReading
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_model import NormalModel
 
 OLD = Path(__file__).parent / "old"
 

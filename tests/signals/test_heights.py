@@ -11,10 +11,10 @@ from scipy.ndimage import gaussian_filter
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.deviations import HeightUncertainty
+from taccel_lab.reading.slope_integration import height_from_slopes, resting_height
 from taccel_lab.signals.depth_response import LUMA, DepthResponse, channel_of
 from taccel_lab.signals.normals import slopes_from_height
-from taccel_lab.signals.read_heights import HeightUncertainty
-from taccel_lab.signals.slope_integration import height_from_slopes, resting_height
 from tests.signals.pressed_surface import pixel_xy
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
@@ -156,7 +156,7 @@ def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(monkeypatc
     sigma, weights = np.full((75, 80), 0.02), np.ones((75, 80))
     sigma[10:30, 10:30], weights[50:, :20] = 0.2, 0.0
     coarse = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
-    monkeypatch.setattr("taccel_lab.signals.read_heights.POINTS_PER_LENGTH", 8.0)
+    monkeypatch.setattr("taccel_lab.reading.heights.POINTS_PER_LENGTH", 8.0)
     fine = HeightUncertainty(GRID, 8.0).sigma_m(sigma, weights=weights)
     assert coarse.mean() == pytest.approx(fine.mean(), rel=0.35)
     assert np.corrcoef(coarse.ravel(), fine.ravel())[0, 1] > 0.5

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.interpolate import RBFInterpolator
 from scipy.ndimage import gaussian_filter
 
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.profile import MarkersBlock
+from taccel_lab.reading.dots.marker_picture import find_markers
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.dots import DotPainter, PaintedDots

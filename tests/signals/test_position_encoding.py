@@ -13,10 +13,10 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import INPUT_NAMES, ColorModelConfig, pixel_uv
 from taccel_lab.networks.normal_settings import NormalModelConfig, feature_names
 from taccel_lab.networks.settings import MAX_BANDS, band_names, encode_position
+from taccel_lab.reading.features import pixel_place
+from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals.color_kernel import NetworkLayout, color_kernel, pack_network
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_features import pixel_place
-from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from tests.networks.weights import random_weights

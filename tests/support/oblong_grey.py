@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
     BackgroundBlock,
@@ -18,6 +17,7 @@ from taccel_lab.profile import (
     Provenance,
     SensorProfile,
 )
+from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.sensors.profile import catalogue_profile
 
 GRID = PixelGrid(72, 96, 0.2, 0.1, center_u_px=30.5, center_v_px=52.0)

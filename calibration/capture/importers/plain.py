@@ -31,11 +31,11 @@ from taccel_lab.calibration.capture.importers.files import (
 from taccel_lab.calibration.capture.importers.label_tables import without_path
 from taccel_lab.calibration.capture.printer import COLUMNS, PRESSES_TABLE
 from taccel_lab.calibration.capture.records import is_record
-from taccel_lab.calibration.dots.marker_picture import markers_or_none
 from taccel_lab.errors import InputError
 from taccel_lab.files.foreign_images import unread_pictures
 from taccel_lab.files.images import image_size, read_grey, read_image
 from taccel_lab.files.inner_path import real_path
+from taccel_lab.reading.dots.marker_picture import markers_or_none
 
 
 def is_printed(path: Path) -> bool:

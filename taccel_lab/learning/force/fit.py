@@ -53,8 +53,8 @@ from taccel_lab.learning.scalars import Scalars, unwritten
 from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
-from taccel_lab.presses.force_interval import measured_ranges
 from taccel_lab.profile import SensorProfile
+from taccel_lab.profile.measured_range import measured_ranges
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.force_network import patch_centers_mm

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.score import Errors, outside_rows
 from taccel_lab.report.lead import Score
 from taccel_lab.report.page import Page, Table, picture
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, new_figure
+from taccel_lab.with_error import NORMAL_95
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

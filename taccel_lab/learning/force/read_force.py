@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
-from taccel_lab.calibration.whole_frame import require_whole
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.force.force_page import draw_forces
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.dots.marker_picture import MarkerPicture, find_markers
+from taccel_lab.reading.light import fit_light
+from taccel_lab.reading.whole_frame import require_whole
+from taccel_lab.reading.whose import unlike
 from taccel_lab.report.style import ORANGE, in_report_style, new_figure, save_figure
 from taccel_lab.signals.force_model import ForceModel, ForceReading
 

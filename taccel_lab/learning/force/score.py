@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light.image_match import unlike
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.learning.force.samples import ForceSamples
 from taccel_lab.learning.force.train import BATCH, BEYOND, Predictions, predictions_of
 from taccel_lab.networks.force_settings import (
     ForceModelConfig,
 )
+from taccel_lab.reading.light import fit_light
+from taccel_lab.reading.whose import unlike
+from taccel_lab.with_error import NORMAL_95
 
 OUTSIDE_SHARE = 0.005
 """Share of the validation's images that each of the two limits leaves outside."""

@@ -26,11 +26,11 @@ from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics, fold_
 from taccel_lab.calibration.camera.lens import LENSES, fit_bundle, initial_pose
 from taccel_lab.calibration.capture import BoardCaptures, CaptureFolder, Frame
 from taccel_lab.calibration.capture.schema import BoardEntry
-from taccel_lab.calibration.robust_fit import rms
 from taccel_lab.camera.gel_camera import CameraModel
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.report.remark import Severity, judge
+from taccel_lab.robust_fit import rms
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn import boards
 from tests.calibration.drawn.faults import add_gradient, add_noise, blur, quantise, vignette

@@ -22,10 +22,10 @@ from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane import CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.reading.dots.marker_picture import find_markers
 from tests.calibration.drawn import boards
 from tests.support.real_data import real_data
 

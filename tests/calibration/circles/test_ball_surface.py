@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.circles import ball_surface as sink_in
-from taccel_lab.calibration.circles import bonded_layer
-from taccel_lab.calibration.circles.bonded_layer import BondedLayer, press_in_view, press_layer
 from taccel_lab.calibration.normals.synthetic_presses import draw_tool
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading import bonded_layer
+from taccel_lab.reading.bonded_layer import BondedLayer, press_in_view, press_layer
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.normals import normals_from_height
 from tests.support.analytic_surface import analytic_surface

@@ -12,11 +12,11 @@ from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.circles.ball_surface import BallSurface
 from taccel_lab.calibration.color import taxim_table
 from taccel_lab.calibration.color.taxim_table import nearest_filled, render_taxim_table
-from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response.frame import CaptureScene, PressFrame
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.light import LightDrift
 from taccel_lab.signals.normals import normals_from_slopes
 from tests.calibration.drawn.faults import poison
 from tests.support.analytic_surface import analytic_surface

@@ -17,13 +17,13 @@ from taccel_lab.calibration.grey import curve
 from taccel_lab.calibration.grey.depth_page import depth_page
 from taccel_lab.calibration.grey.fit import fit_depth
 from taccel_lab.calibration.grey.result import DepthCalibration
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.press_options import DepthOptions
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
+from taccel_lab.reading.surface import SurfaceReader
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.calibration.drawn.faults import quantise

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.frame_light import LightDrift, fit_light
 from taccel_lab.calibration.light.perturbation import perturbation_block, spread_of_units
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
+from taccel_lab.reading.light import LightDrift, fit_light
 from taccel_lab.signals.perturbation import draw_perturbation
 from taccel_lab.signals.perturbed_sensors import PerturbedSensors
 from tests.calibration.drawn.faults import add_noise, quantise

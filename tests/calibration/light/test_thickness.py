@@ -13,12 +13,12 @@ import pytest
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.circles.ball_surface import ball_surface, layer_of, sunk_share
-from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.light.thickness import GelThickness, gel_thickness, thickness_origin
 from taccel_lab.calibration.pad import fitted_design
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import thickness_interval_mm
+from taccel_lab.reading.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support import synthetic_presses as synthetic
 from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, circles_of, flat_background

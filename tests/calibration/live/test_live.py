@@ -22,10 +22,10 @@ from taccel_lab.calibration.live import page as live
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.run import LiveResult, live_session, run_together
 from taccel_lab.calibration.live.surface_view import surface_mesh
-from taccel_lab.calibration.normals.surface_reading import SurfaceReading
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import NormalsBlock, SensorProfile
+from taccel_lab.reading.touch import SurfaceReading
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.faults import quantise

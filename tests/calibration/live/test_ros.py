@@ -171,7 +171,7 @@ def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path)
     (kept / "snapshot_004.json").write_text("{}")
     before = everything_below(kept)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taccel_lab.calibration.pressure.touch.save_figure", never)
+        patch.setattr("taccel_lab.reading.reading.save_figure", never)
         with pytest.raises(AssertionError):
             save_snapshot(reading, kept)
     assert everything_below(kept) == before

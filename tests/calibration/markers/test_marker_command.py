@@ -14,13 +14,13 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import track_figures
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import MarkersBlock, load_profile, save_profile
+from taccel_lab.reading.dots.marker_picture import find_markers
 from tests.calibration.drawn.dots import HEIGHT, WIDTH, grid_points, nearest, picture
 from tests.support.capture_sets import edit_manifest, write_image
 from tests.support.commands import done, refusal

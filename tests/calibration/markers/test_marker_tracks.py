@@ -11,9 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.calibration.capture import CaptureFolder
-from taccel_lab.calibration.dots.lattice import fit_layout, lattice_index
-from taccel_lab.calibration.dots.lattice_growth import Neighbourhood
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers import gel_view
 from taccel_lab.calibration.markers.fit import layout_on_gel
 from taccel_lab.calibration.markers.tracking import associate, track_markers
@@ -30,6 +27,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import Provenance, SensorProfile, optical_design
+from taccel_lab.reading.dots.lattice import fit_layout, lattice_index
+from taccel_lab.reading.dots.lattice_growth import Neighbourhood
+from taccel_lab.reading.dots.marker_picture import find_markers
 from taccel_lab.report.remark import Severity
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.dots import HEIGHT, WIDTH, grid_points, nearest, picture

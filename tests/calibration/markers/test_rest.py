@@ -12,12 +12,12 @@ import pytest
 from taccel_lab.calibration.capture.captures import Frame
 from taccel_lab.calibration.capture.folder import MarkerCaptures, Video
 from taccel_lab.calibration.capture.schema import VideoEntry
-from taccel_lab.calibration.dots.lattice import PITCH_X, PITCH_Y
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.rest import find_rest, frames_before
 from taccel_lab.calibration.markers.still_frames import still_stretches
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.reading.dots.lattice import PITCH_X, PITCH_Y
+from taccel_lab.reading.dots.marker_picture import find_markers
 from tests.calibration.drawn.dots import grid_points, picture
 from tests.support.real_data import real_data
 from tests.support.variants import variants

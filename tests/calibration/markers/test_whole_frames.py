@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.frame_shift import Look, shift_between
 from taccel_lab.calibration.markers.tracking import MarkerTracker, track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus, track_figures
 from taccel_lab.files.atomic_file import write_image
+from taccel_lab.reading.dots.marker_picture import find_markers
 from tests.calibration.drawn.dots import MARGIN, grid_points, picture
 from tests.support.commands import done
 

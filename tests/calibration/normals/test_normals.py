@@ -13,13 +13,11 @@ import pytest
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.capture.captures import without_labels
 from taccel_lab.calibration.circles.ball_surface import BallSurface
-from taccel_lab.calibration.circles.bonded_layer import FAR_MM, press_layer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.normals import fit, score
 from taccel_lab.calibration.normals.fit import calibrate_normals, fit_normals
 from taccel_lab.calibration.normals.network_fit import TASK, TASK_AGAIN, InverseTraining
 from taccel_lab.calibration.normals.normals_page import normals_page
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import angle_between_deg, ball_center_px, ball_normals
 from taccel_lab.calibration.press_options import ColorFitOptions, InverseFitOptions
@@ -27,6 +25,8 @@ from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSe
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.reading.bonded_layer import FAR_MM, press_layer
+from taccel_lab.reading.surface import SurfaceReader
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z

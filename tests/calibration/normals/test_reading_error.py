@@ -18,7 +18,6 @@ from taccel_lab.calibration.circles.ball_surface import (
     layer_surfaces,
     sunk_share,
 )
-from taccel_lab.calibration.circles.bonded_layer import BondedLayer
 from taccel_lab.calibration.circles.labels import LabelPlacement
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals import samples
@@ -31,10 +30,11 @@ from taccel_lab.calibration.response.frame import EXACT, CaptureScene, HeldoutSe
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.networks.normal_settings import NormalModelConfig
+from taccel_lab.reading.bonded_layer import BondedLayer
+from taccel_lab.reading.heights import BAND_SIGMAS, ReadHeights, read_heights
+from taccel_lab.reading.slopes import NormalModel
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
-from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.normals.conftest import ON_PAD, PAD, QUICK, calibrated, sunk_captures
 from tests.support.synthetic_presses import (

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.pressure.touch import TouchReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.reading.reading import TouchReader
+from taccel_lab.reading.surface import SurfaceReader
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.signals.frame_operators import bands, lost_rows, shift, torn, wear
 from tests.calibration.drawn.faults import quantise

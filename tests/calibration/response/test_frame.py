@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.frame_light import LightDrift
 from taccel_lab.calibration.response import frame as response
 from taccel_lab.calibration.response.frame import CaptureScene, crop_slices, light_beside
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.reading.light import LightDrift
 from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import GRID, flat_background, known_change
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, minimize
 from scipy.sparse import csr_array
 
-from taccel_lab.calibration import robust_fit
+from taccel_lab import robust_fit
 from taccel_lab.networks.normal_settings import RAYLEIGH_95
 
 

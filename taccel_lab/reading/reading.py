@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.surface_reading import SurfaceReading
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by, write_json
 from taccel_lab.files.images import read_grey
@@ -20,8 +17,11 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.heights import BAND_SIGMAS
+from taccel_lab.reading.pressure import ContactPressure, PressureReader
+from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.touch import SurfaceReading
 from taccel_lab.report.style import BLUE, LIGHT, ORANGE, in_report_style, new_figure, save_figure
-from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

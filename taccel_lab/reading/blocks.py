@@ -24,7 +24,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.signals.normal_features import LEVELS_PER_UNIT, FeatureWindows, extended
+from taccel_lab.reading.features import LEVELS_PER_UNIT, FeatureWindows, extended
 
 if TYPE_CHECKING:
     import torch

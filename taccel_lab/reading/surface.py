@@ -3,43 +3,32 @@
 
 Colour sensors tell slopes, which are integrated; grey ones tell depths. Heights are in the gel
 frame: the rise over the resting face, and the face itself, which is curved on some sensors.
-
-What the uncertain light of an image does to heights is found once for each sensor, at rest. Gain,
-offset and gradient of each channel are known to a covariance. Each of them, off by a little,
-changes colours all over the image, and with them slopes and their integral. That is linear in small
-errors and hardly depends on what is pressed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.dots.marker_picture import DotMask
-from taccel_lab.calibration.frame_light import LightDrift, fit_light, fit_press_light
-from taccel_lab.calibration.light.common_gain import common_gain
-from taccel_lab.calibration.light.image_match import light_of_background, pattern_shift, unlike
-from taccel_lab.calibration.normals.surface_reading import SigmaOf, SurfaceReading, touch_of
-from taccel_lab.calibration.whole_frame import lost_rows, torn_frame
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.depth_response import LUMA, DepthResponse
-from taccel_lab.signals.normal_model import NormalModel
+from taccel_lab.reading.common_gain import common_gain
+from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm
+from taccel_lab.reading.dots.marker_picture import DotMask
+from taccel_lab.reading.heights import ReadHeights, read_heights
+from taccel_lab.reading.light import LightDrift, fit_light, fit_press_light
+from taccel_lab.reading.slopes import NormalModel
+from taccel_lab.reading.touch import SigmaOf, SurfaceReading, touch_of
+from taccel_lab.reading.whole_frame import lost_rows, torn_frame
+from taccel_lab.reading.whose import light_of_background, pattern_shift, unlike
+from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normals import normals_from_height
-from taccel_lab.signals.read_heights import ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
-from taccel_lab.signals.slope_integration import resting_height
 
 Method = Literal["auto", "normals", "depth"]
-COARSE_PX = 48
-"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
-PROBE_LEVELS = 2.0
-"""Change of colour that slopes are found for; small beside what they are linear in."""
 
 
 @dataclass(frozen=True)
@@ -309,93 +298,3 @@ class SurfaceReader:
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
     return None if values_mm is None else 1e-3 * values_mm
-
-
-class LightErrors:
-    """Heights' standard deviations by the light, for images of one sensor."""
-
-    def __init__(
-        self,
-        model: NormalModel,
-        background: np.ndarray,
-        grid: PixelGrid,
-        mask: np.ndarray | None = None,
-        rest_normals: np.ndarray | None = None,
-    ) -> None:
-        """
-        Args:
-            model: From colours to normals.
-            background: The untouched sensor, RGB levels, shape [height_px, width_px, 3].
-            grid: Pixel grid of the images.
-            mask: Pixels that count, bool, shape [height_px, width_px].
-            rest_normals: Of the face at rest, shape [h, w, 3]; flat when None.
-        """
-        self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
-        self._part = np.s_[::every, ::every]
-        self._grid, self._size = grid.thinned(every), background.shape[1::-1]
-        self._level = background.reshape(-1, 3).mean(axis=0)
-        terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
-        self._weights = None if mask is None else mask[self._part].astype(float)
-        rest = 0.0
-        if rest_normals is not None:
-            thin = rest_normals[self._part]
-            rest = thin[..., :2] / thin[..., 2:]
-        self._slopes = np.empty((3, 4, self._grid.height_px, self._grid.width_px, 2))
-        for channel in range(3):
-            for k, term in enumerate(terms):
-                probe = PROBE_LEVELS / max(float(np.abs(term[..., channel]).max()), 1e-9)
-                image = background.astype(np.float32)
-                image[..., channel] += probe * term[..., channel]
-                read = model.predict(
-                    image, background, mask=mask, rest_normals=rest_normals, every=every
-                )
-                self._slopes[channel, k] = (read.slopes() + rest) / probe
-
-    def sigma_m(
-        self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
-    ) -> list[np.ndarray]:
-        """Standard deviations of the heights [m] for each light of one image, [height, width].
-
-        Args:
-            lights: Of the image against the background.
-            zero: Pixels that its heights are counted from, as of ``ReadHeights``.
-            every: Rows and columns apart that these are of: 1, or ``self.every``.
-        """
-        import cv2
-
-        part = zero if zero is None or every > 1 else zero[self._part]
-        if part is not None and not part.any():
-            part = None
-        heights = resting_height(self._slopes, self._grid, weights=self._weights, zero=part)
-        found = []
-        for light in lights:
-            covariance = light.covariance_at(self._level)
-            variance = np.einsum("ckhw,ckl,clhw->hw", heights, covariance, heights)
-            if every == 1:
-                variance = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
-            found.append(np.sqrt(np.maximum(variance, 0.0)))
-        return found
-
-
-def grey_light_sigma_mm(
-    response: DepthResponse, light: LightDrift, background: np.ndarray, depth_mm: np.ndarray
-) -> np.ndarray:
-    """The same of a grey sensor, whose depths follow the curve ``response`` pixel by pixel [mm].
-
-    ``background``: untouched sensor, RGB levels, shape [h, w, 3]; ``depth_mm``: what is read, shape
-    [h, w].
-    """
-    names = ("red", "green", "blue")
-    shares = (
-        LUMA
-        if response.channel == "grey"
-        else np.array([float(name == response.channel) for name in names])
-    )
-    terms = light.terms(background)
-    variance = sum(
-        share**2 * np.einsum("khw,kl,lhw->hw", terms[..., c], light.covariance[c], terms[..., c])
-        for c, share in enumerate(shares)
-    )
-    drop = response.drop_of(depth_mm)
-    per_level = response.depth_of(drop + 1.0) - response.depth_of(drop)
-    return per_level * np.sqrt(np.maximum(variance, 0.0))

@@ -8,13 +8,13 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_result import Press
-from taccel_lab.calibration.normals.surface_reading import touch_of
-from taccel_lab.calibration.pressure.contact_pressure import (
+from taccel_lab.profile import BranchEntry, SensorProfile
+from taccel_lab.reading.pressure import (
     ContactPressure,
     Overstress,
     PressureReader,
 )
-from taccel_lab.profile import BranchEntry, SensorProfile
+from taccel_lab.reading.touch import touch_of
 from taccel_lab.sensors.profile import catalogue_profile
 
 BRANCHES = ((0.4, 2.0), (0.2, 0.3))

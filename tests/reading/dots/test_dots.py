@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.detection import DotFlag
-from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers, marker_pitch_px
 from taccel_lab.errors import InputError
+from taccel_lab.reading.dots import soft_ellipse as model
+from taccel_lab.reading.dots.detection import DotFlag
+from taccel_lab.reading.dots.marker_picture import MarkerPicture, find_markers, marker_pitch_px
 from tests.calibration.drawn.dots import (
     HEIGHT,
     WIDTH,

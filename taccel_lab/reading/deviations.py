@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heights from images by an inverse model: their slopes integrated, and their uncertainty.
+"""Standard deviations of heights, by what slopes and light may be off by.
 
 Errors of slopes add up along the way, and neighbouring pixels err together, so the standard
 deviation of a height is found by trial: smooth random errors as large as the slopes' own are
@@ -12,26 +12,36 @@ the contact a pixel too far out reads every dent too steep all around. So the sa
 integrated as if all of them lay along the slope (``along_m``). That builds up where slopes are
 uncertain, at the rim, stays over the floor of the dent and is gone beside it, as errors of real
 presses do.
+
+What the uncertain light of an image does to heights is found once for each sensor, at rest. Gain,
+offset and gradient of each channel are known to a covariance. Each of them, off by a little,
+changes colours all over the image, and with them slopes and their integral. That is linear in small
+errors and hardly depends on what is pressed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, Generic
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.signals.normal_model import NormalMap, NormalModel
-from taccel_lab.signals.slope_integration import resting_height
+from taccel_lab.reading.slope_integration import resting_height
+from taccel_lab.reading.slopes import NormalModel
+from taccel_lab.signals.depth_response import LUMA, DepthResponse
 from taccel_lab.signals.tensors import Array, as_given, length2, tensor_of
 
 if TYPE_CHECKING:
     import torch
 
+    from taccel_lab.reading.light import LightDrift
+
+COARSE_PX = 48
+"""Pixels of the shorter side of the maps that errors are integrated on: they are smooth."""
+PROBE_LEVELS = 2.0
+"""Change of colour that slopes are found for; small beside what they are linear in."""
 DRAWS = 16
 """Trials: a standard deviation from 16 is itself known to 18 %."""
 POINTS_PER_LENGTH = 2.0
@@ -194,148 +204,93 @@ def _smoothing(count: int, sigma_px: float) -> np.ndarray:
     return gaussian_filter1d(np.eye(count), sigma_px, axis=0, mode="nearest")
 
 
-BAND_SIGMAS = 2.0
-"""Standard deviations within which 95 % of the heights lie."""
-FLAT_SIGMAS = 2.0
-"""Tilts below this many standard deviations count as at rest."""
-FLAT_DEG = 3.0
-"""Tilts below this angle do anyway."""
+class LightErrors:
+    """Heights' standard deviations by the light, for images of one sensor."""
+
+    def __init__(
+        self,
+        model: NormalModel,
+        background: np.ndarray,
+        grid: PixelGrid,
+        mask: np.ndarray | None = None,
+        rest_normals: np.ndarray | None = None,
+    ) -> None:
+        """
+        Args:
+            model: From colours to normals.
+            background: The untouched sensor, RGB levels, shape [height_px, width_px, 3].
+            grid: Pixel grid of the images.
+            mask: Pixels that count, bool, shape [height_px, width_px].
+            rest_normals: Of the face at rest, shape [h, w, 3]; flat when None.
+        """
+        from taccel_lab.reading.light import LightDrift
+
+        self.every = every = max(1, min(background.shape[:2]) // COARSE_PX)
+        self._part = np.s_[::every, ::every]
+        self._grid, self._size = grid.thinned(every), background.shape[1::-1]
+        self._level = background.reshape(-1, 3).mean(axis=0)
+        terms = LightDrift(np.ones(3), np.zeros(3), level=self._level).terms(background)
+        self._weights = None if mask is None else mask[self._part].astype(float)
+        rest = 0.0
+        if rest_normals is not None:
+            thin = rest_normals[self._part]
+            rest = thin[..., :2] / thin[..., 2:]
+        self._slopes = np.empty((3, 4, self._grid.height_px, self._grid.width_px, 2))
+        for channel in range(3):
+            for k, term in enumerate(terms):
+                probe = PROBE_LEVELS / max(float(np.abs(term[..., channel]).max()), 1e-9)
+                image = background.astype(np.float32)
+                image[..., channel] += probe * term[..., channel]
+                read = model.predict(
+                    image, background, mask=mask, rest_normals=rest_normals, every=every
+                )
+                self._slopes[channel, k] = (read.slopes() + rest) / probe
+
+    def sigma_m(
+        self, lights: Sequence[LightDrift], zero: np.ndarray | None, every: int = 1
+    ) -> list[np.ndarray]:
+        """Standard deviations of the heights [m] for each light of one image, [height, width].
+
+        Args:
+            lights: Of the image against the background.
+            zero: Pixels that its heights are counted from, as of ``ReadHeights``.
+            every: Rows and columns apart that these are of: 1, or ``self.every``.
+        """
+        import cv2
+
+        part = zero if zero is None or every > 1 else zero[self._part]
+        if part is not None and not part.any():
+            part = None
+        heights = resting_height(self._slopes, self._grid, weights=self._weights, zero=part)
+        found = []
+        for light in lights:
+            covariance = light.covariance_at(self._level)
+            variance = np.einsum("ckhw,ckl,clhw->hw", heights, covariance, heights)
+            if every == 1:
+                variance = cv2.resize(variance, self._size, interpolation=cv2.INTER_LINEAR)
+            found.append(np.sqrt(np.maximum(variance, 0.0)))
+        return found
 
 
-@dataclass(frozen=True)
-class ReadHeights(Generic[Array]):
-    """What an image shows of the surface, or several along leading axes."""
+def grey_light_sigma_mm(
+    response: DepthResponse, light: LightDrift, background: np.ndarray, depth_mm: np.ndarray
+) -> np.ndarray:
+    """The same of a grey sensor, whose depths follow the curve ``response`` pixel by pixel [mm].
 
-    normals: NormalMap[Array]
-    slope: Array
-    """dh/dx and dh/dy over those at rest, shape [..., height_px, width_px, 2]."""
-    rise_m: Array
-    """Rise over the resting face [m], shape [..., height_px, width_px]."""
-    zero: Array
-    """Pixels at rest that it is counted from, bool, shape [..., height_px, width_px]."""
-    sigma_m: Array | None
-    """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
-    None where the model does not know."""
-    reading_sigma_m: Array | None
-    """Standard deviation of the reading alone, which tells places of one image apart."""
-
-
-def read_heights(
-    model: NormalModel,
-    image: Array,
-    background: np.ndarray,
-    grid: PixelGrid,
-    *,
-    mask: np.ndarray | None = None,
-    rest_normals: np.ndarray | None = None,
-    left_out: int | None = None,
-    uncertainty: bool = True,
-    every: int = 1,
-) -> ReadHeights[Array]:
-    """Read an image, or several at once, on the model's device.
-
-    Args:
-        model: From colours to normals.
-        image: RGB levels under the background's light, shape [..., height_px, width_px, 3]; the
-            maps are tensors of the model's device where it is a tensor.
-        background: The untouched sensor, shape [height_px, width_px, 3].
-        grid: Pixel grid of both.
-        mask: Pixels that count, bool, shape [h, w]; the surface goes on smoothly under the others.
-        rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
-        left_out: The member that reads alone, since it did not see this press (``NormalModel``).
-        uncertainty: Whether to find the heights' standard deviation, a sixth of the time.
-        every: Only every n-th row and column is read, as in the whole image, and integrated:
-            the maps are those of ``grid.thinned(every)``.
+    ``background``: untouched sensor, RGB levels, shape [h, w, 3]; ``depth_mm``: what is read, shape
+    [h, w].
     """
-    import torch
-
-    if model.device == "cpu" and image.ndim > 3 and len(image):
-        # Sums and products round by how much there is at once, which saves no time here.
-        of = partial(
-            read_heights, mask=mask, rest_normals=rest_normals, left_out=left_out,
-            uncertainty=uncertainty, every=every,
-        )  # fmt: skip
-        return _stacked([of(model, each, background, grid) for each in image])
-    found = model.predict(
-        torch.as_tensor(image, device=model.device),
-        background, mask=mask, rest_normals=rest_normals, left_out=left_out, every=every,
-    )  # fmt: skip
-    part = np.s_[::every, ::every]
-    grid = grid.thinned(every)
-    mask = None if mask is None else mask[part]
-    weights = None if mask is None else mask.astype(float)
-    zero = resting_border(found, mask)
-    slope = found.slopes()
-    if rest_normals is not None:
-        # The change of height from rest is integrated: on a curved gel the rest is known already.
-        rest = tensor_of(rest_normals[part], like=slope)
-        slope = slope + rest[..., :2] / rest[..., 2:]
-    rise = resting_height(slope, grid, weights=weights, zero=zero)
-    read = ReadHeights(
-        found.like(image),
-        as_given(slope, image),
-        as_given(rise, image),
-        as_given(zero, image),
-        None,
-        None,
+    names = ("red", "green", "blue")
+    shares = (
+        LUMA
+        if response.channel == "grey"
+        else np.array([float(name == response.channel) for name in names])
     )
-    return with_deviations(read, model.config, grid, mask, every) if uncertainty else read
-
-
-def _stacked(parts: Sequence[Any]) -> Any:
-    """Readings, maps or what is not known of several images, along a new first axis."""
-    import torch
-
-    first = parts[0]
-    if isinstance(first, (ReadHeights, NormalMap)):
-        names = [field.name for field in fields(first)]
-        return replace(first, **{n: _stacked([getattr(one, n) for one in parts]) for n in names})
-    if first is None:
-        return None
-    return np.stack(parts) if isinstance(first, np.ndarray) else torch.stack(list(parts))
-
-
-def with_deviations(
-    read: ReadHeights[Array],
-    config: NormalModelConfig,
-    grid: PixelGrid,
-    mask: np.ndarray | None = None,
-    every: int = 1,
-) -> ReadHeights[Array]:
-    """What was read with the radius of normals and the deviations of heights by ``config``, which
-    may state wider ones than the model had; the rest as of ``read_heights``, thinned by
-    ``every``."""
-    import torch
-
-    normals = read.normals
-    normals = replace(normals, radius95_deg=config.radius95_sigmas * normals.sigma_deg)
-    read = replace(read, normals=normals)
-    if config.height_factor <= 0:
-        return read
-    weights = None if mask is None else mask.astype(float)
-    slope_sigma = tensor_of(normals.slope_sigma())
-    slope, rise = tensor_of(read.slope), tensor_of(read.rise_m)
-    trials = HeightUncertainty(grid, config.error_length_px / every)
-    reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=read.zero)
-    along = trials.along_m(slope, slope_sigma, weights=weights, zero=read.zero)
-    off = torch.hypot(config.along_factor * along, config.depth_share * rise)
-    sigma, given = torch.hypot(reading, off), read.rise_m
-    return replace(read, sigma_m=as_given(sigma, given), reading_sigma_m=as_given(reading, given))
-
-
-def resting_border(found: NormalMap[torch.Tensor], mask: np.ndarray | None = None) -> torch.Tensor:
-    """Border pixels that are flat, bool, shape [..., h, w]; the whole border where next to none
-    are."""
-    import torch
-
-    tilt_deg = torch.rad2deg(length2(found.tilt_rad))
-    flat = tilt_deg < (FLAT_SIGMAS * found.sigma_deg).clamp(min=FLAT_DEG)
-    rows, columns = tilt_deg.shape[-2:]
-    depth = max(2, min(rows, columns) // 20)
-    flat[..., depth:-depth, depth:-depth] = False
-    if mask is not None:
-        flat &= tensor_of(mask, like=flat)
-    border = torch.ones_like(flat)
-    border[..., 1:-1, 1:-1] = False
-    enough = flat.sum(dim=(-2, -1), keepdim=True) > 0.2 * (rows + columns)
-    return torch.where(enough, flat, border)
+    terms = light.terms(background)
+    variance = sum(
+        share**2 * np.einsum("khw,kl,lhw->hw", terms[..., c], light.covariance[c], terms[..., c])
+        for c, share in enumerate(shares)
+    )
+    drop = response.drop_of(depth_mm)
+    per_level = response.depth_of(drop + 1.0) - response.depth_of(drop)
+    return per_level * np.sqrt(np.maximum(variance, 0.0))

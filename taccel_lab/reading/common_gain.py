@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.reading.thumb import thumb
 
 LEAST_LEVEL = 8.0
 """Levels below which a ratio is noise."""

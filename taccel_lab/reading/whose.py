@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.frame_light import LightDrift, fit_light, lattice_pixels, smoothed
+from taccel_lab.reading.light import LightDrift, fit_light, lattice_pixels, smoothed
 
 QUARTER = 0.25
 MOST_LEVELS = 12.0

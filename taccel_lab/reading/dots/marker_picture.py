@@ -18,14 +18,16 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.dots.blobs import DotScale, scale_candidates
-from taccel_lab.calibration.dots.detection import (
+from taccel_lab.errors import InputError
+from taccel_lab.profile.optical_design import lattice_steps
+from taccel_lab.reading.dots.blobs import DotScale, scale_candidates
+from taccel_lab.reading.dots.detection import (
     DotFlag,
     Dots,
     detect_dots,
     strong_blobs,
 )
-from taccel_lab.calibration.dots.lattice import (
+from taccel_lab.reading.dots.lattice import (
     PITCH_X,
     PITCH_Y,
     Lattice,
@@ -34,9 +36,7 @@ from taccel_lab.calibration.dots.lattice import (
     lattice_index,
     renumbered,
 )
-from taccel_lab.calibration.dots.lattice_growth import local_affine
-from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import lattice_steps
+from taccel_lab.reading.dots.lattice_growth import local_affine
 
 MIN_DOTS = 9
 """Dots of a lattice that a picture has to show."""

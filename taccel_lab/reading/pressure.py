@@ -33,12 +33,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, pressure_under
-from taccel_lab.calibration.normals.surface_reading import Touch
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.presses.force_interval import poisson_interval
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.assumed import (
     is_modulus_known,
@@ -46,7 +42,11 @@ from taccel_lab.profile.assumed import (
     scale_sigma,
     thickness_interval_mm,
 )
+from taccel_lab.profile.measured_range import poisson_interval
+from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, pressure_under
+from taccel_lab.reading.touch import Touch
 from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.with_error import NORMAL_95
 
 STEPS_PER_THICKNESS = 24.0
 """Steps over the gel's thickness of the grid that pressures are sought on: twice as many change

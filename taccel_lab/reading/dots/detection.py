@@ -9,8 +9,8 @@ from enum import IntFlag
 import numpy as np
 from scipy.spatial import KDTree
 
-from taccel_lab.calibration.dots import soft_ellipse as model
-from taccel_lab.calibration.dots.blobs import (
+from taccel_lab.reading.dots import soft_ellipse as model
+from taccel_lab.reading.dots.blobs import (
     MIN_CONTRAST,
     DotScale,
     bright_level,
@@ -19,8 +19,8 @@ from taccel_lab.calibration.dots.blobs import (
     reduced,
     response,
 )
-from taccel_lab.calibration.dots.dot_fit import DotFit, fit_dots, joined
-from taccel_lab.calibration.robust_fit import spread_about_median
+from taccel_lab.reading.dots.dot_fit import DotFit, fit_dots, joined
+from taccel_lab.robust_fit import spread_about_median
 
 _LARGE_PX = 10.0
 """Dots of twice this radius or more are found in a reduced picture: their rim is long enough."""

@@ -12,17 +12,17 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.dots.lattice_growth import (
+from taccel_lab.errors import InputError
+from taccel_lab.guards import require_shape
+from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
+from taccel_lab.reading.dots.lattice_growth import (
     TURNS,
     largest_growth,
     mean_steps,
     shortest_basis,
     turned_to_image,
 )
-from taccel_lab.calibration.robust_fit import fit_robustly, rms, robust_scale
-from taccel_lab.errors import InputError
-from taccel_lab.guards import require_shape
-from taccel_lab.profile.optical_design import lattice_middle, lattice_steps
+from taccel_lab.robust_fit import fit_robustly, rms, robust_scale
 
 Kind = Literal["rectangular", "hexagonal", "none"]
 

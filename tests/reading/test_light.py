@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from taccel_lab.calibration import frame_light
-from taccel_lab.calibration.frame_light import LightDrift, drift_remarks, drift_spread, fit_light
-from taccel_lab.calibration.light.image_match import unlike
+from taccel_lab.calibration.light_drift import drift_remarks, drift_spread
 from taccel_lab.errors import InputError
+from taccel_lab.reading import light as frame_light
+from taccel_lab.reading.light import LightDrift, fit_light
+from taccel_lab.reading.whose import unlike
 from tests.calibration.circles.presses import gel, pressed, scattered
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift
 

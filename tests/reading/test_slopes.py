@@ -15,17 +15,17 @@ from scipy.ndimage import binary_dilation
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.networks.normal_settings import NormalModelConfig
-from taccel_lab.signals.block_reading import tilts_at_rest
-from taccel_lab.signals.normal_features import (
+from taccel_lab.reading.blocks import tilts_at_rest
+from taccel_lab.reading.features import (
     FeatureWindows,
     color_change,
     image_features,
     local_features,
     pixel_place,
 )
-from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalModel, relative_normals
+from taccel_lab.reading.heights import read_heights
+from taccel_lab.reading.slopes import RAYLEIGH_MEAN, NormalModel, relative_normals
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
-from taccel_lab.signals.read_heights import read_heights
 from tests.networks.weights import random_weights
 
 CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,), members=3)
@@ -162,8 +162,8 @@ def test_blocks_read_what_pixels_read(noise, monkeypatch):
     read = read_heights(model, image, still, WIDE_GRID)
     assert 0.06 < sum(asked) / image[..., 0].size < 0.4
     assert len(asked) == 3
-    monkeypatch.setattr("taccel_lab.signals.block_reading.BEND", -1.0)
-    monkeypatch.setattr("taccel_lab.signals.block_reading.MOST_NOISE", 1.0)
+    monkeypatch.setattr("taccel_lab.reading.blocks.BEND", -1.0)
+    monkeypatch.setattr("taccel_lab.reading.blocks.MOST_NOISE", 1.0)
     pixels = read_heights(model, image, still, WIDE_GRID)
     assert sum(asked) > image[..., 0].size
     assert np.ptp(pixels.rise_m) > 0.2e-3

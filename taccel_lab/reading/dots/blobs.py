@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.robust_fit import spread_about_zero
 from taccel_lab.errors import InputError
+from taccel_lab.robust_fit import spread_about_zero
 
 MIN_SIZE_PX = 32
 _FINE = 6.0

@@ -16,7 +16,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.dots import soft_ellipse as model
+from taccel_lab.reading.dots import soft_ellipse as model
 
 _SMOOTH_PX = 0.6
 """Blur before the fit: a step between pixels is no soft edge and would pull centres by 0.01 px."""

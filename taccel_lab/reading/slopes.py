@@ -26,8 +26,8 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.networks.settings import checked_weights
-from taccel_lab.signals.block_reading import TiltsAtRest, read_in_blocks, tilts_at_rest
-from taccel_lab.signals.normal_features import FeatureWindows, color_change, pixel_place
+from taccel_lab.reading.blocks import TiltsAtRest, read_in_blocks, tilts_at_rest
+from taccel_lab.reading.features import FeatureWindows, color_change, pixel_place
 from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.tensors import (
     Array,

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from taccel_lab.calibration.circles.bonded_layer import FAR_MM, BondedLayer, press_layer
-from taccel_lab.calibration.normals.surface_reading import touch_of
-from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.profile import SensorProfile
+from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.reading.pressure import ContactPressure, PressureReader
+from taccel_lab.reading.touch import touch_of
 from taccel_lab.sensors.profile import catalogue_profile
 
 GRID = PixelGrid(160, 120, 0.12, 0.12)
@@ -147,7 +147,7 @@ def test_a_frame_reads_as_it_would_alone_whatever_was_read_before(profile: Senso
 def test_forces_are_those_of_a_search_that_is_over(profile: SensorProfile, monkeypatch) -> None:
     frames = [rise_m("sphere", 2.0, 0.6), rise_m("cylinder", 2.0, 0.4)]
     found = [read(profile, frame, SIGMA).force_n for frame in frames]
-    monkeypatch.setattr("taccel_lab.calibration.pressure.contact_pressure.TOLERANCE", 1e-5)
+    monkeypatch.setattr("taccel_lab.reading.pressure.TOLERANCE", 1e-5)
     over = [read(profile, frame, SIGMA).force_n for frame in frames]
     assert found == pytest.approx(over, rel=1e-3)
 

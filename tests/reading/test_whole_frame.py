@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.whole_frame import BrokenFrame, broken_frame, require_whole
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
+from taccel_lab.reading.whole_frame import BrokenFrame, broken_frame, require_whole
 from taccel_lab.signals.frame_operators import lost_rows, shift, torn
 from tests.calibration.drawn.faults import quantise
 from tests.support.real_data import real_data

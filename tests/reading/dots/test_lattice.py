@@ -11,9 +11,9 @@ from scipy.spatial import KDTree
 
 from taccel_lab.calibration.camera.board import board_lattice
 from taccel_lab.calibration.camera.find_boards import MIN_SHARE
-from taccel_lab.calibration.dots.lattice import fit_layout, lattice_index, renumbered
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import MarkerGrid
+from taccel_lab.reading.dots.lattice import fit_layout, lattice_index, renumbered
 from tests.calibration.drawn.boards import lattice_points
 from tests.calibration.drawn.dots import grid_points
 

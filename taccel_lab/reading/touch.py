@@ -14,11 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.read_heights import BAND_SIGMAS
+from taccel_lab.reading.heights import BAND_SIGMAS
 from taccel_lab.summary import Summary
-from taccel_lab.with_error import with_error
+from taccel_lab.with_error import NORMAL_95, with_error
 
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is warned."""

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.frame_light import fit_light
-from taccel_lab.calibration.light.common_gain import CommonGain, common_gain
+from taccel_lab.reading.common_gain import CommonGain, common_gain
+from taccel_lab.reading.light import fit_light
 from taccel_lab.signals.frame_operators import bands, wear
 
 
