@@ -35,7 +35,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.inner_path import inner_path
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from taccel_lab.reading.thumb import thumb
 from taccel_lab.sensors.starters import is_starter
 
@@ -310,9 +310,9 @@ def _margin(
     more than ``enough``."""
     least = 1.0
     needed = max(LEAST_MARGIN, MARGIN_OF_ONE / len(others), enough)
-    resting = SurfaceReader(profile, background=rest)
+    resting = Reader(profile, background=rest)
     for other in others:
-        up, moved_up = _net_rise(SurfaceReader(profile, background=other), rest)
+        up, moved_up = _net_rise(Reader(profile, background=other), rest)
         down, moved_down = _net_rise(resting, other)
         least = min(least, (up - down) / max(moved_up + moved_down, 1e-12))
         if least < needed:
@@ -320,10 +320,10 @@ def _margin(
     return least
 
 
-def _net_rise(reader: SurfaceReader, image: np.ndarray) -> tuple[float, float]:
+def _net_rise(reader: Reader, image: np.ndarray) -> tuple[float, float]:
     """Sums over the pixels of the rise of an image above a reader's background, and of its size.
 
     Both of squares [mm2]: a contact is deep, what surrounds it wide.
     """
-    rise_mm = -1e3 * reader.read_lit(reader.lit(image)).depth_m
+    rise_mm = -1e3 * reader.surface(reader.lit(image)).depth_m
     return float((rise_mm * np.abs(rise_mm)).sum()), float(np.square(rise_mm).sum())

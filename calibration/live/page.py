@@ -24,8 +24,7 @@ from taccel_lab.calibration.live.run import Latency
 from taccel_lab.calibration.live.surface_view import SurfaceView
 from taccel_lab.calibration.record.page import show_tiles, wide_panel
 from taccel_lab.files.atomic_file import parents_made, write_image
-from taccel_lab.reading.reading import write_reading
-from taccel_lab.reading.surface import SurfaceReading
+from taccel_lab.reading.reading import Reading
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np
     return shown
 
 
-def depth_picture(surface: SurfaceReading, refused: str) -> tuple[str, np.ndarray]:
+def depth_picture(surface: Reading, refused: str) -> tuple[str, np.ndarray]:
     """Title with the scale, and the depth in colours; what the calibration does not reach is
     marked, and a depth that is rejected is grey."""
     if refused:
@@ -370,7 +369,7 @@ def save_snapshot(reading: LiveReading, folder: Path) -> Path:
         try:
             write_image(path, reading.image)
             if reading.surface is not None and not reading.refused:
-                write_reading(replace(reading.surface, name=str(path)), folder, stem, ply=True)
+                replace(reading.surface, name=str(path)).write_into(folder, stem, ply=True)
         except Exception:
             for left in folder.glob(f"{stem}[._]*"):
                 left.unlink()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.dots.marker_picture import DotMask, find_markers
 from taccel_lab.reading.light import fit_light
 from taccel_lab.reading.pressure import ContactPressure
-from taccel_lab.reading.reading import TouchReader, TouchReading
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
+from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.thumb import thumb
 from taccel_lab.reading.whole_frame import broken_frame
 from taccel_lab.reading.whose import unlike
@@ -54,7 +54,7 @@ class LiveReading:
 
     image: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
-    surface: TouchReading | None
+    surface: Reading | None
     """Surface on the reader's grid, and what holds it so; None where the profile has no block for
     it. Without pressure where it is rejected, and of domes."""
     figures: dict[str, Any]
@@ -125,11 +125,10 @@ class LiveReader:
         """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
-        self.surface: SurfaceReader | None = None
+        self.surface: Reader | None = None
         if has_depth:
-            self.surface = SurfaceReader(profile, background=background, device=device)
-            self._touch = TouchReader(self.surface)
-        self.no_pressure = "" if self.surface is None else self._touch.no_press
+            self.surface = Reader(profile, background=background, device=device)
+        self.no_pressure = "" if self.surface is None else self.surface.no_press
         self._dots = DotMask.of(background.astype(np.float32))
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
@@ -166,20 +165,14 @@ class LiveReader:
             with _timed(stages, "light"):
                 lit = self.surface.lit(image)
             with _timed(stages, "depth"):
-                surface = self.surface.read_lit(lit)
-                figures = surface.figures(self.surface.grid)
-                refused = self.surface.unlike(image, lit) or _refusal(figures)
+                surface = self.surface.surface(lit)
+                figures = surface.figures()
+                refused = self.surface.unlike(lit) or _refusal(figures)
             if refused or self.no_pressure:
-                touch = TouchReading(
-                    **vars(surface),
-                    grid=self.surface.grid,
-                    image=image,
-                    press=None,
-                    no_press=refused or self.no_pressure,
-                )
+                touch = replace(surface, no_press=refused or self.no_pressure)
             else:
                 with _timed(stages, "pressure"):
-                    touch = self._touch.press(surface, image, time_s=time_s)
+                    touch = self.surface.pressed(surface, time_s)
                 if touch.press is not None:
                     figures |= touch.press.figures()
         markers = None

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.geometry.height_surface import triangles_of_pixels
-from taccel_lab.reading.reading import TouchReading
+from taccel_lab.reading.reading import Reading
 from taccel_lab.report.painted_mesh import painted_mesh
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class SurfaceView:
 
     def __init__(self, server: ViserServer) -> None:
         self._server = server
-        self._shown: dict[str, TouchReading] = {}
+        self._shown: dict[str, Reading] = {}
         self._frames: Counter[str] = Counter()
 
     def hide(self) -> bool:
@@ -45,7 +45,7 @@ class SurfaceView:
         return True
 
     def show(
-        self, name: str, found: TouchReading, *, relief: float, least_mm: float, rejected: bool
+        self, name: str, found: Reading, *, relief: float, least_mm: float, rejected: bool
     ) -> float:
         """Show a sensor's surface, of a new sensor beside those that are there.
 
@@ -115,7 +115,7 @@ class SurfaceView:
 
 
 def surface_mesh(
-    found: TouchReading,
+    found: Reading,
     relief: float,
     deepest_mm: float,
     at_mm: float = 0.0,
@@ -145,6 +145,6 @@ def _pale_map() -> np.ndarray:
     return np.round(PALE * 255 + (1 - PALE) * colors).astype(np.uint8)
 
 
-def _every(found: TouchReading) -> int:
+def _every(found: Reading) -> int:
     """Rows and columns of which one is shown."""
     return max(1, math.ceil(math.sqrt(found.depth_m.size / MOST_POINTS)))

@@ -20,10 +20,9 @@ from taccel_lab.files.atomic_file import eight_bit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taccel_lab.geometry import PixelGrid
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.reading.surface import SurfaceReader
-    from taccel_lab.reading.touch import SurfaceReading
+    from taccel_lab.reading.reader import Reader
+    from taccel_lab.reading.reading import Reading
 
 LIKE = "like.png"
 """File of a press folder: photo, simulation and difference."""
@@ -52,7 +51,7 @@ class SeenPress:
     """Whether the image shows all of the core."""
 
     @classmethod
-    def of(cls, reading: SurfaceReading, grid: PixelGrid) -> SeenPress | None:
+    def of(cls, reading: Reading) -> SeenPress | None:
         """The deepest press of a reading; None where nothing touches.
 
         Errors of heights are smooth, and move the middle most where they lean: those of the place
@@ -65,11 +64,11 @@ class SeenPress:
             return None
         depth_mm = 1e3 * reading.depth_m
         core, middle_px = _core(depth_mm, touched)
-        middle = grid.gel_from_pixel(middle_px)
+        middle = reading.grid.gel_from_pixel(middle_px)
         at_sigma = depth_sigma = None
         if reading.height_sigma_m is not None and reading.reading_sigma_m is not None:
             depth_sigma = float(1e3 * reading.height_sigma_m[reading.deepest_px])
-            at_sigma = _place_sigma(reading, depth_mm, core, grid)
+            at_sigma = _place_sigma(reading, depth_mm, core)
         edge = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
         deepest_mm = float(depth_mm[reading.deepest_px])
         x, y = middle
@@ -97,7 +96,7 @@ class PressPhoto:
     """What is read in the photo itself."""
     read_depth_mm: np.ndarray = field(repr=False)
     """Depth below the resting face as read, at each pixel [mm], [height_px, width_px]."""
-    reader: SurfaceReader = field(repr=False)
+    reader: Reader = field(repr=False)
 
     @property
     def background(self) -> np.ndarray:
@@ -121,7 +120,7 @@ class PressPhoto:
 
         from taccel_lab.calibration.untouched_frame import UntouchedFrame
         from taccel_lab.files.images import read_image
-        from taccel_lab.reading.surface import SurfaceReader
+        from taccel_lab.reading.reader import Reader
 
         if profile.color is None or profile.background_rgb is None:
             raise InputError(
@@ -130,14 +129,14 @@ class PressPhoto:
             )
         image = read_image(path)
         untouched = UntouchedFrame.of(profile, [path], background, option="--untouched")
-        reader = SurfaceReader(
+        reader = Reader(
             untouched.profile, background=untouched.image, background_name=untouched.name
         )
         reading = reader.read(image, str(path))
-        seen = SeenPress.of(reading, reader.grid)
+        seen = SeenPress.of(reading)
         if seen is None:
             raise InputError(f"{path} shows {reading.depth_words}: there is no press to simulate")
-        warnings = list(reading.figures(reader.grid)["warnings"])
+        warnings = list(reading.figures()["warnings"])
         if not seen.whole:
             warnings.append("the contact reaches the image's border: its middle is less certain")
         return cls(
@@ -172,8 +171,7 @@ class PressPhoto:
         """
         levels = self.simulated(image.astype(np.float32), self.reader.profile)
         lit = self.reader.lit(self.reader.in_own_light(levels))
-        reading = self.reader.read_lit(lit)
-        found = SeenPress.of(reading, self.reader.grid)
+        found = SeenPress.of(self.reader.surface(lit))
         if found is None:
             return None
         x, y = np.array(at_mm) + self.seen.at_mm - found.at_mm
@@ -240,14 +238,12 @@ def _core(depth_mm: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.nda
     return core, np.array(ndimage.center_of_mass(depth_mm * core)[::-1])
 
 
-def _place_sigma(
-    reading: SurfaceReading, depth_mm: np.ndarray, core: np.ndarray, grid: PixelGrid
-) -> tuple[float, float]:
+def _place_sigma(reading: Reading, depth_mm: np.ndarray, core: np.ndarray) -> tuple[float, float]:
     """How far the middle moves in x and y [mm] where the dent leans along each."""
     assert reading.reading_sigma_m is not None
     sigma_mm = 1e3 * float(reading.reading_sigma_m[core].mean())
     rest_mm = 1e3 * (reading.height_m + reading.depth_m)
-    touched = reading.touch.pixels
+    touched, grid = reading.touch.pixels, reading.grid
     middle = _core(depth_mm, touched)[1]
     found = []
     for axis, step_mm in enumerate((grid.mm_per_px_x, grid.mm_per_px_y)):

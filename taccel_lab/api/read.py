@@ -18,7 +18,7 @@ from taccel_lab.typed import typed
 if TYPE_CHECKING:
     import torch
 
-    from taccel_lab.reading.reading import TouchReading
+    from taccel_lab.reading.reading import Reading
 
     Pixels = np.ndarray | torch.Tensor
     Image = Pixels | Path | str
@@ -36,7 +36,7 @@ def read(
     background: Image | None = None,
     mask: np.ndarray | None = None,
     method: Method = "auto",
-) -> TouchReading: ...
+) -> Reading: ...
 @overload
 def read(
     sensor: AnySensor,
@@ -54,7 +54,7 @@ def read(
     background: Image | None = None,
     mask: np.ndarray | None = None,
     method: Method = "auto",
-) -> list[TouchReading]: ...
+) -> list[Reading]: ...
 @typed
 def read(
     sensor: AnySensor,
@@ -63,7 +63,7 @@ def read(
     background: Image | None = None,
     mask: np.ndarray | None = None,
     method: Method = "auto",
-) -> TouchReading | list[TouchReading]:
+) -> Reading | list[Reading]:
     """Read depth, its standard deviation, normals, pressure and force from an image, or several.
 
     Long recordings are read by ``taccel-lab read``, frame by frame.
@@ -88,8 +88,7 @@ def read(
             without images, a starter profile without an untouched image.
     """
     from taccel_lab.calibration.untouched_frame import UntouchedFrame
-    from taccel_lab.reading.reading import TouchReader
-    from taccel_lab.reading.surface import SurfaceReader
+    from taccel_lab.reading.reader import Reader
 
     start_warp()
     images = _each(image)
@@ -105,14 +104,13 @@ def read(
         camera = untouched.profile.camera
         require_shape("mask", mask, (camera.height_px, camera.width_px))
         mask = np.asarray(mask, bool)
-    surfaces = SurfaceReader(
+    reader = Reader(
         untouched.profile,
         background=untouched.image,
         background_name=untouched.name,
         mask=mask,
         method=method,
     )
-    reader = TouchReader(surfaces)
     found = [
         reader.read(*_pixels(each, "image" if one else f"image {k}"))
         for k, each in enumerate(shown)

@@ -20,7 +20,7 @@ from taccel_lab.typed import typed
 if TYPE_CHECKING:
     from taccel_lab.api.read import Image
     from taccel_lab.geometry import TetMesh
-    from taccel_lab.reading.reading import TouchReading
+    from taccel_lab.reading.reading import Reading
 
 
 class Sensor(SensorProfile):
@@ -51,7 +51,7 @@ class Sensor(SensorProfile):
         Raises:
             InputError: As of ``read``.
         """
-        found: TouchReading | list[TouchReading] = self.read(image, background=background)
+        found: Reading | list[Reading] = self.read(image, background=background)
         if isinstance(found, list):
             return np.stack([each.depth_m for each in found])
         return found.depth_m

@@ -18,7 +18,7 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.reading.reading import TouchReading
+    from taccel_lab.reading.reading import Reading
     from taccel_lab.signals.force_model import ForceReading
 
 
@@ -232,8 +232,8 @@ class Depth:
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.reading.reading import TouchReader, read_mask, write_reading
-        from taccel_lab.reading.surface import SurfaceReader
+        from taccel_lab.reading.mask_file import read_mask
+        from taccel_lab.reading.reader import Reader
         from taccel_lab.sensors.profile import stock_sensor
 
         start_warp()
@@ -262,21 +262,20 @@ class Depth:
                 )
             mask = shown if mask is None else mask & shown
         untouched = UntouchedFrame.of(profile, self.images, self.background, fit=rectified)
-        surfaces = SurfaceReader(
+        reader = Reader(
             untouched.profile,
             background=untouched.image,
             mask=mask,
             background_name=untouched.name,
             method=self.method,
         )
-        reader = TouchReader(surfaces)
 
-        def read(path: Path) -> TouchReading:
+        def read(path: Path) -> Reading:
             return reader.read(rectified(read_image(path), str(path)), str(path))
 
-        def keep(found: TouchReading, _: Path, folder: Path | None) -> dict[str, Any]:
+        def keep(found: Reading, _: Path, folder: Path | None) -> dict[str, Any]:
             assert folder is not None
-            return write_reading(found, folder, ply=self.ply)
+            return found.write_into(folder, ply=self.ply)
 
         each_image(
             self.images, self.out, read, keep,

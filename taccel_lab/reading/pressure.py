@@ -45,7 +45,7 @@ from taccel_lab.profile.assumed import (
 from taccel_lab.profile.measured_range import poisson_interval
 from taccel_lab.reading.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.reading.touch import Touch
-from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 from taccel_lab.with_error import NORMAL_95
 
 STEPS_PER_THICKNESS = 24.0
@@ -117,16 +117,19 @@ class ContactPressure:
 class PressureReader:
     """Finds pressures of one sensor's readings, one frame after another."""
 
-    def __init__(self, profile: SensorProfile, grid: PixelGrid) -> None:
+    def __init__(
+        self, profile: SensorProfile, grid: PixelGrid, rest: RestSurface | None = None
+    ) -> None:
         """
         Args:
             profile: Whose thickness, modulus and Poisson's ratio are taken, with their intervals.
             grid: That of the readings.
+            rest: The undeformed face on it, where it is known already.
 
         Raises:
             InputError: A dome, for which no flat layer stands.
         """
-        normals = rest_surface(profile.mesh, grid).normals
+        normals = (rest or rest_surface(profile.mesh, grid)).normals
         steepest = float((np.hypot(normals[..., 0], normals[..., 1]) / normals[..., 2]).max())
         if not steepest < STEEPEST_REST:
             raise InputError(

@@ -1,33 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that one image tells of a touch: the surface, what presses it, and both as files."""
+"""All that one image tells of a touch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_by, write_json
-from taccel_lab.files.images import read_grey
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.height_surface import points_of_heights, write_ply
-from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.heights import BAND_SIGMAS
-from taccel_lab.reading.pressure import ContactPressure, PressureReader
-from taccel_lab.reading.surface import SurfaceReader
-from taccel_lab.reading.touch import SurfaceReading
-from taccel_lab.report.style import BLUE, LIGHT, ORANGE, in_report_style, new_figure, save_figure
+from taccel_lab.reading.pressure import ContactPressure
+from taccel_lab.reading.reading_picture import draw_maps
+from taccel_lab.reading.touch import Touch
+from taccel_lab.report.style import save_figure
+from taccel_lab.summary import Summary
+from taccel_lab.with_error import NORMAL_95, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEAST_KPA = 0.1
-"""Top of the scale of pressures of a gel that nothing touches."""
+STEEP_SHARE = 0.02
+"""Share of pixels that the calibration says nothing of, from which on a user is warned."""
+SigmaOf = Literal["absolute depth", "reading alone"]
+NO_SIGMA = (
+    "the profile does not say how uncertain its depths are: it was calibrated by an earlier "
+    "version or without synthetic presses; calibrate again"
+)
+READING_ALONE = (
+    "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
+    "absolute depths are off by more; calibrate again to have it whole"
+)
+
+
 ARRAYS = (
     "height_m",
     "depth_m",
@@ -43,8 +53,8 @@ ARRAYS = (
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class TouchReading(SurfaceReading):
-    """A surface, and the pressure and force that hold it so.
+class Reading(Summary):
+    """What one image shows: the surface, and the pressure and force that hold it so.
 
     Shear is not read: one image does not show it, and the layer has no tangential load.
     """
@@ -55,7 +65,39 @@ class TouchReading(SurfaceReading):
     """What was read, RGB levels, [height_px, width_px, 3]."""
     name: str = "image"
     """File of the image, or what errors call it."""
-    press: ContactPressure | None
+
+    height_m: np.ndarray
+    """z of the contact face [m], gel frame, shape [height_px, width_px]: where nothing touches, z
+    of the resting face, which is curved on some sensors."""
+    depth_m: np.ndarray
+    """How far the face lies below where it rests [m], positive in a dent, negative where the gel
+    bulges; 0 where nothing touches, also on a curved gel."""
+    height_sigma_m: np.ndarray | None
+    """Standard deviation of height and depth [m]. None of models that were fitted without synthetic
+    presses, and of curves of earlier versions."""
+    reading_sigma_m: np.ndarray | None
+    """Standard deviation of a place if nothing touches [m], by the reading and the image's light:
+    what is off along with a depth, such as the calibration's circles or scale, is not in it."""
+    normals: np.ndarray
+    """Outward unit normals, shape [height_px, width_px, 3]."""
+    sigma_deg: np.ndarray | None = None
+    """Standard deviation of each component of the tilt [degrees]; None of a grey sensor."""
+    radius95_deg: np.ndarray | None = None
+    """Angle within which 95 % of the true normals lie [degrees]; None of a grey sensor."""
+    beyond_balls: np.ndarray | None = None
+    """Pixels that read steeper than any captured ball was, bool: their slopes are what the colour
+    model makes of colours that nobody captured. None of a grey sensor."""
+    saturated: np.ndarray | None = None
+    """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
+    method: Literal["normals", "depth"]
+    touch: Touch
+    """Where the gel is touched: the one decision that area, pressure and force follow."""
+    sigma_of: SigmaOf | None = None
+    """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
+    that know no more, the reading alone; None where the profile tells none."""
+    remarks: tuple[str, ...] = ()
+    """What the profile says of itself, such as that it is of another unit."""
+    press: ContactPressure | None = None
     """Pressure, force and contact; None where no flat layer stands for the gel."""
     no_press: str = ""
     """Why there is none, a sentence."""
@@ -87,11 +129,16 @@ class TouchReading(SurfaceReading):
         return self.press
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
-        """Depth, force and contact, and what the force rests on."""
-        title, rows = super().summary()
-        if self.press is None:
+        """Depth, force and contact, by which model, and what the force rests on."""
+        height, width = self.depth_m.shape
+        rows = [
+            ("deepest", self.depth_words),
+            ("pixels", f"{width} x {height}"),
+            *(("note", remark) for remark in self.remarks),
+        ]
+        title, press = f"surface read from {self.method}", self.press
+        if press is None:
             return title, [*rows, ("force", self.no_press)]
-        press = self.press
         rows.append(("force", f"{press.force_words}, by the contact of an elastic layer"))
         peak = 1e-3 * float(press.pressure_pa.max())
         rows.append(("contact", f"{press.contact_mm2:.3g} mm2, pressure up to {peak:.3g} kPa"))
@@ -99,12 +146,95 @@ class TouchReading(SurfaceReading):
             rows.append(("centre", "({:.2f}, {:.2f}) mm in the gel frame".format(*press.center_mm)))
         return title, [*rows, *(("note", text) for text in press.remarks)]
 
-    def figures(self, grid: PixelGrid | None = None) -> dict[str, Any]:
-        """All numbers, ready for JSON; the maps' own ``grid`` when None."""
-        found = super().figures(self.grid if grid is None else grid)
+    @property
+    def deepest_px(self) -> tuple[int, int]:
+        """Row and column of the deepest place that is touched; of the image where nothing is."""
+        depth = self.depth_m
+        if self.touch.any:
+            depth = np.where(self.touch.pixels, depth, -np.inf)
+        row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+        return int(row), int(column)
+
+    @property
+    def depth_interval_mm(self) -> tuple[float, float] | None:
+        """95 % interval of the deepest place [mm], from 0 where nothing touches; None where the
+        profile states no deviation."""
+        if self.height_sigma_m is None:
+            return None
+        if not self.touch.any:
+            return 0.0, self.touch.unseen_mm
+        at = self.deepest_px
+        depth, off = 1e3 * float(self.depth_m[at]), NORMAL_95 * 1e3 * float(self.height_sigma_m[at])
+        return max(depth - off, 0.0), depth + off
+
+    @property
+    def depth_words(self) -> str:
+        """Depth and its standard deviation, or that nothing touches, in words."""
+        row, column = self.deepest_px
+        if not self.touch.any:
+            return f"no contact deeper than {self.touch.unseen_mm:.2g} mm"
+        sigma_m = None if self.height_sigma_m is None else self.height_sigma_m[row, column]
+        depth = with_error(
+            1e3 * self.depth_m[row, column], None if sigma_m is None else 1e3 * sigma_m
+        )
+        return f"{depth} mm at ({column}, {row}) px"
+
+    def figures(self) -> dict[str, Any]:
+        """All numbers, ready for JSON."""
+        depth_mm = 1e3 * self.depth_m
+        row, column = self.deepest_px
+        touched = self.touch.pixels
+        pixel_mm2 = self.grid.mm_per_px_x * self.grid.mm_per_px_y
+        at_mm = self.grid.gel_from_pixel(np.array([column, row], dtype=float))
+        found: dict[str, Any] = {
+            "method": self.method,
+            "touched": self.touch.any,
+            "depth_words": self.depth_words,
+            "max_depth_mm": float(depth_mm[row, column]) if self.touch.any else 0.0,
+            "max_depth_interval95_mm": self.depth_interval_mm and list(self.depth_interval_mm),
+            "max_depth_sigma_mm": None
+            if self.height_sigma_m is None
+            else float(1e3 * self.height_sigma_m[row, column]),
+            "sigma_of": self.sigma_of,
+            "deepest_px": [int(column), int(row)],
+            "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
+            "touched_mm2": float(touched.sum() * pixel_mm2),
+            "touched_deeper_than_mm": self.touch.least_mm,
+            "volume_mm3": float(depth_mm[touched].sum() * pixel_mm2),
+        }
+        inside = touched if touched.any() else np.ones_like(touched)
+        if self.sigma_deg is not None:
+            found["sigma_deg"] = float(self.sigma_deg[inside].mean())
+        if self.radius95_deg is not None:
+            found["radius95_deg"] = float(self.radius95_deg[inside].mean())
+        if self.height_sigma_m is not None:
+            found["depth_sigma_mm"] = float(1e3 * self.height_sigma_m[inside].mean())
+        if self.beyond_balls is not None:
+            found["beyond_balls_share"] = float(self.beyond_balls[inside].mean())
+        if self.saturated is not None:
+            found["saturated_share"] = float(self.saturated.mean())
+        found["warnings"] = self._warnings(found)
         if self.press is None:
             return {**found, "force_remarks": [self.no_press]}
         return {**found, **self.press.figures()}
+
+    def _warnings(self, figures: dict[str, Any]) -> list[str]:
+        """What a user should know before trusting the heights, one sentence each."""
+        said = list(self.remarks)
+        if self.sigma_of != "absolute depth":
+            said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
+        steep = figures.get("beyond_balls_share", 0.0)
+        if steep > STEEP_SHARE:
+            said.append(
+                f"{steep:.0%} of what is touched is steeper than any ball that was captured; its "
+                "slopes are a guess from the colour model (beyond_balls marks them)"
+            )
+        if figures.get("saturated_share", 0.0) > STEEP_SHARE:
+            said.append(
+                f"{figures['saturated_share']:.0%} of the image is darker than any press that was "
+                "captured; it is at least as deep as it reads"
+            )
+        return said
 
     @property
     def points_m(self) -> np.ndarray:
@@ -118,7 +248,27 @@ class TouchReading(SurfaceReading):
             InputError: The folder holds files that taccel-lab did not write.
         """
         with atomic_directory(folder) as staging:
-            write_reading(self, staging, ply=True)
+            self.write_into(staging, ply=True)
+
+    def write_into(self, folder: Path, stem: str = "", *, ply: bool = False) -> dict[str, Any]:
+        """Write ``NAME.npz``, ``NAME.png``, ``NAME.json`` and with ``ply`` ``NAME.ply`` into a
+        folder that is there; returns the figures. NAME is that of the image where there is no
+        ``stem``."""
+        stem = stem or Path(self.name).stem
+        stored: dict[str, Any] = {}
+        for key in ARRAYS:
+            value = getattr(self, key)
+            if value is not None:
+                stored[key] = value if value.dtype == bool else value.astype(np.float32)
+        if self.press is not None:
+            stored["pressure_pa"] = self.pressure_pa.astype(np.float32)
+        write_by(folder / f"{stem}.npz", partial(np.savez_compressed, **stored))
+        save_figure(self._drawn(stem), folder / f"{stem}.png")
+        if ply:
+            self.save_ply(folder / f"{stem}.ply")
+        figures = {"image": self.name, **self.figures()}
+        write_json(folder / f"{stem}.json", figures)
+        return figures
 
     def save_ply(self, path: Path | str) -> None:
         """Write the contact face as PLY: vertices in metres with their normals, and triangles."""
@@ -126,125 +276,11 @@ class TouchReading(SurfaceReading):
 
     def plot(self) -> Figure:
         """Image, depth, pressure and a section, with their units."""
-        return draw_reading(self, self.summary()[0])
+        return self._drawn(self.summary()[0])
 
-
-class TouchReader:
-    """Reads touches of one sensor, one image after another."""
-
-    def __init__(self, surface: SurfaceReader) -> None:
-        """``surface`` reads the heights."""
-        self.surface = surface
-        self.no_press, self._pressure = "", None
-        try:
-            self._pressure = PressureReader(surface.profile, surface.grid)
-        except InputError as error:
-            self.no_press = str(error)
-
-    def read(self, image: np.ndarray, name: str = "image") -> TouchReading:
-        """The touch that an image shows; arguments and errors as of ``SurfaceReader.read``."""
-        return self.press(self.surface.read(image, name), image, name)
-
-    def press(
-        self,
-        found: SurfaceReading,
-        image: np.ndarray,
-        name: str = "image",
-        time_s: float | None = None,
-    ) -> TouchReading:
-        """What holds a surface that was read from ``image``; ``time_s``: when, for a gel that
-        relaxes."""
-        press = None
-        if self._pressure is not None:
-            press = self._pressure.read(
-                -found.depth_m, found.touch, found.height_sigma_m, found.reading_sigma_m, time_s
-            )
-        return TouchReading(
-            **vars(found),
-            grid=self.surface.grid,
-            image=image,
-            name=name,
-            press=press,
-            no_press=self.no_press,
+    def _drawn(self, title: str) -> Figure:
+        press = self.press
+        pressure_pa, words = (None, "") if press is None else (press.pressure_pa, press.force_words)
+        return draw_maps(
+            self.image, self.depth_m, self.height_sigma_m, pressure_pa, self.grid, (title, words)
         )
-
-
-@in_report_style
-def draw_reading(found: TouchReading, title: str) -> Figure:
-    """Image, depth and pressure maps, and the section through the deepest pixel; no pressure where
-    there is none."""
-    depth_mm, press, grid = 1e3 * found.depth_m, found.press, found.grid
-    extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
-    maps = [("depth [mm]", depth_mm, "viridis")]
-    if press is not None:
-        maps.append(("pressure [kPa]", 1e-3 * press.pressure_pa, "magma"))
-    pictures = len(maps) + 1
-    figure, axes = new_figure(3.7 * (pictures + 1), 3.3, 1, pictures + 1)
-    axes[0].set_title(title, fontsize="medium")
-    axes[0].imshow(np.clip(found.image, 0, 255).astype(np.uint8), extent=extent)
-    for ax, (label, values, colors) in zip(axes[1:pictures], maps, strict=True):
-        most = max(float(values.max()), LEAST_KPA) if colors == "magma" else None
-        low = None if most is None else 0.0
-        shown = ax.imshow(values, extent=extent, cmap=colors, vmin=low, vmax=most)
-        figure.colorbar(shown, ax=ax, shrink=0.8).set_label(label)
-    if press is not None:
-        axes[pictures - 1].set_title(press.force_words, fontsize="medium")
-    for ax in axes[:pictures]:
-        ax.set_xlabel("x [mm]")
-    axes[0].set_ylabel("y [mm]")
-    row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
-    x = np.arange(grid.width_px) * grid.mm_per_px_x
-    y = np.arange(grid.height_px) * grid.mm_per_px_y
-    axes[-1].axhline(0, color=LIGHT, lw=0.8)
-    sections = (
-        ("along x", BLUE, x - x[column], np.s_[row, :]),
-        ("along y", ORANGE, y - y[row], np.s_[:, column]),
-    )
-    for label, color, away, section in sections:
-        axes[-1].plot(away, depth_mm[section], color=color, label=label)
-        if found.height_sigma_m is not None:
-            depth = depth_mm[section]
-            band = BAND_SIGMAS * 1e3 * found.height_sigma_m[section]
-            axes[-1].fill_between(away, depth - band, depth + band, color=color, alpha=0.2, lw=0)
-    axes[-1].invert_yaxis()
-    axes[-1].set(xlabel="from the deepest point [mm]", ylabel="depth [mm]")
-    axes[-1].legend(loc="lower right")
-    return figure
-
-
-def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:
-    """Pixels that count, from a grey image of the profile's size, bool, shape [h, w].
-
-    Raises:
-        InputError: No image, another size, or no pixel that counts.
-    """
-    mask = read_grey(path) > 0
-    expected = (profile.camera.height_px, profile.camera.width_px)
-    if mask.shape != expected or not mask.any():
-        raise InputError(
-            f"{path} is {mask.shape[1]}x{mask.shape[0]} px with {int(mask.sum())} "
-            f"usable pixels; {expected[1]}x{expected[0]} px and some non-zero ones needed"
-        )
-    return mask
-
-
-def write_reading(
-    found: TouchReading, folder: Path, stem: str = "", *, ply: bool = False
-) -> dict[str, Any]:
-    """Write ``NAME.npz``, ``NAME.png``, ``NAME.json`` and with ``ply`` ``NAME.ply`` into
-    ``folder``; returns the figures. NAME is that of the image where there is no ``stem``."""
-    stem = stem or Path(found.name).stem
-    stored: dict[str, Any] = {}
-    for key in ARRAYS:
-        value = getattr(found, key)
-        if value is not None:
-            stored[key] = value if value.dtype == bool else value.astype(np.float32)
-    if found.press is not None:
-        stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
-    write_by(folder / f"{stem}.npz", partial(np.savez_compressed, **stored))
-    save_figure(draw_reading(found, stem), folder / f"{stem}.png")
-    if ply:
-        found.save_ply(folder / f"{stem}.ply")
-    figures = {"image": found.name, **found.figures()}
-    write_json(folder / f"{stem}.json", figures)
-    return figures

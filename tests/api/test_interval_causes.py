@@ -22,7 +22,7 @@ from taccel_lab.networks.normal_settings import NormalModelConfig
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.profile import NormalsBlock, PerturbationBlock
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from tests.networks.weights import random_weights
 from tests.presses.formula_presses import DEFAULT, Resolution, outcome
 from tests.support.dotted_profiles import LIGHT, with_painted_dots
@@ -226,11 +226,11 @@ def test_an_untouched_gel_may_be_pressed_as_hard_as_its_causes_hide() -> None:
 
 @pytest.mark.parametrize("size", [1, 2])
 def test_light_that_is_known_to_some_levels_moves_depths_by_them(size: int) -> None:
-    reader = SurfaceReader(grey_profile(depth_response={"reading_sigma_mm": 0.02}))
+    reader = Reader(grey_profile(depth_response={"reading_sigma_mm": 0.02}))
     lit = reader.lit(ball_image(reader.profile))
     offset = np.zeros((3, 4, 4))
     offset[:, 1, 1] = (3.0 * size) ** 2
-    found = reader.read_lit(replace(lit, light=replace(lit.light, covariance=offset)))
+    found = reader.surface(replace(lit, light=replace(lit.light, covariance=offset)))
     grey = math.hypot(0.299, 0.587, 0.114) * 3.0 * size
     assert found.height_sigma_m is not None
     at = found.height_sigma_m[found.deepest_px]
@@ -243,7 +243,7 @@ def test_light_moves_depths_of_a_colour_sensor_by_its_size() -> None:
     config = NormalModelConfig(72, 96, members=2, hidden=(8,), height_factor=1.0)
     block = NormalsBlock(architecture=config.to_dict(), provenance=KNOWN)
     profile = profile.with_block(block, random_weights(config, spread=0.05))
-    reader = SurfaceReader(profile, method="normals")
+    reader = Reader(profile, method="normals")
     lit = reader.lit(ball_image(profile))
 
     def variances(still: float, now: float) -> np.ndarray:
@@ -253,7 +253,7 @@ def test_light_moves_depths_of_a_colour_sensor_by_its_size() -> None:
             for light, each in zip((lit.still, lit.light), covariance, strict=True)
         )
         still_light, light = lights
-        found = reader.read_lit(replace(lit, still=still_light, light=light))
+        found = reader.surface(replace(lit, still=still_light, light=light))
         assert found.height_sigma_m is not None and found.reading_sigma_m is not None
         return np.stack([found.height_sigma_m, found.reading_sigma_m]) ** 2
 

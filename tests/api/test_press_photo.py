@@ -18,7 +18,8 @@ from taccel_lab.api.press_photo import PressPhoto, SeenPress
 from taccel_lab.api.press_run import UNREAD, PressRun, like_photo
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.touch import SurfaceReading, Touch
+from taccel_lab.reading.reading import Reading
+from taccel_lab.reading.touch import Touch
 from taccel_lab.with_error import with_error
 from tests.signals.pressed_surface import pixel_xy
 from tests.support.commands import done, refusal
@@ -111,7 +112,9 @@ def seen(
     away_mm2 = 1e6 * ((x - 1e-3 * at_mm[0]) ** 2 + (y - 1e-3 * at_mm[1]) ** 2)
     dent_mm = np.maximum(depth_mm - away_mm2 / (2 * RADIUS_MM), 0.0)
     sigma_m = None if sigma_mm is None else np.full(x.shape, 1e-3 * sigma_mm)
-    reading = SurfaceReading(
+    reading = Reading(
+        grid=GRID,
+        image=np.zeros((*x.shape, 3)),
         height_m=lean * x - 1e-3 * dent_mm,
         depth_m=1e-3 * dent_mm,
         height_sigma_m=None if sigma_m is None else 2 * sigma_m,
@@ -124,7 +127,7 @@ def seen(
         method="normals",
         touch=Touch(dent_mm > 0.05, 0.05, 0.05),
     )
-    return SeenPress.of(reading, GRID)
+    return SeenPress.of(reading)
 
 
 def test_place_and_depth_of_a_reading():

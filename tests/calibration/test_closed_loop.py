@@ -26,7 +26,7 @@ from taccel_lab.optics.render import OpticalModel
 from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
 from taccel_lab.presses.physics import PHYSICS, Accuracy
 from taccel_lab.profile import SensorProfile, load_profile
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
@@ -131,7 +131,7 @@ def test_an_object_that_is_no_ball_is_rendered_and_its_shape_read(loop: Any) -> 
         np.abs(of - image)[contact].mean() for of in (rendered, profile.background_rgb)
     )
     assert error < 0.5 * nothing
-    reading = SurfaceReader(profile).read(image)
+    reading = Reader(profile).read(image)
     off, flat = (
         angle_between_deg(of, pressed.normals)[contact].mean()
         for of in (reading.normals, pressed.rest_normals)

@@ -16,7 +16,7 @@ from taccel_lab.calibration.untouched_frame import UntouchedFrame
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from tests.support.real_data import real_data
 from tests.support.small_captures import write_image
 from tests.support.synthetic_presses import GRID, flat_profile
@@ -50,8 +50,8 @@ def middle(number: int) -> np.ndarray:
 
 
 def touched_mm2(found: UntouchedFrame, image: np.ndarray) -> float:
-    reader = SurfaceReader(found.profile, background=found.image)
-    return reader.read(image).figures(reader.grid)["touched_mm2"]
+    reader = Reader(found.profile, background=found.image)
+    return reader.read(image).figures()["touched_mm2"]
 
 
 @pytest.mark.thorough

@@ -81,7 +81,7 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
     assert Path("depths/p3.png").stat().st_size > 5000
     assert json.loads(Path("depths/p3.json").read_text())["image"] == image
     # The figure takes a hundred times as long as all else, and has been seen.
-    monkeypatch.setattr(reading_files, "draw_reading", lambda *_: None)
+    monkeypatch.setattr(reading_files, "draw_maps", lambda *_: None)
     monkeypatch.setattr(reading_files, "save_figure", lambda _, to: copy("depths/p3.png", to))
     size = (GRID.height_px, GRID.width_px, 3)
     noise = np.random.default_rng(0).integers(0, 256, size, dtype=np.uint8)

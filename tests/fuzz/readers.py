@@ -87,7 +87,7 @@ def _show_profile(given: Path, out: Path) -> None:
 def _read_depth(given: Path, out: Path) -> None:
     pictures = {name: given / f"{name}.png" for name in ("background", "mask")}
     copied = {
-        "draw_reading": lambda *_: None,
+        "draw_maps": lambda *_: None,
         "save_figure": lambda _, to: copy(pictures["mask"], to),
     }
     with patch.multiple(touch, **copied):

@@ -16,9 +16,9 @@ from taccel_lab.networks.color_settings import ColorModelConfig
 from taccel_lab.profile import SensorProfile, load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION
+from taccel_lab.reading.reader import Reader
+from taccel_lab.reading.reading import Reading
 from taccel_lab.reading.slopes import NormalModel
-from taccel_lab.reading.surface import SurfaceReader
-from taccel_lab.reading.touch import SurfaceReading
 from taccel_lab.signals.color_model import ColorModel
 
 OLD = Path(__file__).parent / "old"
@@ -133,11 +133,11 @@ def test_versions_5_and_8_do_not_know_how_uncertain_heights_are() -> None:
     """Networks of normals whose heights have no band, and a curve of a grey sensor beside networks
     that tell the error of the reading alone."""
 
-    def read(profile: SensorProfile, method: Any) -> tuple[SurfaceReading, dict[str, Any]]:
+    def read(profile: SensorProfile, method: Any) -> tuple[Reading, dict[str, Any]]:
         assert profile.background_rgb is not None
-        reader = SurfaceReader(profile, method=method)
+        reader = Reader(profile, method=method)
         reading = reader.read(profile.background_rgb.astype(float))
-        return reading, reading.figures(profile.grid())
+        return reading, reading.figures()
 
     config = NormalModel.from_profile(old(5)).config
     assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)

@@ -67,7 +67,7 @@ def test_an_image_is_read_and_says_whose_profile_it_was(name: str) -> None:
     nothing = tl.read(name, untouched, background=untouched)
     assert np.abs(nothing.depth_m).max() < 0.1e-3
     assert NOT_YOUR_UNIT in repr(nothing)
-    assert nothing.figures(profile.grid())["warnings"][0] == NOT_YOUR_UNIT
+    assert nothing.figures()["warnings"][0] == NOT_YOUR_UNIT
 
 
 @pytest.mark.thorough

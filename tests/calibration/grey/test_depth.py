@@ -23,7 +23,7 @@ from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.calibration.drawn.faults import quantise
@@ -176,15 +176,15 @@ def test_profile_and_report(tmp_path: Path) -> None:
     profile = load_profile(tmp_path / "profile")
     assert profile.depth_response is not None
     assert profile.depth_response.provenance.residuals["left_out_depth_mm"] > 0
-    found = SurfaceReader(profile).read(captures.presses[2].image())
+    found = Reader(profile).read(captures.presses[2].image())
     assert 1e3 * found.depth_m.max() == pytest.approx(DEEPEST_MM, abs=0.06)
     assert found.method == "depth" and found.sigma_deg is None
-    figures = found.figures(GRID)
+    figures = found.figures()
     assert figures["sigma_of"] == "absolute depth" and not figures["warnings"]
     assert figures["max_depth_sigma_mm"] >= result.zero_sigma_mm
     circle = ContactCircle(100.0, 70.0, 28.0)
     new, exact = (captures_of([circle], noise, 9).presses[0].image() for noise in (1.0, 0.0))
-    read, drop = SurfaceReader(profile).read(new), (captures.background - exact)[..., 0]
+    read, drop = Reader(profile).read(new), (captures.background - exact)[..., 0]
     contact = drop > result.response.drop_levels[1]
     off_mm = np.abs(1e3 * read.depth_m - TRUE.depth_of(drop))[contact]
     assert read.reading_sigma_m is not None and read.height_sigma_m is not None

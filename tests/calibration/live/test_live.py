@@ -25,7 +25,7 @@ from taccel_lab.calibration.live.surface_view import surface_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import NormalsBlock, SensorProfile
-from taccel_lab.reading.touch import SurfaceReading
+from taccel_lab.reading.reading import Reading
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.faults import quantise
@@ -204,10 +204,10 @@ def test_what_lies_beyond_the_calibration_is_marked_or_refused(monkeypatch) -> N
     title, picture = next(p for p in live.pictures(reading, reader.background) if "depth" in p[0])
     assert (picture[50, 75] == live.BEYOND).all() and "beyond" in title
     assert reading.figures["warnings"]
-    measured = SurfaceReading.figures
+    measured = Reading.figures
     for share, refused in ((0.6, True), (0.3, False)):
         beyond = {"beyond_balls_share": share}
-        monkeypatch.setattr(SurfaceReading, "figures", lambda *a, b=beyond: measured(*a) | b)
+        monkeypatch.setattr(Reading, "figures", lambda *a, b=beyond: measured(*a) | b)
         assert ("no depth" in reader.read(grey_unit().rest).refused) is refused
 
 

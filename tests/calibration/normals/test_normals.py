@@ -26,7 +26,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.reading.bonded_layer import FAR_MM, press_layer
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
@@ -161,17 +161,17 @@ def test_light_that_was_never_calibrated_is_taken_off(
     reads the same depth against its own background."""
     captures, _, result = clean
     profile = result.apply_to(flat_profile(GRID))
-    reader, rest = SurfaceReader(profile), np.asarray(profile.background_rgb)
+    reader, rest = Reader(profile), np.asarray(profile.background_rgb)
     held = captures.presses[captures.split(4).heldout[0]].image()
-    one = reader.read(held).figures(GRID)
+    one = reader.read(held).figures()
     if own_background:
-        reader = SurfaceReader(profile, background=np.clip(rest * gain, 0, 255))
-    two = reader.read(quantise(held * gain)).figures(GRID)
+        reader = Reader(profile, background=np.clip(rest * gain, 0, 255))
+    two = reader.read(quantise(held * gain)).figures()
     within = 0.05 if own_background else 0.08
     assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=within)
     if not own_background:
         assert two["touched_mm2"] == pytest.approx(one["touched_mm2"], rel=0.05)
-        assert reader.read(quantise(rest * gain)).figures(GRID)["touched_mm2"] == 0.0
+        assert reader.read(quantise(rest * gain)).figures()["touched_mm2"] == 0.0
 
 
 @pytest.mark.slow
@@ -189,7 +189,7 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     assert off[1] < 0.7 * off[0], off
     save_profile(results[1].scored.apply_to(flat_profile(GRID)), tmp_path / "profile")
     held = striped.presses[striped.split(4).heldout[0]]
-    found = SurfaceReader(load_profile(tmp_path / "profile")).read(held.image())
+    found = Reader(load_profile(tmp_path / "profile")).read(held.image())
     assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
 
 
@@ -205,12 +205,12 @@ def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -
     assert provenance.residuals["heldout_failures"] == 0
     assert provenance.residuals["heldout_mean_deg"] < 1.5
     assert provenance.verdict == judge(result.remarks).value
-    reader = SurfaceReader(profile)
+    reader = Reader(profile)
     found = reader.read(captures.presses[held[0]].image())
     assert found.normals == pytest.approx(result.heldout[0].predicted.normals, abs=1e-6)
     depth_mm = 1e3 * found.depth_m
     assert depth_mm.max() == pytest.approx(surfaces[held[0]].depth_mm, rel=0.08)
-    circle, figures = circles_of(captures)[held[0]], found.figures(profile.grid())
+    circle, figures = circles_of(captures)[held[0]], found.figures()
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)
     still = reader.read(np.asarray(profile.background_rgb))
     assert not still.touch.any and np.abs(still.depth_m).max() < 5e-6
@@ -284,7 +284,7 @@ def test_grey_captures_are_called_so() -> None:
     (lambda c, s: InverseFitOptions(position_bands=9), r"-bands of .* must lie in \[0, 8\], got 9"),
     (lambda c, s: fit_normals(replace(c, mask=c.mask & False), circles_of(c), s, options=QUICK),
      "masked|usable"),
-    (lambda c, s: SurfaceReader(tiny_profile(GRID)), "neither a normals nor a depth_response"),
+    (lambda c, s: Reader(tiny_profile(GRID)), "neither a normals nor a depth_response"),
 ])  # fmt: skip
 def test_bad_fits_are_refused(call: Callable[..., object], words: str) -> None:
     captures, surfaces = synthetic_captures(3)
@@ -296,7 +296,7 @@ def test_bad_fits_are_refused(call: Callable[..., object], words: str) -> None:
 def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path) -> None:
     """Absolute depths of tools that no ball resembles, in their band; balls alone read half."""
     save_profile(synthetic.apply_to(flat_profile(GRID)), tmp_path / "profile")
-    reader = SurfaceReader(load_profile(tmp_path / "profile"))
+    reader = Reader(load_profile(tmp_path / "profile"))
     x, y = np.meshgrid(GRID.x_mm(), GRID.y_mm())
     wedge = np.where(np.abs(y) < 3, np.abs(x), FAR_MM)
     box = np.where((np.abs(x) < 1.5) & (np.abs(y) < 1.5), 0.0, FAR_MM)
@@ -312,7 +312,7 @@ def test_edges_and_punches_are_read(synthetic: NormalCalibration, tmp_path: Path
         assert found.height_sigma_m is not None
         assert (off <= 2e3 * found.height_sigma_m)[dent].mean() > 0.8
         # Slopes of 45 degrees and more, where no ball was steeper than 53.
-        assert found.figures(reader.profile.grid())["max_depth_mm"] > 0.3
+        assert found.figures()["max_depth_mm"] > 0.3
 
 
 def test_every_stage_ends(synthetic: NormalCalibration, stages: dict[str, tuple[int, int]]) -> None:
@@ -335,11 +335,11 @@ def test_every_stage_ends(synthetic: NormalCalibration, stages: dict[str, tuple[
 def test_an_untouched_image_is_not_touched(synthetic: NormalCalibration, tmp_path: Path) -> None:
     """Drift of the integrated height is no contact."""
     save_profile(synthetic.apply_to(flat_profile(GRID)), tmp_path / "profile")
-    reader = SurfaceReader(load_profile(tmp_path / "profile"))
+    reader = Reader(load_profile(tmp_path / "profile"))
     rng = np.random.default_rng(0)
     image = flat_background() + 6.0 * np.linspace(-1, 1, GRID.width_px)[None, :, None]
     found = reader.read(np.clip(image + rng.normal(0, 1, image.shape), 0, 255))
-    assert found.figures(reader.profile.grid())["touched_mm2"] == 0.0
+    assert found.figures()["touched_mm2"] == 0.0
 
 
 @pytest.mark.thorough

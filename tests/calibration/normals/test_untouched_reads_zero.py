@@ -11,8 +11,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
-from taccel_lab.reading.reading import TouchReader
-from taccel_lab.reading.surface import SurfaceReader
+from taccel_lab.reading.reader import Reader
 from taccel_lab.sensors.profile import stock_sensor
 from taccel_lab.signals.frame_operators import bands, lost_rows, shift, torn, wear
 from tests.calibration.drawn.faults import quantise
@@ -57,15 +56,15 @@ def mini_image(name: str) -> np.ndarray:
     return np.asarray(cv2.resize(read_image(real_data(name)), size, interpolation=cv2.INTER_AREA))
 
 
-def reader_on(background: np.ndarray) -> SurfaceReader:
-    return SurfaceReader(stock_sensor("gelsight_mini"), background=background)
+def reader_on(background: np.ndarray) -> Reader:
+    return Reader(stock_sensor("gelsight_mini"), background=background)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", MINIS)
 def test_an_untouched_mini_reads_zero_by_the_starter_profile(name: str) -> None:
     image = mini_image(name)
-    reader = TouchReader(reader_on(image))
+    reader = reader_on(image)
     for what, change in CHANGES.items():
         figures = reader.read(quantise(change(image.astype(float)))).figures()
         assert not figures["touched"] and figures["force_n"] == 0.0, what
@@ -84,7 +83,7 @@ def test_a_marked_mini_rests_until_it_is_touched() -> None:
     """Dots are masked: 57 frames at rest, then a finger."""
     numbers = (0, 14, 28, 42, 56, 60, 80, 120)
     frames = [read_image(real_data(f"gsmini_markers_video/{n:04d}.png")) for n in numbers]
-    reader = TouchReader(reader_on(frames[0]))
+    reader = reader_on(frames[0])
     found = [reader.read(frame) for frame in frames]
     assert [reading.force_n > 0 for reading in found] == [False] * 5 + [True] * 3
     for reading in found[:5]:
@@ -96,7 +95,7 @@ def test_a_marked_mini_rests_until_it_is_touched() -> None:
 @pytest.mark.parametrize("name", MINIS[:1])
 def test_light_that_is_no_touch_reads_zero_and_is_said(name: str) -> None:
     image = mini_image(name)
-    reader = TouchReader(reader_on(image))
+    reader = reader_on(image)
     for changed, said in (
         (wear(image, 0.06, radius=0.3), "the background is old"),
         (bands(image, 0.03, 3.0), "goes up and down along the rows"),
@@ -109,7 +108,7 @@ def test_light_that_is_no_touch_reads_zero_and_is_said(name: str) -> None:
 @pytest.mark.parametrize("name", MINIS[:1])
 def test_a_frame_that_is_not_whole_is_refused_with_its_rows(name: str) -> None:
     image = mini_image(name)
-    reader, last = TouchReader(reader_on(image)), len(image) - 1
+    reader, last = reader_on(image), len(image) - 1
     for broken, said in (
         (lost_rows(image, 160), f"rows 160 to {last} are of one colour"),
         (torn(image, 130, px=20), f"rows 130 to {last} lie 20 px along them"),

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gel's surface from one tactile image, by whichever model a profile holds.
+"""Images of one sensor in, readings out, by whichever model a profile holds.
+
+The stages of a photo, in their order: frame, light, touch, heights, deviations, pressure.
 
 Colour sensors tell slopes, which are integrated; grey ones tell depths. Heights are in the gel
 frame: the rise over the resting face, and the face itself, which is curved on some sensors.
@@ -7,7 +9,7 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -18,10 +20,13 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.reading.common_gain import common_gain
 from taccel_lab.reading.deviations import LightErrors, grey_light_sigma_mm
 from taccel_lab.reading.dots.marker_picture import DotMask
-from taccel_lab.reading.heights import ReadHeights, read_heights
+from taccel_lab.reading.heights import ReadHeights, read_heights, with_deviations
 from taccel_lab.reading.light import LightDrift, fit_light, fit_press_light
+from taccel_lab.reading.pressure import PressureReader
+from taccel_lab.reading.reading import Reading, SigmaOf
 from taccel_lab.reading.slopes import NormalModel
-from taccel_lab.reading.touch import SigmaOf, SurfaceReading, touch_of
+from taccel_lab.reading.stage_clock import StageClock
+from taccel_lab.reading.touch import touch_of
 from taccel_lab.reading.whole_frame import lost_rows, torn_frame
 from taccel_lab.reading.whose import light_of_background, pattern_shift, unlike
 from taccel_lab.signals.depth_response import DepthResponse
@@ -35,6 +40,8 @@ Method = Literal["auto", "normals", "depth"]
 class LitImage:
     """An image as it is read."""
 
+    image: np.ndarray
+    """RGB levels as they came, likewise."""
     levels: np.ndarray
     """RGB levels in the profile's light, float32, shape [height_px, width_px, 3] of the grid."""
     light: LightDrift
@@ -47,7 +54,7 @@ class LitImage:
     """Which common change of all channels was taken off; empty where there was none."""
 
 
-class SurfaceReader:
+class Reader:
     """Reads images of one sensor; what does not depend on the image is done once."""
 
     def __init__(
@@ -89,10 +96,18 @@ class SurfaceReader:
             self.normal_model = NormalModel.from_profile(profile, device)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self._dots = DotMask.of(self.untouched)
+        self.no_press, self._pressure = "", None
+        """Why no pressure is read, a sentence."""
+        try:
+            self._pressure = PressureReader(profile, self.grid, self.rest)
+        except InputError as error:
+            self.no_press = str(error)
+        self.clock = StageClock()
+        """Times of the stages of the last image."""
 
     @property
     def sigma_of(self) -> SigmaOf | None:
-        """What the profile's standard deviations are those of (``SurfaceReading``)."""
+        """What the profile's standard deviations are those of (``Reading``)."""
         if self.response is not None:
             return None if self.response.reading_sigma_mm is None else "absolute depth"
         assert self.normal_model is not None
@@ -114,8 +129,14 @@ class SurfaceReader:
             "calibrate depth (grey ones)"
         )
 
-    def read(self, image: np.ndarray, name: str = "image") -> SurfaceReading:
-        """The surface under one image, RGB levels, shape [height_px, width_px, 3].
+    def read(self, image: np.ndarray, name: str = "image", time_s: float | None = None) -> Reading:
+        """The touch that one image shows.
+
+        Args:
+            image: RGB levels, shape [height_px, width_px, 3].
+            name: How errors call it, and its files.
+            time_s: When it was taken [s], for a gel that relaxes; None where it does not follow the
+                image before.
 
         Raises:
             InputError: Another size, an image that is not of this sensor, or one that reads deeper
@@ -127,29 +148,36 @@ class SurfaceReader:
                 f"{self.untouched.shape[1]}x{self.untouched.shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
+        self.clock.restart()
         lit = self.lit(image)
-        why = self.unlike(image, lit)
+        self.clock.begin("frame")
+        why = self.unlike(lit)
         if why:
             raise InputError(f"{name} {why}")
-        found = self.read_lit(lit)
+        found = self.pressed(self._within_the_gel(self.surface(lit, name)), time_s)
+        self.clock.begin()
+        return found
+
+    def _within_the_gel(self, found: Reading) -> Reading:
+        """The reading; InputError where it is deeper than the gel is thick, or may be."""
         deepest_mm, gel_mm = 1e3 * float(found.depth_m.max()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
-                f"{name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its colours are "
-                "not those that were calibrated"
+                f"{found.name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its "
+                "colours are not those that were calibrated"
             )
         if found.height_sigma_m is not None:
             sigma_mm = 1e3 * float(found.height_sigma_m[found.deepest_px])
             if sigma_mm > gel_mm:
                 raise InputError(
-                    f"{name} reads {deepest_mm:.1f} +- {sigma_mm:.1f} mm deep in a gel of "
+                    f"{found.name} reads {deepest_mm:.1f} +- {sigma_mm:.1f} mm deep in a gel of "
                     f"{gel_mm:g} mm: the profile does not know its colours or its light"
                 )
         return found
 
-    def unlike(self, image: np.ndarray, lit: LitImage) -> str:
-        """Why an image, of which ``lit`` is, is not of the untouched sensor's gel, or nothing."""
-        levels = image.astype(np.float32)
+    def unlike(self, lit: LitImage) -> str:
+        """Why an image is not of the untouched sensor's gel, or nothing."""
+        image, levels = lit.image, lit.image.astype(np.float32)
         # An image of another sensor has seams against the background, too.
         lost = lost_rows(image, self.untouched, lit.mask)
         if lost is not None:
@@ -178,6 +206,7 @@ class SurfaceReader:
         The first look takes a contact for an outlier. Where it finds one, the gel has sunk beside
         it, and its light is fitted as that of a press.
         """
+        self.clock.begin("light")
         levels = image.astype(np.float32)
         mask = self._seen(levels)
         still = fit_light(levels, self.untouched, mask)
@@ -190,11 +219,13 @@ class SurfaceReader:
 
         def shown(light: LightDrift) -> LitImage:
             own = self._day.remove(light.remove(levels))
-            return LitImage(own.astype(np.float32), light, still, mask, remark)
+            return LitImage(image, own.astype(np.float32), light, still, mask, remark)
 
         first = shown(still)
+        self.clock.begin("touch")
         if not self._is_dented(first):
             return first
+        self.clock.begin("light")
         return shown(fit_press_light(levels, self.untouched, mask))
 
     def _seen(self, levels: np.ndarray) -> np.ndarray | None:
@@ -218,11 +249,22 @@ class SurfaceReader:
             sigma_m = np.hypot(sigma_m, light_m)
         return touch_of(found.rise_m, sigma_m, self.grid.thinned(every)).any
 
-    def read_lit(self, lit: LitImage) -> SurfaceReading:
-        """The surface under an image of ``lit``."""
-        return self._by_normals(lit) if self.response is None else self._by_depth(lit)
+    def surface(self, lit: LitImage, name: str = "image") -> Reading:
+        """The surface under an image of ``lit``, without the pressure that holds it."""
+        self.clock.begin("heights")
+        return self._by_normals(lit, name) if self.response is None else self._by_depth(lit, name)
 
-    def _by_depth(self, lit: LitImage) -> SurfaceReading:
+    def pressed(self, found: Reading, time_s: float | None = None) -> Reading:
+        """A surface with the pressure that holds it; ``time_s`` as of ``read``."""
+        if self._pressure is None:
+            return found
+        self.clock.begin("pressure")
+        press = self._pressure.read(
+            -found.depth_m, found.touch, found.height_sigma_m, found.reading_sigma_m, time_s
+        )
+        return replace(found, press=press)
+
+    def _by_depth(self, lit: LitImage, name: str) -> Reading:
         assert self.response is not None
         found = self.response.read(lit.levels, self.background, lit.mask)
         height = self.rest.height_m + found.height_m
@@ -232,7 +274,11 @@ class SurfaceReader:
                 self.response, lit.light, self.background, found.depth_mm
             )
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, light_m)
-        return SurfaceReading(
+        return Reading(
+            grid=self.grid,
+            image=lit.image,
+            name=name,
+            no_press=self.no_press,
             height_m=height,
             depth_m=-found.height_m,
             height_sigma_m=sigma_m,
@@ -245,7 +291,7 @@ class SurfaceReader:
             remarks=self._remarks(lit),
         )
 
-    def _heights(self, lit: LitImage, *, every: int = 1) -> ReadHeights:
+    def _heights(self, lit: LitImage, *, every: int = 1, uncertainty: bool = True) -> ReadHeights:
         assert self.normal_model is not None
         return read_heights(
             self.normal_model,
@@ -254,19 +300,26 @@ class SurfaceReader:
             self.grid,
             mask=lit.mask,
             rest_normals=self._rest_normals,
+            uncertainty=uncertainty,
             every=every,
         )
 
-    def _by_normals(self, lit: LitImage) -> SurfaceReading:
+    def _by_normals(self, lit: LitImage, name: str) -> Reading:
         assert self.normal_model is not None
-        found = self._heights(lit)
+        found = self._heights(lit, uncertainty=False)
+        self.clock.begin("deviations")
+        found = with_deviations(found, self.normal_model.config, self.grid, lit.mask)
         read = found.normals
         tilt_deg = np.degrees(np.hypot(read.tilt_rad[..., 0], read.tilt_rad[..., 1]))
         sigma_m, alone_m = found.sigma_m, found.reading_sigma_m
         if sigma_m is not None and alone_m is not None:
             light_m, still_m = self._light_errors.sigma_m([lit.light, lit.still], found.zero)
             sigma_m, alone_m = np.hypot(sigma_m, light_m), np.hypot(alone_m, still_m)
-        return SurfaceReading(
+        return Reading(
+            grid=self.grid,
+            image=lit.image,
+            name=name,
+            no_press=self.no_press,
             height_m=self.rest.height_m + found.rise_m,
             depth_m=-found.rise_m,
             height_sigma_m=sigma_m,
